@@ -1,0 +1,30 @@
+# Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer).
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: run test check perf
+
+run: .venv/ready
+	$(BIN)/bench run figure-eight --force
+
+test: .venv/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest
+
+check: .venv/ready
+	$(BIN)/bench check
+
+perf: .venv/perf
+	$(BIN)/python tests/perf/ratios.py
+
+.venv/ready: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@
+
+.venv/perf: .venv/ready
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,perf]'
+	touch $@

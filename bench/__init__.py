@@ -1,0 +1,76 @@
+"""bench: where an INS/GNSS navigation filter is judged on realistic flights.
+
+JSBSim flies an aircraft through a profile and gives the truth; sensor models
+turn truth into what an IMU, a GNSS receiver and a barometer would have reported;
+estimators turn the sensors into position, velocity, attitude and covariance; the
+bench says how wrong they were and whether they knew it.
+
+>>> import bench
+>>> result = bench.run("figure-eight", seed=7)  # doctest: +SKIP
+>>> result.metrics["loose-15"]["pos_rmse_h_m"]  # doctest: +SKIP
+
+Conventions
+-----------
+Frames
+    n local level at the current position (north, east, down), b body and IMU
+    axes (forward, right, down), e Earth-fixed, i inertial.
+Rotation
+    ``C_ab`` and ``q_ab`` take a vector from b to a: ``v_a = C_ab @ v_b``. Inner
+    letters cancel: ``C_eb = C_en @ C_nb``. Attitude is ``C_nb``, ``q_nb``.
+    Quaternions are Hamilton, scalar first (w, x, y, z).
+Vectors
+    carry the frame last: ``vel_n``, ``f_b``. Rates carry all three: ``w_ib_b`` is
+    the rate of b relative to i, resolved in b. Arrays are (N, 3), one instant
+    per row.
+Specific force
+    is what an accelerometer reads: at rest ``f_b = -C_bn g_n``, so -9.8 m/s^2
+    along down.
+Euler angles
+    are for people: roll, pitch, heading; yaw-pitch-roll sequence; heading from
+    north, clockwise, [0, 2 pi).
+Errors
+    are estimate minus truth: ``pos_est = pos_true + pos_err``,
+    ``C_nb_est = exp([phi_n x]) C_nb_true``. Feedback subtracts.
+Units
+    SI and radians inside. At the edges the name ends in the unit: ``lat_deg``,
+    ``gyro_bias_deg_h``. A bare name is SI.
+Time
+    ``t`` in seconds since the start of the run. An interval's tag is its end.
+Height
+    is ellipsoidal unless the name says otherwise.
+Noise
+    ``_sd`` is a standard deviation, ``_psd`` a two-sided density: an angular
+    random walk of N rad/sqrt(s) has ``gyro_psd = N**2`` in rad^2/s.
+Randomness
+    follows from (seed, run, name of the error term) alone.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_DOOR = {
+    "run": "bench.door",
+    "fly": "bench.door",
+    "sense": "bench.door",
+    "navigate": "bench.door",
+    "judge": "bench.door",
+    "load": "bench.door",
+    "load_profile": "bench.door",
+    "check_estimator": "bench.navigation.estimator",
+}
+
+__all__ = ["__version__", *_DOOR]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _DOOR:
+        return getattr(import_module(_DOOR[name]), name)
+    raise AttributeError(f"module 'bench' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

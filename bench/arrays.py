@@ -1,0 +1,74 @@
+"""Shape and dtype checks of arrays, with a message that says what would be right."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+Shape = tuple[int | None, ...]
+
+
+def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) -> FloatArray:
+    """Return value as a C-ordered float64 array of the given shape, or say why not.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls the array.
+    value : array_like
+        The data.
+    shape : tuple of int or None
+        Wanted shape; ``None`` stands for any length.
+    finite : bool
+        Refuse NaN and infinity.
+
+    Raises
+    ------
+    ValueError
+        When the shape differs or, with ``finite``, a value is not finite.
+
+    Examples
+    --------
+    >>> as_float("vel_n", [[1, 2, 3]], (None, 3))
+    array([[1., 2., 3.]])
+    >>> as_float("vel_n", [1, 2], (3,))
+    Traceback (most recent call last):
+    ValueError: vel_n must have shape (3); got (2,)
+    """
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if np.ndim(value) == 0:
+        array = array.reshape(())  # ascontiguousarray makes a row of a scalar
+    _check_shape(name, array.shape, shape)
+    if finite and not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(np.atleast_1d(array)))[0][0])
+        raise ValueError(f"{name} must be finite; the first bad value is in row {row}")
+    return array
+
+
+def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:
+    """Return value as a C-ordered array of an integer or boolean dtype, or say why not.
+
+    Raises
+    ------
+    ValueError
+        When the shape differs or a value would change by the conversion.
+    """
+    given = np.asarray(value)
+    array: NDArray[np.generic] = np.ascontiguousarray(given, dtype=dtype)
+    _check_shape(name, array.shape, shape)
+    if given.size and not (array == given).all():
+        raise ValueError(f"{name} must hold values of type {dtype.__name__}")
+    return array
+
+
+def _check_shape(name: str, got: tuple[int, ...], shape: Shape) -> None:
+    fits = len(got) == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, got, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("N" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} must have shape ({wanted}); got {got}")

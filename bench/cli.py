@@ -1,0 +1,284 @@
+"""Arguments in, exit status out; no numbers. Nothing heavy is imported before a verb runs."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench import __version__
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, INTERRUPTED = 0, 1, 2, 3, 4, 130
+"""Exit statuses, as the help of every verb lists them."""
+
+_STATUS = """\b
+Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
+diverged); 2 the command line, a file or the results folder is wrong; 3 the
+aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
+full, no viewer); 130 interrupted.
+"""
+
+_HELP = {"max_content_width": 100}
+
+
+def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+    """Read KEY=VALUE, the value as in a TOML file; what is not TOML is a text."""
+    values: dict[str, Any] = {}
+    for item in given:
+        key, equals, text = item.partition("=")
+        if not equals or not all(key.split(".")):
+            raise click.BadParameter(
+                f"{item!r} must be KEY=VALUE, for example sensors.imu=stim300", ctx, param
+            )
+        try:
+            values[key] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[key] = text
+    return values
+
+
+_set = click.option(
+    "--set",
+    "overrides",
+    callback=_overrides,
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="override one value of the profile; wins over the file",
+)
+_seed = click.option("--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence")
+
+
+@click.group(context_settings=_HELP, epilog=_STATUS, invoke_without_command=True)
+@click.version_option(__version__)
+@click.pass_context
+def commands(ctx: click.Context) -> None:
+    """Judge INS/GNSS navigation filters on realistic flights.
+
+    \b
+    Start here:
+      bench run figure-eight      fly, sense, navigate, judge, record
+      bench view                  look at the newest result
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("profile")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder for the results  [default: runs/<profile>-<seed>]",
+)
+@click.option(
+    "-e",
+    "--estimator",
+    "estimators",
+    multiple=True,
+    metavar="NAME",
+    help="evaluate only this one, of the profile or 'module:Class'; repeat for more",
+)
+@_set
+@_seed
+@click.option(
+    "--run",
+    "draw",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="K",
+    help="the K-th noise draw of this seed",
+)
+@click.option("--view", "then_view", is_flag=True, help="open the recording when done")
+@click.option(
+    "--json", "as_json", is_flag=True, help="print the metrics as JSON on stdout, the rest on stderr"
+)
+@click.option("--no-rrd", is_flag=True, help="write no recording")
+@click.option("--force", is_flag=True, help="replace an existing results folder")
+def run(
+    profile: str,
+    out: Path | None,
+    estimators: tuple[str, ...],
+    overrides: dict[str, Any],
+    seed: int | None,
+    draw: int,
+    then_view: bool,
+    as_json: bool,
+    no_rrd: bool,
+    force: bool,
+) -> int:
+    """Fly one profile and evaluate every estimator it names.
+
+    PROFILE is a .toml file, or the name of a shipped profile (bench list).
+
+    \b
+    Examples:
+      bench run figure-eight                   a profile that ships with bench
+      bench run figure-eight -e my_lab:Filter  an estimator of your own, my_lab.py here
+      bench run my_flight.toml -o out/trial-3  a profile of your own
+      bench run figure-eight --seed 7 --set sensors.imu=stim300
+
+    \b
+    Writes to DIR: result.json (metrics, seeds, versions, the profile as flown),
+    truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
+    errors-<estimator>.parquet and flight.rrd (bench view DIR).
+    """
+    if then_view and no_rrd:
+        raise click.UsageError("--view needs the recording that --no-rrd leaves out")
+    from bench.store import to_json
+    from bench.workbench.run import run as run_profile
+    from bench.workbench.view import view as view_folder
+
+    result, folder = run_profile(
+        profile,
+        console=_console(stderr=as_json),
+        out=out,
+        estimators=estimators or None,
+        overrides=overrides,
+        seed=seed,
+        draw=draw,
+        recording=not no_rrd,
+        force=force,
+    )
+    if as_json:
+        click.echo(to_json(result.metrics), nl=False)
+    if then_view:
+        view_folder(folder, web=False, console=_console(stderr=as_json))
+    return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("profile")
+@_set
+@_seed
+def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
+    """Fly only the truth of a profile and say what was flown.
+
+    PROFILE is a .toml file, or the name of a shipped profile (bench list). The
+    truth is kept in the cache, where bench run finds it.
+    """
+    from bench.workbench.run import fly as fly_profile
+
+    fly_profile(profile, console=_console(), overrides=overrides, seed=seed)
+    return DONE
+
+
+@commands.command(name="list", epilog=_STATUS)
+def list_all() -> int:
+    """List the profiles, aircraft, sensors and estimators there are."""
+    from bench.workbench.show import choices
+
+    choices(_console())
+    return DONE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="[DIR]")
+@click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
+def view(folder: Path | None, web: bool) -> int:
+    """Open the viewer on a results folder.
+
+    DIR is what bench run wrote; the newest one below ./runs when not given.
+    """
+    from bench.workbench.view import view as view_folder
+
+    view_folder(folder, web=web, console=_console())
+    return DONE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
+@click.option(
+    "--baselines",
+    type=click.Path(path_type=Path),
+    default=Path("tests/baselines"),
+    show_default=True,
+    metavar="DIR",
+    help="folder of the limits, <profile>.json each",
+)
+@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each profile")
+@click.option("--record", is_flag=True, help="write what is measured as the new limits")
+def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: bool) -> int:
+    """Compare the accuracy of profiles with their limits.
+
+    PROFILE names those to check, all that have limits when none is given; with
+    --record also a profile that has none yet.
+    """
+    from bench.workbench.check import check as check_limits
+    from bench.workbench.check import record as record_limits
+
+    if record:
+        record_limits(baselines, profiles, console=_console(), runs=runs)
+        return DONE
+    return DONE if check_limits(baselines, profiles, console=_console(), runs=runs) else NEGATIVE
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit status; a bug keeps its traceback.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        What follows ``bench``; the arguments of this process when None.
+    """
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "bench"
+        return _fail(WRONG, f"{error.format_message()} ('{path} --help' says more)")
+    except (click.Abort, KeyboardInterrupt):
+        return _fail(INTERRUPTED, "interrupted")
+    except Exception as error:
+        return _fail(*_failure(error))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _failure(error: Exception) -> tuple[int, str]:
+    """Return the exit status and message of a failure that is no bug; raise what is one."""
+    from bench.config import ConfigError
+    from bench.flight.model import FlightError
+    from bench.navigation.estimator import EstimatorError
+    from bench.workbench.view import ViewerError
+
+    if isinstance(error, ConfigError | EstimatorError):
+        return WRONG, "\nerror: ".join(getattr(error, "messages", None) or [str(error)])
+    if isinstance(error, FlightError):
+        return NOT_FLOWN, str(error)
+    if isinstance(error, ViewerError):
+        return MACHINE, str(error)
+    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
+        place = f"{error.filename}: " if error.filename else ""
+        return MACHINE, f"{place}{error.strerror or error}"
+    raise error
+
+
+def _fail(status: int, message: str) -> int:
+    click.echo(f"error: {message}", err=True)
+    return status
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=stderr, markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""The one door to numba: ``@kernel``, and where compiled code is cached.
+
+numba's own cache does not notice a change in another module and would return a
+stale result. The cache folder is therefore named by the sources that use this
+door, the versions of numba, numpy and Python, and the CPU.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+import numpy as np
+
+from bench.places import PACKAGE, cache_folder
+
+_UNUSED_DAYS = 30
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile a function on first use: arrays in and out, no checks, no allocation, no fastmath.
+
+    Division follows IEEE 754 (infinity and NaN, no exception), as numpy does.
+    """
+    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+
+
+def _fingerprint() -> str:
+    digest = hashlib.sha256()
+    for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _cpu()):
+        digest.update(part.encode())
+    for source in sorted(PACKAGE.rglob("*.py")):
+        text = source.read_bytes()
+        if b"bench.compiled" in text:
+            digest.update(str(source.relative_to(PACKAGE)).encode() + text)
+    return digest.hexdigest()[:24]
+
+
+def _cpu() -> str:
+    from llvmlite import binding
+
+    return f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
+
+
+def _choose_cache() -> None:
+    """Point numba at the folder of this fingerprint and remove folders unused for 30 days.
+
+    ``NUMBA_CACHE_DIR``, when the user sets it, is left alone.
+    """
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return
+    folder = cache_folder("kernels") / _fingerprint()
+    setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba types its settings as constants
+    if folder.exists():
+        try:
+            os.utime(folder)
+        except OSError:  # a cache shared read-only still serves
+            return
+    _remove_unused(folder.parent, keep=folder)
+
+
+def _remove_unused(root: Path, keep: Path) -> None:
+    oldest = time.time() - _UNUSED_DAYS * 86400
+    try:
+        stale = [f for f in root.iterdir() if f != keep and f.is_dir() and f.stat().st_mtime < oldest]
+    except OSError:  # absent, or another process is cleaning
+        return
+    for folder in stale:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+_choose_cache()

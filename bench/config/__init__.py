@@ -1,0 +1,9 @@
+"""TOML in human units -> checked tables -> specs in SI; every ConfigError."""
+
+from __future__ import annotations
+
+from bench.config.library import list_aircraft, list_profiles, list_sensors
+from bench.config.profile import load_profile
+from bench.config.tables import ConfigError
+
+__all__ = ["ConfigError", "list_aircraft", "list_profiles", "list_sensors", "load_profile"]

@@ -1,0 +1,117 @@
+"""What must hold across the tables of a profile: each check returns one line per thing that is wrong."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bench.config.profile_tables import (
+    ClimbTable,
+    DescendTable,
+    FigureEightTable,
+    ProfileTable,
+    TurnTable,
+)
+from bench.config.tables import quantity, suggest
+from bench.navigation.estimator import BUILT_IN
+from bench.specs import AircraftSpec, EstimatorChoice
+
+_LABEL = re.compile(r"[A-Za-z0-9_.-]+")
+
+
+def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
+    """Check what the aircraft can do, and that climbs go up and descents down."""
+    wrong = []
+    start = table.start
+    if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:
+        limits = f"{aircraft.min_speed:g} to {aircraft.max_speed:g} m/s of the {aircraft.name}"
+        wrong.append(f"[start] {quantity('speed_mps', start.speed_mps)} is outside {limits}")
+    max_bank_deg = math.degrees(aircraft.max_bank)
+    alt = start.alt_m
+    for number, leg in enumerate(table.leg, 1):
+        place = f"[[leg]] {number} ({leg.kind}): "
+        if isinstance(leg, ClimbTable | DescendTable):
+            up = isinstance(leg, ClimbTable)
+            limit = aircraft.max_climb if up else aircraft.max_descent
+            if leg.rate_mps > limit:
+                what = quantity("rate_mps", leg.rate_mps)
+                wrong.append(f"{place}{what} is above the {limit:g} m/s of the {aircraft.name}")
+            if leg.to_alt_m == alt or (leg.to_alt_m > alt) != up:
+                what = quantity("to_alt_m", leg.to_alt_m)
+                wrong.append(f"{place}{what} is not {'above' if up else 'below'} the {alt:g} m before it")
+            alt = leg.to_alt_m
+        if isinstance(leg, TurnTable | FigureEightTable) and leg.bank_deg > max_bank_deg * (1 + 1e-9):
+            what = quantity("bank_deg", leg.bank_deg)
+            wrong.append(f"{place}{what} is above the {max_bank_deg:g} deg of the {aircraft.name}")
+        if isinstance(leg, TurnTable) and leg.by_deg == 0:
+            wrong.append(f"{place}by_deg = 0 deg must not be 0; positive turns right")
+    return wrong
+
+
+def rates(table: ProfileTable, sensors: Mapping[str, Any]) -> list[str]:
+    """Check that fixes and outputs fall on instants of the truth."""
+    asked = {
+        f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
+        for kind, spec in sensors.items()
+        if kind != "imu" and spec is not None
+    }
+    asked["[evaluation] output_hz"] = table.evaluation.output_hz
+    return [
+        f"{key} = {rate:g} Hz must divide rate_hz = {table.rate_hz} Hz"
+        for key, rate in asked.items()
+        if abs(table.rate_hz / rate - round(table.rate_hz / rate)) > 1e-9
+    ]
+
+
+def outages(table: ProfileTable) -> list[str]:
+    """Check that outages do not overlap and, like the alignment window, lie inside the flight."""
+    wrong = []
+    rows = sorted(
+        (row.start_s, row.start_s + row.duration_s, number) for number, row in enumerate(table.gnss_outage, 1)
+    )
+    for (start, end, number), (later, _, other) in itertools.pairwise(rows):
+        if later < end:
+            what = f"[[gnss_outage]] {other}: {quantity('start_s', later)}"
+            wrong.append(f"{what} overlaps [[gnss_outage]] {number} ({start:g} to {end:g} s)")
+    length = math.inf if table.duration_s is None else table.duration_s
+    for _, end, number in rows:
+        if end > length:
+            what = f"[[gnss_outage]] {number}: its end at {end:g} s"
+            wrong.append(f"{what} is outside the flight, 0 to {length:g} s")
+    if rows and table.sensors.gnss is None:
+        wrong.append("[[gnss_outage]] 1: there is no gnss in [sensors] to lose")
+    if table.evaluation.from_s >= length:
+        what = quantity("from_s", table.evaluation.from_s)
+        wrong.append(f"[evaluation] {what} is outside the flight, 0 to {length:g} s")
+    return wrong
+
+
+def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
+    """Check that the estimators exist, and that labels can name files and are unique."""
+    wrong = []
+    labels: list[str] = []
+    for number, choice in enumerate(choices, 1):
+        place = f"[[estimator]] {number}: "
+        if ":" not in choice.use and choice.use not in BUILT_IN:
+            hint = suggest(choice.use, BUILT_IN, "estimators")
+            wrong.append(f"{place}use = {choice.use!r} is no built-in estimator{hint}, 'module:Class'")
+        what = f"{place}label = {choice.label!r}"
+        if not _LABEL.fullmatch(choice.label):
+            wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.'")
+        if choice.label in labels:
+            wrong.append(f"{what} is taken by an entry above; give each its own label")
+        labels.append(choice.label)
+    return wrong
+
+
+def asked(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
+    """Check that every estimator asked for is in the profile, built in, or a ``module:Class``."""
+    known = {choice.label for choice in choices} | set(BUILT_IN)
+    return [
+        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, 'module:Class'"
+        for name in names
+        if name not in known and ":" not in name
+    ]

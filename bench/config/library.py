@@ -1,0 +1,173 @@
+"""Where profiles, aircraft and datasheets are found by name, and what there is."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from bench.config.datasheets import SENSORS
+from bench.config.tables import ConfigError, Table, between, checked, read, suggest
+from bench.places import PACKAGE
+from bench.specs import AircraftSpec
+
+_PROFILES = PACKAGE / "profiles"
+_CATALOG = PACKAGE / "catalog"
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class _Limits(Table):
+    min_speed_mps: Annotated[float, between(1, 400)]
+    max_speed_mps: Annotated[float, between(1, 400)]
+    max_bank_deg: Annotated[float, between(1, 80)]
+    max_climb_mps: Annotated[float, between(0.1, 100)]
+    max_descent_mps: Annotated[float, between(0.1, 100)]
+
+
+class _Antenna(Table):
+    forward_m: Annotated[float, between(-100, 100)]
+    right_m: Annotated[float, between(-100, 100)]
+    down_m: Annotated[float, between(-100, 100)]
+
+
+class _AircraftTable(Table):
+    title: str
+    mesh: str = "uav"
+    limits: _Limits
+    antenna: _Antenna
+    guidance: dict[str, float] = Field(default_factory=dict)
+
+
+def profile_file(name: str) -> tuple[Path, str]:
+    """Return the file of a profile, given by its path or shipped name, and what messages call it.
+
+    Raises
+    ------
+    ConfigError
+        When there is no such profile.
+    """
+    if name.endswith(".toml"):
+        return Path(name), name
+    known = [path.stem for path in _PROFILES.glob("*.toml")]
+    if name not in known:
+        raise ConfigError(
+            f"no shipped profile {name!r} (a file of your own ends in .toml)"
+            f"{suggest(name, known, 'profiles')}"
+        )
+    return _PROFILES / f"{name}.toml", f"{name}.toml"
+
+
+def aircraft_folder(name: str, beside: Path) -> Path:
+    """Return the folder of an aircraft: beside the profile, in the repository or in the installed copy.
+
+    Raises
+    ------
+    ConfigError
+        When it is not found; the message lists the places searched.
+    """
+    if not _NAME.fullmatch(name):
+        raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_'")
+    places = _aircraft_places(beside)
+    folder = next((place / name for place in places if (place / name).is_dir()), None)
+    if folder is None:
+        searched = ", ".join(str(place) for place in places)
+        known = [name for name, _ in list_aircraft(beside)]
+        raise ConfigError(
+            f"aircraft = {name!r} is not found{suggest(name, known, 'aircraft')}\n  searched: {searched}"
+        )
+    return folder
+
+
+def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
+    """Return the aircraft of a folder; its ``systems`` are searched where aircraft are.
+
+    Raises
+    ------
+    ConfigError
+        One message per thing that is wrong with its files.
+    """
+    name = folder.name
+    shown = f"{name}/aircraft.toml"
+    table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
+    if not (folder / f"{name}.xml").is_file():
+        raise ConfigError(f"{name}/{name}.xml: no such file")
+    limits, antenna = table.limits, table.antenna
+    if limits.min_speed_mps >= limits.max_speed_mps:
+        raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
+    systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]
+    with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
+    if with_guidance is None:
+        raise ConfigError(f"guidance.xml: no such file in {', '.join(str(place) for place in systems)}")
+    return AircraftSpec(
+        name=name,
+        folder=folder,
+        systems=with_guidance,
+        gains=table.guidance,
+        min_speed=limits.min_speed_mps,
+        max_speed=limits.max_speed_mps,
+        max_bank=math.radians(limits.max_bank_deg),
+        max_climb=limits.max_climb_mps,
+        max_descent=limits.max_descent_mps,
+        antenna_b=(antenna.forward_m, antenna.right_m, antenna.down_m),
+        mesh=table.mesh,
+    )
+
+
+def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
+    """Return the datasheet of a sensor, and what messages call it.
+
+    Parameters
+    ----------
+    kind : str
+        "imu", "gnss" or "baro".
+    name : str
+        Name in the catalog, or a path ending in ``.toml``, relative to the profile.
+    beside : Path
+        Folder of the profile that asks for it.
+
+    Raises
+    ------
+    ConfigError
+        When there is no such file.
+    """
+    if name.endswith(".toml"):
+        if not (beside / name).is_file():
+            raise ConfigError(f"{kind} = {name!r}: no such file beside the profile")
+        return beside / name, name
+    known = [path.stem for path in (_CATALOG / kind).glob("*.toml")]
+    if name not in known:
+        raise ConfigError(f"{kind} = {name!r} is not in the catalog{suggest(name, known, kind)}")
+    return _CATALOG / kind / f"{name}.toml", f"{name}.toml"
+
+
+def _aircraft_places(beside: Path | None = None) -> list[Path]:
+    beside_profile = [beside / "aircraft"] if beside else []
+    return [*beside_profile, PACKAGE.parent / "aircraft", PACKAGE / "aircraft"]
+
+
+def list_profiles() -> list[tuple[str, str]]:
+    """Return the name and title of every shipped profile."""
+    return [
+        (path.stem, str(read(path, path.name).get("title", ""))) for path in sorted(_PROFILES.glob("*.toml"))
+    ]
+
+
+def list_aircraft(beside: Path | None = None) -> list[tuple[str, str]]:
+    """Return the name and title of every aircraft that a profile can ask for."""
+    found = {}
+    for place in reversed(_aircraft_places(beside)):
+        for path in place.glob("*/aircraft.toml"):
+            found[path.parent.name] = str(read(path, f"{path.parent.name}/aircraft.toml").get("title", ""))
+    return sorted(found.items())
+
+
+def list_sensors() -> list[tuple[str, str, str]]:
+    """Return kind, name and title of every sensor of the catalog."""
+    return [
+        (kind, path.stem, str(read(path, path.name).get("title", "")))
+        for kind in SENSORS
+        for path in sorted((_CATALOG / kind).glob("*.toml"))
+    ]

@@ -1,0 +1,215 @@
+"""A profile file -> ``bench.specs.Profile``: defaults, then the file, then the overrides."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.config import checks
+from bench.config.datasheets import SENSORS
+from bench.config.library import aircraft_folder, profile_file, read_aircraft, sensor_file
+from bench.config.profile_tables import (
+    SEVERITY,
+    ClimbTable,
+    DescendTable,
+    FigureEightTable,
+    LegTable,
+    ProfileTable,
+    StraightTable,
+    TurnTable,
+)
+from bench.config.tables import ConfigError, checked, noting, read
+from bench.specs import (
+    AircraftSpec,
+    AssumedSpecs,
+    Climb,
+    Descend,
+    EstimatorChoice,
+    FigureEight,
+    FlightSpec,
+    Leg,
+    Profile,
+    SensorsSpec,
+    Straight,
+    Turn,
+)
+
+
+def load_profile(
+    name: str,
+    overrides: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    estimators: Sequence[str] | None = None,
+) -> Profile:
+    """Return a profile in SI, checked.
+
+    Parameters
+    ----------
+    name : str
+        Name of a shipped profile, or the path of a ``.toml`` file.
+    overrides : mapping
+        Dotted keys of the file to values that win over it: ``{"sensors.imu": "x", "leg.0.laps": 2}``.
+        The entries of a list are counted from 0.
+    seed : int
+        Replaces both ``seed`` and ``turbulence_seed`` of the file.
+    estimators : sequence of str
+        Estimators to evaluate instead of all of the profile's: labels of the profile, built-in names or
+        ``module:Class``.
+
+    Raises
+    ------
+    ConfigError
+        All that is wrong with the file, the overrides and the files it names, one message each.
+    """
+    path, shown = profile_file(str(name))
+    document = read(path, shown)
+    if seed is not None:
+        document |= {"seed": seed, "turbulence_seed": seed}
+    for key, value in (overrides or {}).items():
+        document = _override(document, key, value)
+    beside, wrong = path.parent, list[str]()
+    aircraft = _find_aircraft(document.get("aircraft"), beside, f"{shown}: ", wrong)
+    units = document.get("sensors")
+    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
+    believed = units.get("assumed") if isinstance(units, Mapping) else None
+    assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
+    assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
+    try:
+        table = checked(ProfileTable, document, shown)
+    except ConfigError as error:
+        raise ConfigError(*error.messages, *wrong) from None
+    choices = tuple(_choice(row.use, row.label, row.options) for row in table.estimator)
+    across = checks.legs(table, aircraft) if aircraft else []
+    across += checks.rates(table, on_board) + checks.outages(table)
+    across += checks.estimators(choices) + checks.asked(choices, estimators or ())
+    wrong += [f"{shown}: {line}" for line in across]
+    if wrong or aircraft is None:
+        raise ConfigError(*wrong)
+    if estimators is not None:
+        by_label = {choice.label: choice for choice in choices}
+        choices = tuple(by_label.get(name) or _choice(name) for name in estimators)
+    return Profile(
+        name=path.stem,
+        title=table.title or path.stem,
+        seed=table.seed,
+        flight=_flight(table, aircraft),
+        sensors=_sensors(table, aircraft, on_board, assumed),
+        estimators=choices,
+        evaluation_from=float(table.evaluation.from_s),
+        document=_document(table, path.stem, choices),
+    )
+
+
+def _override(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return a copy of the document with one dotted key replaced."""
+    copied: dict[str, Any] = copy.deepcopy(dict(document))
+    here: Any = copied
+    *path, last = key.split(".")
+    for part in path:
+        here = here.setdefault(part, {}) if isinstance(here, dict) else here[_index(here, part, key)]
+    here[last if isinstance(here, dict) else _index(here, last, key)] = value
+    return copied
+
+
+def _index(rows: object, part: str, key: str) -> int:
+    if not isinstance(rows, list):
+        raise ConfigError(f"--set {key}: {part!r} is not a key of a table")
+    if not part.isdigit() or int(part) >= len(rows):
+        raise ConfigError(f"--set {key}: {part!r} must be a number from 0 to {len(rows) - 1}")
+    return int(part)
+
+
+def _find_aircraft(name: object, beside: Path, place: str, wrong: list[str]) -> AircraftSpec | None:
+    """Read an aircraft, or add to ``wrong`` why not; what is no text is left to the check of its table."""
+    if isinstance(name, str):
+        with noting(wrong, place):
+            folder = aircraft_folder(name, beside)
+            with noting(wrong):
+                return read_aircraft(folder, beside)
+    return None
+
+
+def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> dict[str, Any]:
+    """Read the datasheets a table names, as ``_find_aircraft`` does; kinds it does not name are None."""
+    found: dict[str, Any] = dict.fromkeys(SENSORS)
+    for kind in SENSORS:
+        name = names.get(kind) if isinstance(names, Mapping) else None
+        if isinstance(name, str):
+            with noting(wrong, place):
+                path, shown = sensor_file(kind, name, beside)
+                with noting(wrong):
+                    found[kind] = SENSORS[kind](path, shown)
+    return found
+
+
+def _choice(use: str, label: str | None = None, options: Mapping[str, Any] | None = None) -> EstimatorChoice:
+    return EstimatorChoice(use, label or use.rpartition(":")[2], dict(options or {}))
+
+
+def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
+    wind = table.wind
+    return FlightSpec(
+        aircraft=aircraft,
+        rate=float(table.rate_hz),
+        lat=math.radians(table.start.lat_deg),
+        lon=math.radians(table.start.lon_deg),
+        alt=float(table.start.alt_m),
+        heading=math.radians(table.start.heading_deg),
+        speed=float(table.start.speed_mps),
+        wind_from=math.radians(wind.from_deg),
+        wind_speed=float(wind.speed_mps),
+        severity=SEVERITY.get(wind.turbulence, wind.turbulence),
+        turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
+        legs=tuple(_leg(leg) for leg in table.leg),
+        duration=None if table.duration_s is None else float(table.duration_s),
+    )
+
+
+def _leg(row: LegTable) -> Leg:
+    match row:
+        case StraightTable():
+            return Straight(float(row.duration_s))
+        case ClimbTable():
+            return Climb(float(row.to_alt_m), float(row.rate_mps))
+        case DescendTable():
+            return Descend(float(row.to_alt_m), float(row.rate_mps))
+        case TurnTable():
+            return Turn(math.radians(row.by_deg), math.radians(row.bank_deg))
+        case FigureEightTable():
+            return FigureEight(math.radians(row.bank_deg), row.laps)
+
+
+def _sensors(
+    table: ProfileTable, aircraft: AircraftSpec, on_board: Mapping[str, Any], assumed: Mapping[str, Any]
+) -> SensorsSpec:
+    initial = table.initial_error_sd
+    outages = sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)
+    return SensorsSpec(
+        imu=on_board["imu"],
+        gnss=on_board["gnss"],
+        baro=on_board["baro"],
+        assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
+        antenna_b=aircraft.antenna_b,
+        gnss_outages=tuple((float(start), float(end)) for start, end in outages),
+        initial_pos_sd=initial.pos_m,
+        initial_vel_sd=initial.vel_mps,
+        initial_tilt_sd=math.radians(initial.tilt_deg),
+        initial_heading_sd=math.radians(initial.heading_deg),
+        output_rate=float(table.evaluation.output_hz),
+    )
+
+
+def _document(table: ProfileTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
+    """Return the profile as flown: the file with the overrides and every default filled in."""
+    document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
+    document.setdefault("turbulence_seed", table.seed)
+    sensors = document["sensors"]
+    own = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
+    sensors["assumed"] = own | sensors["assumed"]
+    document["estimator"] = [
+        {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
+    ]
+    return document

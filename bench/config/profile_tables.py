@@ -1,0 +1,184 @@
+"""The tables of a profile file, with what each key may hold, in the units of the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from bench.config.tables import ROWS, Table, between
+
+SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
+"""Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
+
+
+def _turbulence(value: object) -> object:
+    named = isinstance(value, str) and value in SEVERITY
+    numbered = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 7
+    if not (named or numbered):
+        wanted = f"must be {', '.join(SEVERITY)} or a whole number from 0 to 7"
+        raise PydanticCustomError("message", wanted)
+    return value
+
+
+def _plain(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what an option cannot be: a date, NaN or infinity."""
+
+    def check(item: object) -> None:
+        if isinstance(item, Mapping):
+            for inner in item.values():
+                check(inner)
+        elif isinstance(item, list):
+            for inner in item:
+                check(inner)
+        elif not isinstance(item, (bool, int, str)) and not (isinstance(item, float) and math.isfinite(item)):
+            raise PydanticCustomError("message", "must hold finite numbers, texts and true or false only")
+
+    check(value)
+    return value
+
+
+Metres3 = Annotated[
+    tuple[
+        Annotated[float, between(1e-3, 1e4)],
+        Annotated[float, between(1e-3, 1e4)],
+        Annotated[float, between(1e-3, 1e4)],
+    ],
+    ROWS,
+]
+Seconds = Annotated[float, between(0.1, 86400)]
+Bank = Annotated[float, between(1, 80)]
+Altitude = Annotated[float, between(-500, 20000)]
+Seed = Annotated[int, between(0, 2**53)]
+
+
+class StartTable(Table):
+    """Where the flight begins: ellipsoidal height, heading of the nose, true airspeed."""
+
+    lat_deg: Annotated[float, between(-90, 90)]
+    lon_deg: Annotated[float, between(-180, 180)]
+    alt_m: Altitude
+    heading_deg: Annotated[float, between(0, 360)]
+    speed_mps: Annotated[float, between(1, 400)]
+
+
+class WindTable(Table):
+    """Steady wind, by the direction it blows from, and turbulence by name or Milspec severity."""
+
+    from_deg: Annotated[float, between(0, 360)] = 0.0
+    speed_mps: Annotated[float, between(0, 40)] = 0.0
+    turbulence: Annotated[Any, AfterValidator(_turbulence)] = "none"
+
+
+class StraightTable(Table):
+    """Hold heading, altitude and airspeed."""
+
+    kind: Literal["straight"]
+    duration_s: Seconds
+
+
+class ClimbTable(Table):
+    """Climb to an altitude."""
+
+    kind: Literal["climb"]
+    to_alt_m: Altitude
+    rate_mps: Annotated[float, between(0.1, 100)]
+
+
+class DescendTable(Table):
+    """Descend to an altitude."""
+
+    kind: Literal["descend"]
+    to_alt_m: Altitude
+    rate_mps: Annotated[float, between(0.1, 100)]
+
+
+class TurnTable(Table):
+    """Turn by an angle, positive to the right."""
+
+    kind: Literal["turn"]
+    by_deg: Annotated[float, between(-3600, 3600)]
+    bank_deg: Bank
+
+
+class FigureEightTable(Table):
+    """Full circles, right then left."""
+
+    kind: Literal["figure-eight"]
+    bank_deg: Bank
+    laps: Annotated[int, between(1, 1000)]
+
+
+LegTable = Annotated[
+    StraightTable | ClimbTable | DescendTable | TurnTable | FigureEightTable, Field(discriminator="kind")
+]
+
+
+class AssumedTable(Table):
+    """The datasheets the filters believe, where they differ from the units on board."""
+
+    imu: str | None = None
+    gnss: str | None = None
+    baro: str | None = None
+
+
+class SensorsTable(Table):
+    """The units on board, each a catalog name or the path of a datasheet."""
+
+    imu: str
+    gnss: str | None = None
+    baro: str | None = None
+    assumed: AssumedTable = AssumedTable()
+
+
+class OutageTable(Table):
+    """A time without GNSS."""
+
+    start_s: Annotated[float, between(0, 86400)]
+    duration_s: Seconds
+
+
+class InitialErrorSdTable(Table):
+    """How well the start is known: position and velocity north, east, down."""
+
+    pos_m: Metres3 = (3.0, 3.0, 5.0)
+    vel_mps: Metres3 = (0.2, 0.2, 0.2)
+    tilt_deg: Annotated[float, between(1e-4, 30)] = 0.5
+    heading_deg: Annotated[float, between(1e-4, 180)] = 2.0
+
+
+class EstimatorTable(Table):
+    """An estimator by its built-in name or ``module:Class``."""
+
+    use: str
+    label: str | None = None
+    options: Annotated[dict[str, Any], AfterValidator(_plain)] = Field(default_factory=dict)
+
+
+class EvaluationTable(Table):
+    """End of the alignment window, and how often solutions are wanted."""
+
+    from_s: Annotated[float, between(0, 86400)] = 60.0
+    output_hz: Annotated[float, between(0.1, 400)] = 10.0
+
+
+class ProfileTable(Table):
+    """The file of a profile, in its own units."""
+
+    title: str | None = None
+    aircraft: str
+    rate_hz: Literal[100, 200, 400] = 200
+    seed: Seed = 0
+    turbulence_seed: Seed | None = None
+    duration_s: Seconds | None = None
+    start: StartTable
+    wind: WindTable = WindTable()
+    leg: Annotated[tuple[Annotated[LegTable, Field(discriminator="kind")], ...], ROWS, Field(min_length=1)]
+    sensors: SensorsTable
+    gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
+    initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
+    estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
+    evaluation: EvaluationTable = EvaluationTable()

@@ -1,0 +1,225 @@
+"""A TOML file as checked tables, and one line for each thing that is wrong with it."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from bench.unit_names import unit_of
+
+_T = TypeVar("_T", bound=BaseModel)
+
+
+class ConfigError(Exception):
+    """What is wrong with the command line or a file: one message for each thing."""
+
+    def __init__(self, *messages: str) -> None:
+        super().__init__(*messages)
+        self.messages = messages
+
+    def __str__(self) -> str:
+        return "\n".join(self.messages)
+
+
+@contextmanager
+def noting(wrong: list[str], place: str = "") -> Iterator[None]:
+    """Add the messages of a ConfigError to a list, after the place they belong to, and go on."""
+    try:
+        yield
+    except ConfigError as error:
+        wrong.extend(f"{place}{message}" for message in error.messages)
+
+
+class Table(BaseModel):
+    """A table of a TOML file: no unknown key, no guessed type, no NaN, no infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def between(low: float, high: float) -> AfterValidator:
+    """Check that a number lies in [low, high], in the unit of its key."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise PydanticCustomError("range", "is outside {low} to {high}", {"low": low, "high": high})
+        return value
+
+    return AfterValidator(check)
+
+
+def _not_negative(value: float) -> float:
+    if value < 0:
+        raise PydanticCustomError("message", "must not be negative")
+    return value
+
+
+NOT_NEGATIVE = AfterValidator(_not_negative)
+
+ROWS = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+"""Take the array of a TOML file for a tuple."""
+
+
+def read(path: Path, shown: str) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        When it cannot be read or is not TOML; ``shown`` is what the message calls it.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{shown}: no such file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{shown}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{shown}: not valid TOML: {error}") from None
+
+
+def checked(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
+    """Return the document as a checked model.
+
+    Raises
+    ------
+    ConfigError
+        One message per thing that is wrong, each with its place in the file ``shown``.
+    """
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        lines = [_explain(model, detail) for detail in error.errors(include_url=False)]
+    raise ConfigError(*(f"{shown}: {line}" for line in lines)) from None
+
+
+def quantity(key: str, value: object) -> str:
+    """Return ``key = value unit`` as it stands in the file."""
+    text = f"{key} = {_toml(value)}"
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    unit = unit_of(_name(key)) if is_number else ""
+    return f"{text} {unit}" if unit else text
+
+
+def _name(key: str) -> str:
+    return key.partition("[")[0]  # pos_m[1] is an entry of pos_m
+
+
+def suggest(wrong: str, known: Iterable[str], what: str) -> str:
+    """Return `` Did you mean ...?`` and the list of known names, as the end of a message."""
+    names = sorted(known)
+    near = difflib.get_close_matches(wrong, names, n=1)
+    hint = f". Did you mean {near[0]!r}?" if near else ""
+    return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
+
+
+def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
+    loc, kind, value = detail["loc"], detail["type"], detail["input"]
+    context = detail.get("ctx", {})
+    if kind == "union_tag_invalid":
+        tag = str(context["tag"])
+        known = [name.strip("'") for name in str(context["expected_tags"]).split(", ")]
+        return f"{_table(loc)}: kind = {_toml(tag)} is unknown{suggest(tag, known, 'kinds')}"
+    if kind == "union_tag_not_found":
+        return f"{_table(loc)}: kind is missing"
+    place, key = _place(loc)
+    if kind == "extra_forbidden":
+        place = f"{place}: " if place else ""
+        return f"{place}unknown key {key!r}{suggest(key, _known_keys(model, loc[:-1]), 'keys')}"
+    joint = ": " if place.startswith("[[") else " "
+    place = f"{place}{joint}" if place else ""
+    if kind == "missing":
+        return f"{place}{key} is missing"
+    if kind == "range":
+        unit = unit_of(_name(key))
+        limits = f"{context['low']:g} to {context['high']:g}{' ' + unit if unit else ''}"
+        return f"{place}{quantity(key, value)} is outside {limits}"
+    return f"{place}{quantity(key, value)} {_wanted(kind, detail['msg'], context)}"
+
+
+def _wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
+    if kind == "message":
+        return message
+    if kind == "literal_error":
+        return f"must be {context['expected']}"
+    if kind == "too_short" or kind == "too_long":
+        few, limit = kind == "too_short", context["min_length" if kind == "too_short" else "max_length"]
+        return f"must have {'at least' if few else 'at most'} {limit} {'entry' if limit == 1 else 'entries'}"
+    if kind == "missing_positional_only_argument" or kind == "missing":
+        return "has too few values"
+    wanted = {
+        "float_type": "a number",
+        "finite_number": "a finite number",
+        "int_type": "a whole number",
+        "int_from_float": "a whole number",
+        "string_type": "a text in quotes",
+        "bool_type": "true or false",
+        "model_type": "a table",
+        "model_attributes_type": "a table",
+        "dict_type": "a table",
+        "tuple_type": "a list",
+    }
+    return f"must be {wanted[kind]}" if kind in wanted else f"is wrong: {message}"
+
+
+def _place(loc: Sequence[int | str]) -> tuple[str, str]:
+    """Split a location into its table, as it stands in the file, and the key in it."""
+    if len(loc) == 2 and isinstance(loc[1], int):  # the row of a list of tables is no table
+        return "", _table(loc)
+    if isinstance(loc[-1], int):
+        return _table(loc[:-2]), f"{loc[-2]}[{loc[-1]}]"
+    return _table(loc[:-1]), str(loc[-1])
+
+
+def _table(loc: Sequence[int | str]) -> str:
+    """Name a table: ``[start]``, ``[sensors.assumed]``, ``[[leg]] 1 (climb)``."""
+    if len(loc) > 1 and isinstance(loc[1], int):
+        return f"[[{loc[0]}]] {loc[1] + 1}{''.join(f' ({tag})' for tag in loc[2:])}"
+    return f"[{'.'.join(str(part) for part in loc)}]" if loc else ""
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
+    """Return the keys of the table at a location of a model."""
+    for part in loc:
+        if isinstance(part, int):
+            continue
+        if part in model.model_fields:
+            below = _models(model.model_fields[str(part)].annotation)
+            if len(below) == 1:
+                model = below[0]
+            else:
+                choices = below
+        else:  # the tag of a union
+            model = next(m for m in choices if part in get_args(m.model_fields["kind"].annotation))
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) is Literal:
+        return []
+    return [m for inner in get_args(annotation) for m in _models(inner)]
+
+
+def _toml(value: object) -> str:
+    """Write a value as it could stand in a TOML file, shortened."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, list | tuple):
+        text = f"[{', '.join(_toml(v) for v in value)}]"
+    elif isinstance(value, Mapping):
+        text = "{ ... }"
+    elif isinstance(value, str | float):
+        text = repr(value).removesuffix(".0")
+    else:
+        text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,231 @@
+"""Solution minus truth, in frame n, at the solution's times; and the NEES of that difference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import ErrorSeries, NavSolution, Trajectory
+
+BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
+"""Rows of ``NavSolution.cov``."""
+
+SAME_INSTANT = 1e-6
+"""Fraction of the truth's step within which two times are one instant [1]; 0.2 um at 40 m/s and 200 Hz."""
+
+DIVERGED_SIGMAS = 10.0
+"""Horizontal errors above this many sigma [1] and above :data:`DIVERGED_DISTANCE` mean divergence."""
+
+DIVERGED_DISTANCE = 1000.0
+"""See :data:`DIVERGED_SIGMAS` [m]."""
+
+
+def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
+    """Return the errors of a solution and their NEES.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion as flown.
+    solution : NavSolution
+        The estimate; NaN values mean a block that is not estimated.
+
+    Returns
+    -------
+    errors : ErrorSeries
+        Estimate minus truth: pos_n [m] (first order, :func:`bench.earth.difference_n`),
+        vel_n [m/s], phi_n [rad] with ``C_nb_est = exp([phi_n x]) C_nb_true``.
+
+    Raises
+    ------
+    ValueError
+        When a time of the solution lies outside the truth.
+    """
+    lla, vel_n, q_nb = truth_at(truth, solution.t)
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverged solution is a result, not a warning
+        pos_n = earth.difference_n(solution.lla, lla)
+        vel_error_n = solution.vel_n - vel_n
+        phi_n = rotation.to_rotvec(rotation.multiply(solution.q_nb, rotation.conjugate(q_nb)))
+        turned = rotation.to_euler(solution.q_nb)[2] - rotation.to_euler(q_nb)[2]
+        heading = np.pi - np.mod(np.pi - turned, 2 * np.pi)
+        error = np.hstack([pos_n, vel_error_n, phi_n])
+        present = estimated_blocks(solution)
+        counted = np.repeat([name in present for name in BLOCKS], 3)
+        nees = normalized_squares(error[:, counted], solution.cov[:, counted][:, :, counted])
+    return ErrorSeries(
+        t=solution.t,
+        pos_n=pos_n,
+        vel_n=vel_error_n,
+        phi_n=phi_n,
+        heading=heading,
+        nees=nees,
+        states=int(counted.sum()),
+    )
+
+
+def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
+    """Return the names of :data:`BLOCKS` that hold any number, in the values or on the diagonal of cov."""
+    values = {"pos": solution.lla, "vel": solution.vel_n, "phi": solution.q_nb}
+    variance = np.einsum("kii->ki", solution.cov)
+    return tuple(
+        name
+        for name, rows in BLOCKS.items()
+        if not (np.isnan(values[name]).all() and np.isnan(variance[:, rows]).all())
+    )
+
+
+def truth_at(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lla (M, 3), vel_n (M, 3), q_nb (M, 4) of the truth at times t (M,).
+
+    A time that is a sample instant takes that row. Between samples position is the
+    cubic with the velocities of its two ends, velocity linear, attitude at constant rate.
+
+    Raises
+    ------
+    ValueError
+        When a time is not finite or lies outside the truth.
+    """
+    first, last = float(truth.t[0]), float(truth.t[-1])
+    slack = SAME_INSTANT * ((last - first) / max(len(truth) - 1, 1))
+    inside = (t >= first - slack) & (t <= last + slack)
+    if not inside.all():
+        k = int(np.argmin(inside))
+        raise ValueError(
+            f"NavSolution.t: row {k} has {t[k]:.9g} s; the truth covers {first:.9g} to {last:.9g} s"
+        )
+    after = np.minimum(np.searchsorted(truth.t, t), len(truth) - 1)
+    before = np.maximum(after - 1, 0)
+    row = np.where(t - truth.t[before] < truth.t[after] - t, before, after)
+    lla, vel_n, q_nb = truth.lla[row], truth.vel_n[row], truth.q_nb[row]
+    between = np.flatnonzero(np.abs(truth.t[row] - t) > slack)
+    if len(between):
+        lla[between], vel_n[between], q_nb[between] = _interpolate(truth, before[between], t[between])
+    return lla, vel_n, q_nb
+
+
+def _interpolate(truth: Trajectory, k: IntArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lla, vel_n, q_nb at times t inside the intervals (t[k], t[k + 1])."""
+    h = (truth.t[k + 1] - truth.t[k])[:, None]
+    s = (t - truth.t[k])[:, None] / h
+    lla_0, lla_1 = truth.lla[k], truth.lla[k + 1]
+    step = lla_1 - lla_0
+    step[:, 1] -= 2 * np.pi * np.round(step[:, 1] / (2 * np.pi))  # across the date line
+    rate_0, rate_1 = _lla_rate(lla_0, truth.vel_n[k]), _lla_rate(lla_1, truth.vel_n[k + 1])
+    lla = lla_0 + s * s * (3 - 2 * s) * step + h * s * (1 - s) * ((1 - s) * rate_0 - s * rate_1)
+    vel_n = truth.vel_n[k] + s * (truth.vel_n[k + 1] - truth.vel_n[k])
+    turn_b = rotation.to_rotvec(rotation.multiply(rotation.conjugate(truth.q_nb[k]), truth.q_nb[k + 1]))
+    q_nb = rotation.multiply(truth.q_nb[k], rotation.from_rotvec(s * turn_b))
+    return lla, vel_n, q_nb
+
+
+def _lla_rate(lla: FloatArray, vel_n: FloatArray) -> FloatArray:
+    """Return the rates of latitude, longitude [rad/s] and height [m/s]."""
+    return earth.displace(lla, vel_n) - lla
+
+
+def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
+    """Return e' P^-1 e (M,) of errors (M, n) under covariances (M, n, n).
+
+    By Cholesky of ``D^-1 P D^-1``, ``D = sqrt(diag P)``, so that metres and radians
+    do not share one scale. NaN where that is not positive definite or not finite.
+    """
+    nees = np.full(len(error), np.nan)
+    if error.shape[1] == 0:
+        return nees
+    variance = np.einsum("kii->ki", cov)
+    usable = np.isfinite(error).all(axis=1) & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
+    sd = np.sqrt(variance[usable])
+    scaled = cov[usable] / sd[:, :, None] / sd[:, None, :]
+    factor, good = _cholesky(scaled)
+    rows = np.flatnonzero(usable)[good]
+    y = np.linalg.solve(factor, (error[usable] / sd)[good][:, :, None])[:, :, 0]
+    nees[rows] = np.sum(y * y, axis=1)
+    return nees
+
+
+def _cholesky(P: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the factors of the positive definite matrices among P (M, n, n), and which those are (M,)."""
+    good = np.ones(len(P), np.bool_)
+    try:
+        factors = np.asarray(np.linalg.cholesky(P), np.float64)
+    except np.linalg.LinAlgError:  # at least one is not: find out which
+        good = np.array([_positive_definite(matrix) for matrix in P], np.bool_)
+        factors = np.asarray(np.linalg.cholesky(P[good]), np.float64)
+    return factors, good
+
+
+def _positive_definite(matrix: FloatArray) -> bool:
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def heading_sd(solution: NavSolution) -> FloatArray:
+    """Return the standard deviation (M,) of the heading that follows from the covariance of phi_n [rad].
+
+    To first order ``d heading = phi_D + tan(pitch) (phi_N cos(heading) + phi_E sin(heading))``,
+    the turn of the horizontal part of ``C_nb e_1``.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        _, pitch, heading = rotation.to_euler(solution.q_nb)
+        slope = np.tan(pitch)
+        h = np.stack([slope * np.cos(heading), slope * np.sin(heading), np.ones_like(slope)], axis=-1)
+        P = solution.cov[:, BLOCKS["phi"], BLOCKS["phi"]]
+        sd: FloatArray = np.sqrt(np.einsum("ki,kij,kj->k", h, P, h))
+    return sd
+
+
+def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | None]:
+    """Say whether a solution can be judged, and if not, why.
+
+    It cannot when a state or covariance is not finite, the covariance is not positive
+    definite, or the horizontal error exceeds both 10 sigma (root of the sum of the two
+    horizontal variances) and 1 km at some epoch. A block that is NaN throughout, values
+    and covariance, is not estimated and does not count.
+    """
+    blocks = estimated_blocks(solution)
+    if not blocks:
+        return False, "no finite position, velocity or attitude at any epoch"
+    values = {"pos": solution.lla, "vel": solution.vel_n, "phi": solution.q_nb}
+    titles = {"pos": "position", "vel": "velocity", "phi": "attitude"}
+    columns = {titles[name]: values[name] for name in blocks}
+    biases = {"gyro bias": solution.gyro_bias_b, "accelerometer bias": solution.accel_bias_b}
+    columns |= {title: bias_b for title, bias_b in biases.items() if not np.isnan(bias_b).all()}
+    columns |= {name: solution.extra[:, k] for k, name in enumerate(solution.extra_names)}
+    columns |= {
+        f"standard deviation of {n}": solution.extra_sd[:, k] for k, n in enumerate(solution.extra_names)
+    }
+    for title, column in columns.items():
+        bad = _not_finite(column)
+        if bad.any():
+            return False, f"{title} is not finite at {_when(solution, bad)}"
+    counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in blocks])
+    bad = _not_finite(solution.cov[:, counted][:, :, counted])
+    if bad.any():
+        return False, f"covariance is not finite at {_when(solution, bad)}"
+    bad = np.isnan(errors.nees)
+    if bad.any():
+        return False, f"covariance is not positive definite at {_when(solution, bad)}"
+    if "pos" in blocks:
+        distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
+        sigma = np.sqrt(solution.cov[:, 0, 0] + solution.cov[:, 1, 1])
+        bad = (distance > DIVERGED_DISTANCE) & (distance > DIVERGED_SIGMAS * sigma)
+        if bad.any():
+            k = int(np.argmax(bad))
+            return False, (
+                f"horizontal error is {distance[k]:.0f} m at {_when(solution, bad)}, "
+                f"more than {DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} m"
+            )
+    return True, None
+
+
+def _not_finite(values: FloatArray) -> BoolArray:
+    """Return which rows (M,) of values (M, ...) hold NaN or infinity."""
+    return np.array(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+
+
+def _when(solution: NavSolution, bad: BoolArray) -> str:
+    return f"t = {solution.t[int(np.argmax(bad))]:g} s ({int(bad.sum())} of {len(solution)} epochs)"

@@ -1,0 +1,110 @@
+"""Exact increments of a recorded motion, by position, velocity and attitude alone.
+
+All in the inertial frame i, which is frame e at t = 0. A step turns the body by
+th_k = log(q_k^-1 q_{k+1}) and, with bench gravitation g at the middle of the step,
+adds the velocity C_k^T (v_{k+1} - v_k - g dt) = M(th_k) be_k, where
+M(th) = I + (1 - cos|th|)/|th|^2 [th x] + (|th| - sin|th|)/|th|^3 [th x]^2.
+(th, be) is motion at constant rate and specific force within the step. What a gyro and
+an accelerometer integrate over a smooth motion through the same states is
+
+    alpha_k = th_k - (th_{k-1} x th_k + th_k x th_{k+1}) / 24
+    beta_k  = be_k - (th_{k-1} x be_k + be_{k-1} x th_k + th_k x be_{k+1} + be_k x th_{k+1}) / 24
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.earth import RATE, gravity_n, matrix_en, to_geodetic
+from bench.rotation import conjugate, continuous, from_euler, multiply, rotate, to_rotvec
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion of the IMU, one row per step of the simulation, at equal intervals."""
+
+    dt: float  # [s]
+    epa: FloatArray  # (K,) angle the Earth has turned since t = 0 [rad]
+    pos_i: FloatArray  # (K, 3) [m]
+    vel_i: FloatArray  # (K, 3) [m/s]
+    q_nb: FloatArray  # (K, 4), sign-continuous
+    q_ib: FloatArray  # (K, 4), sign-continuous
+
+
+def from_states(
+    dt: float, epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray, euler: FloatArray, lat_lon: FloatArray
+) -> Motion:
+    """Build a motion from attitude as roll, pitch, heading (K, 3) at geodetic lat, lon (K, 2) [rad]."""
+    q_nb = from_euler(euler[:, 0], euler[:, 1], euler[:, 2])
+    half_lon = 0.5 * (lat_lon[:, 1] + epa)
+    half_lat = -0.5 * (lat_lon[:, 0] + 0.5 * np.pi)
+    zero = np.zeros_like(half_lon)
+    about_z = np.stack([np.cos(half_lon), zero, zero, np.sin(half_lon)], axis=-1)
+    about_y = np.stack([np.cos(half_lat), zero, np.sin(half_lat), zero], axis=-1)
+    q_ib = multiply(multiply(about_z, about_y), q_nb)
+    return Motion(dt, epa, pos_i, vel_i, continuous(q_nb), continuous(q_ib))
+
+
+def gravitation_i(pos_i: FloatArray) -> FloatArray:
+    """Return bench gravity without its centrifugal part at positions (K, 3) [m], as (K, 3) [m/s^2], i."""
+    lat, lon, alt = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
+    north, _, down = np.moveaxis(gravity_n(lat, alt), -1, 0)
+    outward = -north * np.sin(lat) - down * np.cos(lat)
+    return np.stack(
+        [
+            outward * np.cos(lon) - RATE**2 * pos_i[:, 0],
+            outward * np.sin(lon) - RATE**2 * pos_i[:, 1],
+            north * np.cos(lat) - down * np.sin(lat),
+        ],
+        axis=-1,
+    )
+
+
+def earth_relative(epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return geodetic position (K, 3) [rad, rad, m] and Earth-relative velocity (K, 3) [m/s], n."""
+    carried = np.stack([-pos_i[:, 1], pos_i[:, 0], np.zeros(len(pos_i))], axis=-1)
+    pos_e, vel_e = _about_pole(-epa, pos_i), _about_pole(-epa, vel_i - RATE * carried)
+    lla = to_geodetic(pos_e)
+    vel_n = np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel_e)
+    return lla, vel_n
+
+
+def _about_pole(angle: FloatArray, v: FloatArray) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1], v[:, 2]], axis=-1)
+
+
+def step_increments(motion: Motion) -> tuple[FloatArray, FloatArray]:
+    """Return (th, be), (K-1, 3) each [rad, m/s], b at the start of each step: constant within the step."""
+    dt, q = motion.dt, motion.q_ib[:-1]
+    th = to_rotvec(multiply(conjugate(q), motion.q_ib[1:]))
+    gravitation = gravitation_i(motion.pos_i[:-1] + 0.5 * dt * motion.vel_i[:-1])
+    dv = rotate(conjugate(q), np.diff(motion.vel_i, axis=0) - dt * gravitation)
+    return th, _unrotate(th, dv)
+
+
+def true_integrals(th: FloatArray, be: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals (alpha, beta) of rate and specific force over each step but the last."""
+    th_x_th = np.cross(th[:-1], th[1:])
+    mixed = np.cross(th[:-1], be[1:]) + np.cross(be[:-1], th[1:])
+    alpha, beta = th[:-1].copy(), be[:-1].copy()
+    alpha -= th_x_th / 24
+    beta -= mixed / 24
+    alpha[1:] -= th_x_th[:-1] / 24
+    beta[1:] -= mixed[:-1] / 24
+    # the step before the first is taken to be like it: its products vanish for alpha, and for beta too
+    return alpha, beta
+
+
+def _unrotate(th: FloatArray, dv: FloatArray) -> FloatArray:
+    """Return M(th)^-1 dv: with n = |th|, I - [th x]/2 + (1 - n/2 cot(n/2))/n^2 [th x]^2."""
+    n2 = np.sum(th * th, axis=-1, keepdims=True)
+    half = 0.5 * np.sqrt(np.where(n2 > 1e-4, n2, 1.0))
+    series = (1 + n2 / 60 + n2 * n2 / 2520) / 12  # the next term is below 1e-17
+    factor = np.where(n2 > 1e-4, (1 - half / np.tan(half)) / (4 * half * half), series)
+    once = np.cross(th, dv)
+    result: FloatArray = dv - 0.5 * once + factor * np.cross(th, once)
+    return result

@@ -1,0 +1,129 @@
+"""The Estimator protocol, the built-in estimators by name, and the contract users can run on their own."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pickle
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from bench.data import InitialState, NavSolution, SensorData
+
+
+class Estimator(Protocol):
+    """Turns one sensor record into one navigation solution.
+
+    Settings go to ``__init__`` as keywords and are checked there; ``run`` takes
+    data only, keeps nothing between calls and never sees the truth. A method
+    ``unmodelled(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
+    errors of the units that the state has no room for.
+    """
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``."""
+        ...
+
+
+BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
+    "loose-15": ("INS/GNSS/baro, 15 states and a baro bias", "bench.navigation.fusion:Loose", {}),
+    "free-inertial": (
+        "IMU alone, with its open-loop covariance",
+        "bench.navigation.fusion:Loose",
+        {"gnss": False, "baro": False},
+    ),
+}
+"""Name -> (what it is, "module:Class", options that make it so)."""
+
+
+class EstimatorError(ValueError):
+    """An estimator cannot be built as asked."""
+
+
+def load(use: str, options: Mapping[str, Any]) -> Estimator:
+    """Build an estimator from a built-in name or ``module:Class`` and the keywords of its constructor.
+
+    Raises
+    ------
+    EstimatorError
+        When there is no such estimator or it refuses its options, in one line. An error inside a user's
+        module on import keeps its traceback.
+    """
+    if use in BUILT_IN:
+        _, place, fixed = BUILT_IN[use]
+        clash = sorted(set(fixed) & set(options))
+        if clash:
+            raise EstimatorError(
+                f"estimator {use!r}: option {clash[0]!r} is what makes it {use}; leave it out"
+            )
+    elif all(part.isidentifier() for part in use.replace(":", ".", 1).split(".")) and ":" in use:
+        place, fixed = use, {}
+    else:
+        raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
+    module_name, _, class_name = place.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise
+        raise EstimatorError(f"estimator {use!r}: no module {error.name!r} on the Python path") from None
+    factory = getattr(module, class_name, None)
+    if factory is None or not callable(getattr(factory, "run", None)):
+        raise EstimatorError(
+            f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
+        )
+    keywords = {**fixed, **options}
+    known = inspect.signature(factory).parameters
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in known.values())
+    unknown = sorted(set(keywords) - set(known))
+    if unknown and not open_ended:
+        offered = ", ".join(name for name in known if name not in fixed) or "none"
+        raise EstimatorError(f"estimator {use!r}: unknown option {unknown[0]!r}; known options: {offered}")
+    try:
+        built: Estimator = factory(**keywords)
+    except (ValueError, TypeError) as error:
+        raise EstimatorError(f"estimator {use!r}: {error}") from error
+    return built
+
+
+def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:
+    """Raise AssertionError where an estimator breaks the contract of the bench.
+
+    It must pickle, be repeatable, leave its input as it was, answer at every ``output_t`` and give values
+    that are finite and a covariance that is symmetric and positive definite over the blocks it estimates.
+    A block it does not estimate is NaN at every instant.
+    """
+    before = pickle.dumps((sensors, initial))
+    try:
+        copy = pickle.loads(pickle.dumps(estimator))
+    except Exception as error:
+        raise AssertionError(f"the estimator does not pickle: {error}") from error
+    first = copy.run(sensors, initial)
+    second = estimator.run(sensors, initial)
+    third = estimator.run(sensors, initial)
+    assert pickle.dumps((sensors, initial)) == before, "run() changed its input"
+    for name in ("lla", "vel_n", "q_nb", "cov"):
+        for other, how in ((second, "a pickled copy"), (third, "an earlier call")):
+            same = np.array_equal(getattr(first, name), getattr(other, name), equal_nan=True)
+            assert same, f"run() is not repeatable: {name} differs from {how}"
+    np.testing.assert_array_equal(first.t, sensors.output_t, err_msg="t is not sensors.output_t")
+    variance = np.einsum("kii->ki", first.cov)
+    given = ~np.isnan(variance).all(axis=0)
+    assert given.any() or not len(first), "no block of the solution has a covariance"
+    for k, name in enumerate(("lla", "vel_n", "q_nb")):
+        if given[3 * k : 3 * k + 3].any():
+            assert np.isfinite(getattr(first, name)).all(), f"{name} is not finite"
+    cov = first.cov[:, given][:, :, given]
+    assert np.isfinite(cov).all(), "covariance is not finite"
+    assert (variance[:, given] > 0).all(), "a variance is not positive"
+    scale = np.sqrt(variance[:, given])
+    correlation = cov / scale[:, :, None] / scale[:, None, :]
+    assert np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(initial=0.0) < 1e-9, (
+        "covariance is not symmetric"
+    )
+    try:
+        np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        raise AssertionError("covariance is not positive definite") from None

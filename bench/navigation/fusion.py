@@ -1,0 +1,508 @@
+"""The compiled filters: one kernel over whole records, state layouts as data.
+
+An error-state extended Kalman filter in closed loop: the strapdown navigator runs on increments less the
+estimated biases, the covariance follows its linear dynamics, and every accepted measurement is fed back at
+once. Loose coupling: position and velocity of the GNSS antenna, barometric altitude.
+
+    z_pos  = antenna position, predicted less measured = dp - [C l x] phi
+    z_vel  = antenna velocity, predicted less measured = dv - [C (w x l) x] phi + C [l x] db_g
+    z_baro = h + b - h_baro                            = -dp_D + db
+
+with l the antenna in b and w the rate of b against e. The change of P by the turn of the frame at feedback
+(half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations section 10).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import kernel
+from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
+from bench.earth import RATE, radii_kernel
+from bench.navigation import timeline
+from bench.navigation.error_state import (
+    ACCEL,
+    GYRO,
+    PHI,
+    POS,
+    VEL,
+    StateLayout,
+    covariance_kernel,
+    dynamics_kernel,
+    feedback_kernel,
+    transition_kernel,
+)
+from bench.navigation.kalman import nis_kernel, update_kernel
+from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, matrix_kernel, step_kernel
+from bench.specs import AssumedSpecs, TriadSpec
+
+SENSORS = ("gnss_position", "gnss_velocity", "baro")
+_POSITION, _VELOCITY, _BARO = 0, 1, 2
+
+
+@kernel
+def _aid_kernel(
+    code: int,
+    t: float,
+    P: FloatArray,
+    dx: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+    r: FloatArray,
+    gates: FloatArray,
+    readmit_after: int,
+    misses: IntArray,
+    numbers: FloatArray,
+    marks: IntArray,
+    count: int,
+    var: FloatArray,
+    square: FloatArray,
+    vectors: FloatArray,
+) -> int:
+    """Gate one sub-vector, use it or not, and write its rows; return the new count of rows."""
+    m = z.shape[0]
+    nis = nis_kernel(P, dx, H, z, r, var, square)
+    accepted = nis <= gates[code] or misses[code] >= readmit_after
+    misses[code] = 0 if accepted else misses[code] + 1
+    for a in range(m):
+        innovation = -z[a]  # measured less predicted
+        for i in range(P.shape[0]):
+            innovation += H[a, i] * dx[i]
+        numbers[count + a, 0], numbers[count + a, 1] = t, innovation
+        numbers[count + a, 2], numbers[count + a, 3] = var[a], nis
+        marks[count + a, 0], marks[count + a, 1], marks[count + a, 2] = code, a, accepted
+    if accepted:
+        for a in range(m):
+            update_kernel(P, dx, H[a], z[a], r[a], vectors[0], vectors[1])
+    return count + int(m)
+
+
+@kernel
+def _antenna_kernel(
+    nav: FloatArray,
+    C: FloatArray,
+    antenna_b: FloatArray,
+    w_ib_b: FloatArray,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+) -> None:
+    """Fill z (6,) and H (6, n) of a fix: predicted less measured position [m] and velocity [m/s], n."""
+    s, c = np.sin(nav[0]), np.cos(nav[0])
+    meridian, prime = radii_kernel(s)
+    r_m, r_p = meridian + nav[2], prime + nav[2]
+    x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
+    # rate of b against e: less the Earth's, seen in b
+    p = w_ib_b[0] - RATE * (C[0, 0] * c - C[2, 0] * s)
+    q = w_ib_b[1] - RATE * (C[0, 1] * c - C[2, 1] * s)
+    r = w_ib_b[2] - RATE * (C[0, 2] * c - C[2, 2] * s)
+    sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
+    H[:6] = 0.0
+    for i in range(3):
+        H[POS + i, POS + i] = 1.0
+        H[VEL + i, VEL + i] = 1.0
+        H[3 + i, GYRO] = C[i, 1] * d - C[i, 2] * y  # C [l x]
+        H[3 + i, GYRO + 1] = C[i, 2] * x - C[i, 0] * d
+        H[3 + i, GYRO + 2] = C[i, 0] * y - C[i, 1] * x
+    for block, u, v, w in ((0, x, y, d), (3, sx, sy, sd)):
+        a = C[0, 0] * u + C[0, 1] * v + C[0, 2] * w
+        b = C[1, 0] * u + C[1, 1] * v + C[1, 2] * w
+        g = C[2, 0] * u + C[2, 1] * v + C[2, 2] * w
+        H[block, PHI + 1], H[block, PHI + 2] = g, -b  # -[a x]
+        H[block + 1, PHI], H[block + 1, PHI + 2] = -g, a
+        H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
+        z[block], z[block + 1], z[block + 2] = a, b, g
+    dlon = nav[1] - lla[1]
+    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
+    z[0] += (nav[0] - lla[0]) * r_m
+    z[1] += dlon * r_p * c
+    z[2] += lla[2] - nav[2]
+    for i in range(3):
+        z[3 + i] += nav[3 + i] - vel_n[i]
+
+
+@kernel
+def _fusion_kernel(
+    nav: FloatArray,
+    biases: FloatArray,
+    extra: FloatArray,
+    P: FloatArray,
+    q: FloatArray,
+    decay_rate: FloatArray,
+    t: FloatArray,
+    span: FloatArray,
+    scale: FloatArray,
+    rows: IntArray,
+    dtheta_b: FloatArray,
+    dvel_b: FloatArray,
+    interval: float,
+    fix_rows: IntArray,
+    fix_at: IntArray,
+    fix_lla: FloatArray,
+    fix_vel: FloatArray,
+    fix_r: FloatArray,
+    antenna_b: FloatArray,
+    baro_rows: IntArray,
+    baro_at: IntArray,
+    alt_baro: FloatArray,
+    baro_r: FloatArray,
+    baro_index: int,
+    gates: FloatArray,
+    readmit_after: int,
+    output_at: IntArray,
+    out_nav: FloatArray,
+    out_biases: FloatArray,
+    out_extra: FloatArray,
+    out_P: FloatArray,
+    numbers: FloatArray,
+    marks: IntArray,
+) -> int:
+    """Run the filter over a record; return the number of innovation rows written.
+
+    ``nav``, ``biases`` (2, 3), ``extra`` and ``P`` are the start and end as the last state. ``interval`` is
+    the covariance step; a measurement or an output takes one at once. ``scale`` stretches increments over a
+    gap.
+    """
+    n = P.shape[0]
+    gyro_bias, accel_bias = biases[0], biases[1]
+    before = np.zeros(7)
+    w_ib_b, dth, dv, rotvec, dv_start, dv_n = (
+        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
+    )  # fmt: skip
+    C, C_sum, dv_sum = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    F, G, A, B = np.zeros((9, 15)), np.zeros((9, 15)), np.zeros((9, n)), np.zeros((n, n))
+    decay, dx, reference = np.ones(n), np.zeros(n), nav.copy()
+    H, z, var, square, vectors = (
+        np.zeros((7, n)),
+        np.zeros(7),
+        np.zeros(3),
+        np.zeros((3, 4)),
+        np.zeros((2, n)),
+    )
+    square_1 = np.zeros((1, 2))
+    misses = np.zeros(3, np.int64)
+    T, count, fix, baro, output = 0.0, 0, 0, 0, 0
+    for k in range(-1, t.shape[0]):
+        if k >= 0:
+            row, dt = rows[k], span[k]
+            for i in range(3):
+                dth[i] = dtheta_b[row, i] * scale[k] - gyro_bias[i] * dt
+                dv[i] = dvel_b[row, i] * scale[k] - accel_bias[i] * dt
+                w_ib_b[i] = dth[i] / dt
+            body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
+            step_kernel(nav, dt, rotvec, dv_start, C, dv_n)
+            T += dt
+            for i in range(3):
+                dv_sum[i] += dv_n[i]
+                for j in range(3):
+                    C_sum[i, j] += C[i, j] * dt
+        aided = (fix < fix_at.shape[0] and fix_at[fix] == k) or (
+            baro < baro_at.shape[0] and baro_at[baro] == k
+        )
+        due = aided or (output < output_at.shape[0] and output_at[output] == k)
+        if T > 0.0 and (due or interval <= T):
+            for i in range(3):
+                dv_sum[i] /= T
+                for j in range(3):
+                    C_sum[i, j] /= T
+            for i in range(9, n):
+                decay[i] = np.exp(-decay_rate[i] * T) if decay_rate[i] > 0.0 else 1.0
+            for i in range(3):
+                gyro_bias[i] *= decay[GYRO + i]
+                accel_bias[i] *= decay[ACCEL + i]
+            dynamics_kernel(reference, C_sum, dv_sum, F)
+            transition_kernel(F, T, G)
+            covariance_kernel(P, G, decay, q, T, A, B)
+            T = 0.0
+            C_sum[:] = 0.0
+            dv_sum[:] = 0.0
+            reference[:] = nav
+        if aided:
+            while fix < fix_at.shape[0] and fix_at[fix] == k:
+                row = fix_rows[fix]
+                matrix_kernel(nav, C)
+                _antenna_kernel(nav, C, antenna_b, w_ib_b, fix_lla[row], fix_vel[row], H, z)
+                for code in (_POSITION, _VELOCITY):
+                    a = 3 * code
+                    count = _aid_kernel(
+                        code, t[k], P, dx, H[a : a + 3], z[a : a + 3], fix_r[a : a + 3], gates, readmit_after,
+                        misses, numbers, marks, count, var, square, vectors,
+                    )  # fmt: skip
+                feedback_kernel(nav, gyro_bias, accel_bias, extra, dx)
+                fix += 1
+            while baro < baro_at.shape[0] and baro_at[baro] == k:
+                H[6] = 0.0
+                H[6, POS + 2] = -1.0
+                z[6] = nav[2] - alt_baro[baro_rows[baro]]
+                if baro_index >= 0:
+                    H[6, baro_index] = 1.0
+                    z[6] += extra[baro_index - 15]
+                count = _aid_kernel(
+                    _BARO, t[k], P, dx, H[6:7], z[6:7], baro_r, gates, readmit_after,
+                    misses, numbers, marks, count, var, square_1, vectors,
+                )  # fmt: skip
+                feedback_kernel(nav, gyro_bias, accel_bias, extra, dx)
+                baro += 1
+            reference[:] = nav
+        while output < output_at.shape[0] and output_at[output] == k:
+            out_nav[output] = nav
+            out_biases[output] = biases
+            out_extra[output] = extra
+            out_P[output] = P
+            output += 1
+    return count
+
+
+class Loose:
+    """Loosely coupled INS/GNSS/baro filter: 15 inertial states and a barometer bias.
+
+    The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
+    ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
+    whose mean decays too. Q, R and P0 come from the assumed specs: R is the white and the Markov variance of
+    the GNSS datasheet together, taken as white.
+
+    Parameters
+    ----------
+    gnss, baro : bool
+        Which aiding to use; without any it navigates by the IMU alone and P is its open-loop covariance.
+    covariance_hz : float or None
+        Rate of the covariance step; None: at every IMU sample.
+    gate_probability : float
+        Chance of refusing a sound sub-vector of a matched filter, (0, 1).
+    readmit_after : int
+        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7).
+    """
+
+    def __init__(
+        self,
+        *,
+        gnss: bool = True,
+        baro: bool = True,
+        covariance_hz: float | None = None,
+        gate_probability: float = 1e-5,
+        readmit_after: int = 10,
+    ) -> None:
+        if covariance_hz is not None and not 0 < covariance_hz < np.inf:
+            raise ValueError(
+                f"covariance_hz = {covariance_hz} must be positive, or left out for every sample"
+            )
+        if not 0 < gate_probability < 1:
+            raise ValueError(f"gate_probability = {gate_probability} must lie between 0 and 1")
+        if readmit_after < 1:
+            raise ValueError(f"readmit_after = {readmit_after} must be at least 1")
+        self.gnss, self.baro = gnss, baro
+        self.covariance_hz = covariance_hz
+        self.gate_probability = gate_probability
+        self.readmit_after = readmit_after
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate position, velocity, attitude, biases and their covariance.
+
+        Raises
+        ------
+        ValueError
+            When a sensor in use has no assumed spec.
+        """
+        specs = sensors.specs
+        fixes = sensors.fixes if self.gnss else None
+        baro = sensors.baro if self.baro else None
+        layout = StateLayout(("baro_bias", "m", 1)) if baro is not None else StateLayout()
+        P, q, decay_rate = _start(layout, initial, specs)
+        n = layout.size
+
+        rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        t = np.concatenate([sensors.imu.t[rows], [initial.t]])  # the last one serves the start, index -1
+        no_rows = np.empty(0, np.int64)
+        fix_rows, fix_at, fix_r = no_rows, no_rows, np.empty(6)
+        fix_lla, fix_vel = _no_values(0, 3), _no_values(0, 3)
+        if fixes is not None:
+            values = np.hstack([fixes.lla, fixes.vel_n])
+            fix_rows, fix_at, left = timeline.aiding_rows(fixes, values, "gnss", t[:-1], initial.t)
+            events += left
+            fix_lla, fix_vel, fix_r = fixes.lla, fixes.vel_n, _fix_variance(specs)
+        baro_rows, baro_at, alt_baro, baro_r = no_rows, no_rows, _no_values(0), np.empty(1)
+        if baro is not None:
+            baro_rows, baro_at, left = timeline.aiding_rows(
+                baro, baro.alt_baro[:, None], "baro", t[:-1], initial.t
+            )
+            events += left
+            alt_baro, baro_r = baro.alt_baro, np.array([_known(specs.baro, "baro").white_sd ** 2])
+
+        m = len(sensors.output_t)
+        served = sensors.output_t >= initial.t - timeline.TIME_TOLERANCE
+        served &= sensors.output_t <= np.max(t) + timeline.TIME_TOLERANCE
+        output_at = np.searchsorted(t[:-1], sensors.output_t[served] - timeline.TIME_TOLERANCE)
+        output_at[sensors.output_t[served] < initial.t + timeline.TIME_TOLERANCE] = -1
+        out = {"nav": (STATE_SIZE,), "biases": (2, 3), "extra": (n - 15,), "P": (n, n)}
+        series = {name: np.full((len(output_at), *shape), np.nan) for name, shape in out.items()}
+        size = 6 * len(fix_at) + len(baro_at)
+        numbers, marks = np.empty((size, 4)), np.empty((size, 3), np.int64)
+        count = _fusion_kernel(
+            np.concatenate([initial.lla, initial.vel_n, initial.q_nb]),
+            np.zeros((2, 3)),
+            np.zeros(n - 15),
+            P,
+            q,
+            decay_rate,
+            t[:-1],
+            span,
+            span / sensors.imu.dt[rows],
+            rows,
+            sensors.imu.dtheta_b,
+            sensors.imu.dvel_b,
+            0.0 if self.covariance_hz is None else (1.0 - 1e-6) / self.covariance_hz,
+            fix_rows,
+            fix_at,
+            fix_lla,
+            fix_vel,
+            fix_r,
+            sensors.antenna_b,
+            baro_rows,
+            baro_at,
+            alt_baro,
+            baro_r,
+            layout.slice("baro_bias").start if layout.has("baro_bias") else -1,
+            _gates(self.gate_probability),
+            self.readmit_after,
+            output_at.astype(np.int64),
+            series["nav"],
+            series["biases"],
+            series["extra"],
+            series["P"],
+            numbers,
+            marks,
+        )
+        full = {name: np.full((m, *shape), np.nan) for name, shape in out.items()}
+        for name, values in series.items():
+            full[name][served] = values
+        return _solution(sensors, layout, full, numbers[:count], marks[:count], timeline.as_events(events))
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Name the errors of these units that the state has no room for, in words."""
+        found = []
+        for name, triad in (("gyro", specs.imu.gyro), ("accelerometer", specs.imu.accel)):
+            found += [
+                f"{name} {what}"
+                for what, value in {
+                    "scale factor": triad.scale_factor_sd,
+                    "misalignment": triad.misalignment_sd,
+                    "quantization": triad.quantization,
+                }.items()
+                if value > 0
+            ]
+            if triad.bias_instability > 0 and triad.bias_model == "flicker":
+                found.append(f"{name} bias instability as flicker noise")
+        if self.gnss and specs.gnss is not None:
+            if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0:
+                found.append("time-correlated GNSS position error")
+            if specs.gnss.vel_markov_sd > 0:
+                found.append("time-correlated GNSS velocity error")
+            if specs.gnss.latency > 0:
+                found.append("GNSS latency")
+        if self.baro and specs.baro is not None and specs.baro.quantization > 0:
+            found.append("barometer quantization")
+        return tuple(found)
+
+
+def _no_values(*shape: int) -> FloatArray:
+    """Return an empty column, read-only as those of a record: the kernel is compiled for one kind."""
+    column = np.empty(shape)
+    column.flags.writeable = False
+    return column
+
+
+def _start(
+    layout: StateLayout, initial: InitialState, specs: AssumedSpecs
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return P at the start, the densities of Q and the decay rates of the states [1/s]."""
+    n = layout.size
+    P, q, decay_rate = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    P[:9, :9] = initial.cov
+    q[layout.slice("vel")] = specs.imu.accel.random_walk**2
+    q[layout.slice("phi")] = specs.imu.gyro.random_walk**2
+    for name, triad in (("gyro_bias", specs.imu.gyro), ("accel_bias", specs.imu.accel)):
+        block = layout.slice(name)
+        variance, q[block], decay_rate[block] = _bias_process(triad)
+        P[block, block] = np.eye(3) * variance
+    if layout.has("baro_bias"):
+        baro = _known(specs.baro, "baro")
+        block = layout.slice("baro_bias")
+        P[block, block] = baro.bias_sd**2
+        q[block] = baro.bias_walk**2
+    return P, q, decay_rate
+
+
+def _bias_process(triad: TriadSpec) -> tuple[float, float, float]:
+    """Return variance at the start, density and decay rate [1/s] of a bias state."""
+    instability2 = triad.instability_sd**2
+    if instability2 == 0:
+        return triad.turn_on_bias_sd**2, 0.0, 0.0
+    density = 2 * instability2 / triad.bias_correlation
+    decay_rate = 0.0 if triad.turn_on_bias_sd > 0 else 1 / triad.bias_correlation
+    return triad.turn_on_bias_sd**2 + instability2, density, decay_rate
+
+
+def _fix_variance(specs: AssumedSpecs) -> FloatArray:
+    """Return the variances (6,) of a fix, position then velocity, n."""
+    g = _known(specs.gnss, "gnss")
+    h = g.pos_h_white_sd**2 + g.pos_h_markov_sd**2
+    v = g.pos_v_white_sd**2 + g.pos_v_markov_sd**2
+    s = g.vel_white_sd**2 + g.vel_markov_sd**2
+    return np.array([h, h, v, s, s, s])
+
+
+def _known(spec: Any, name: str) -> Any:
+    if spec is None:
+        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+    return spec
+
+
+def _gates(probability: float) -> FloatArray:
+    """Return the largest NIS of each sub-vector that is accepted (A-5.4.7)."""
+    from scipy.special import gammaincinv
+
+    gates: FloatArray = 2.0 * gammaincinv(np.array([1.5, 1.5, 0.5]), 1.0 - probability)
+    return gates
+
+
+def _solution(
+    sensors: SensorData,
+    layout: StateLayout,
+    out: dict[str, FloatArray],
+    numbers: FloatArray,
+    marks: IntArray,
+    events: Events,
+) -> NavSolution:
+    nav, P = out["nav"], out["P"]
+    states = np.concatenate([out["biases"].reshape(len(nav), 6), out["extra"]], axis=1)
+    variance = np.einsum("kii->ki", P)[:, 9:]
+    innovations = no_innovations()
+    if len(numbers):
+        innovations = Innovations(
+            t=numbers[:, 0],
+            sensor=SENSORS,
+            code=marks[:, 0],
+            component=marks[:, 1],
+            z=numbers[:, 1],
+            S=numbers[:, 2],
+            nis=numbers[:, 3],
+            accepted=marks[:, 2].astype(np.bool_),
+        )
+    return NavSolution(
+        t=sensors.output_t,
+        lla=nav[:, :3],
+        vel_n=nav[:, 3:6],
+        q_nb=nav[:, 6:],
+        gyro_bias_b=out["biases"][:, 0],
+        accel_bias_b=out["biases"][:, 1],
+        cov=P[:, :9, :9],
+        extra_names=layout.labels(),
+        extra=states,
+        extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+        innovations=innovations,
+        events=events,
+    )

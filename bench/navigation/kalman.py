@@ -1,0 +1,83 @@
+"""Kalman updates: a gated sub-vector at a time, its components as sequential scalars in Joseph form.
+
+A component measures ``z = h' dx + v``, ``v`` of variance ``r``, independent of the others. The normalized
+innovation squared of the sub-vector is taken before any of its components is used (A-5.4.7).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.compiled import kernel
+
+
+@kernel
+def nis_kernel(
+    P: FloatArray,
+    dx: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+    r: FloatArray,
+    var: FloatArray,
+    work: FloatArray,
+) -> float:
+    """Return the normalized innovation squared of z (m,) = H dx + v; NaN if its covariance is not positive.
+
+    Fill var (m,) with the diagonal of the covariance S = H P H' + diag(r). ``work`` (m, m + 1) ends as the
+    Cholesky factor of S and the innovation divided by it.
+    """
+    m, n = H.shape
+    nis = 0.0
+    for a in range(m):
+        e = z[a]
+        for i in range(n):
+            e -= H[a, i] * dx[i]
+        for b in range(a + 1):
+            s = r[a] if a == b else 0.0
+            for i in range(n):
+                if H[a, i] != 0.0:
+                    row = 0.0
+                    for j in range(n):
+                        row += P[i, j] * H[b, j]
+                    s += H[a, i] * row
+            if a == b:
+                var[a] = s
+            for k in range(b):
+                s -= work[a, k] * work[b, k]
+            work[a, b] = np.sqrt(s) if a == b else s / work[b, b]
+        for k in range(a):
+            e -= work[a, k] * work[k, m]
+        work[a, m] = e / work[a, a]
+        nis += work[a, m] * work[a, m]
+    return nis
+
+
+@kernel
+def update_kernel(
+    P: FloatArray, dx: FloatArray, h: FloatArray, z: float, r: float, Ph: FloatArray, K: FloatArray
+) -> None:
+    """Update the error estimate dx (n,) and P (n, n) by one scalar z = h' dx + v, var v = r (A-5.4.5).
+
+    P = (I - K h') P (I - K h')' + K r K', row by row; it stays exactly symmetric.
+    """
+    n = P.shape[0]
+    s, e = r, z
+    for i in range(n):
+        Ph[i] = 0.0
+    for j in range(n):
+        if h[j] != 0.0:
+            for i in range(n):
+                Ph[i] += P[j, i] * h[j]
+            e -= h[j] * dx[j]
+    for i in range(n):
+        s += h[i] * Ph[i]
+    hph = s - r
+    for i in range(n):
+        K[i] = Ph[i] / s
+        dx[i] += K[i] * e
+    for i in range(n):
+        for j in range(i + 1):
+            value = P[i, j] - K[i] * Ph[j] - (Ph[i] - K[i] * hph) * K[j] + r * K[i] * K[j]
+            P[i, j] = value
+            P[j, i] = value

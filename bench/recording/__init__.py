@@ -1,0 +1,150 @@
+"""A run as a rerun recording: the flight in space, and every error next to the 3 sigma the filter claims.
+
+Spatial data are float32 metres in the local level frame of the start (rigid, north,
+east, down); plots are float64. The recording is a view of a run, not its archive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
+from bench.recording import layout, plots, space, words
+from bench.recording.plots import TIMELINE
+from bench.specs import Profile
+
+
+def write(
+    path: Path,
+    profile: Profile,
+    truth: Trajectory,
+    sensed: Sensed,
+    solutions: Mapping[str, NavSolution],
+    errors: Mapping[str, ErrorSeries],
+    metrics: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Write the recording of one run.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write, ``flight.rrd``; it appears complete or not at all.
+    profile : Profile
+        The experiment, for the summary.
+    truth, sensed : Trajectory, Sensed
+        The flight and one draw of the sensors.
+    solutions, errors, metrics : mappings by estimator
+        What the estimators made of it. The first is the main one: the overview shows it.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be written.
+    """
+    recorded = _record(profile, truth, sensed, solutions, errors, metrics)
+    part = path.with_name(f"{path.name}.tmp")
+    try:
+        part.write_bytes(recorded)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _record(
+    profile: Profile,
+    truth: Trajectory,
+    sensed: Sensed,
+    solutions: Mapping[str, NavSolution],
+    errors: Mapping[str, ErrorSeries],
+    metrics: Mapping[str, Mapping[str, Any]],
+) -> bytes:
+    """Return the recording as the bytes of its file.
+
+    rerun's own file writer waits for ever when the disk is full, so the file is not left to it.
+    """
+    import rerun as rr
+
+    tabs = plots.tabs(truth, sensed, solutions, errors, profile.evaluation_from)
+    scene = space.scene(truth, sensed, solutions)
+    outages = [(start, end) for start, end, _ in sensed.events.of("gnss_outage")]
+    with _strict():
+        # the viewer keeps one layout per application: another profile is another application
+        stream = rr.RecordingStream(f"bench {profile.name}")
+        memory = stream.memory_recording()
+        stream.send_blueprint(layout.blueprint(scene, tabs, next(iter(solutions), "")))
+        stream.send_recording_name(f"{profile.name}, seed {profile.seed}")
+        space.send(stream, profile.flight.aircraft.mesh, truth, sensed, solutions)
+        words.send(stream, profile, truth, sensed, solutions, metrics)
+        for plot in plots.every(tabs):
+            plots.send(stream, plot, outages)
+        return memory.drain_as_bytes()
+
+
+def column(
+    path: Path, entity: str, component: str, timeline: str = TIMELINE
+) -> tuple[FloatArray, FloatArray]:
+    """Read one component of a recording back.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    entity, component : str
+        Such as "/estimators/loose-15/position/north/error" and "Scalars:scalars".
+    timeline : str
+        Its times.
+
+    Returns
+    -------
+    t : (N,) array
+        Times [s], in order.
+    values : (N, k) array
+        All numbers of each row, NaN where the row is empty: a gap in a line.
+
+    Raises
+    ------
+    KeyError
+        When the recording has no such column.
+    """
+    from rerun.chunk import RrdReader
+
+    t, values = [], []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path != entity or chunk.is_static:
+            continue
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names:
+            continue
+        flat = batch.column(component)
+        there = flat.value_lengths().to_numpy(zero_copy_only=False) > 0
+        while flat.type.num_fields:  # a list in a list in a column
+            flat = flat.flatten()
+        numbers = flat.to_numpy(zero_copy_only=False).reshape(int(there.sum()), -1)
+        rows = np.full((len(there), numbers.shape[1]), np.nan)
+        rows[there] = numbers
+        t.append(batch.column(timeline).cast("int64").to_numpy() * 1e-9)
+        values.append(rows)
+    if not t:
+        raise KeyError(f"{path}: no column {component} at {entity}")
+    times = np.concatenate(t)
+    order = np.argsort(times, kind="stable")
+    return times[order], np.concatenate(values)[order]
+
+
+@contextmanager
+def _strict() -> Iterator[None]:
+    """Make rerun raise where it would print a warning and drop the data."""
+    import rerun as rr
+
+    before = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        yield
+    finally:
+        rr.set_strict_mode(before)

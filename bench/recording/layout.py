@@ -1,0 +1,173 @@
+"""How a recording opens: the tabs of the rerun viewer and what stands in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.recording.plots import TIMELINE, Plot, Rows, Tabs
+from bench.recording.space import Scene
+
+SIDE_BY_SIDE = 3
+"""Up to this many estimators stand in columns next to each other; more get a tab each."""
+
+
+def blueprint(scene: Scene, tabs: Tabs, main: str) -> Any:
+    """Return the blueprint of a recording.
+
+    Parameters
+    ----------
+    scene : Scene
+        The flight in space and time.
+    tabs : mapping of mappings
+        Every plot, by tab and estimator.
+    main : str
+        Label of the estimator the overview shows.
+
+    Returns
+    -------
+    blueprint : rerun.blueprint.Blueprint
+        It opens paused, with every time axis on the whole flight.
+    """
+    import rerun.blueprint as rrb
+
+    views = [_overview(scene, tabs, main)]
+    for name, by_label in tabs.items():
+        columns = {label: rows for label, rows in by_label.items() if any(rows)}
+        if columns:
+            views.append(_tab(scene, name, columns))
+    return rrb.Blueprint(
+        rrb.Tabs(*views, active_tab=0),
+        rrb.TimePanel(timeline=TIMELINE, play_state="paused", playback_speed=10.0, state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _overview(scene: Scene, tabs: Tabs, main: str) -> Any:
+    import rerun.blueprint as rrb
+
+    position, attitude = (tabs[name].get(main, ()) for name in ("Position", "Attitude"))
+    key_plots = [row[0] for row in (*position, *attitude[2:])] or [tabs["Flight"][""][0][0]]
+
+    where = rrb.Vertical(_space(scene), _map(scene), row_shares=[3, 2])
+    plots = rrb.Vertical(*[_plot(scene, plot) for plot in key_plots], _strip(scene))
+    words = rrb.Vertical(
+        rrb.TextDocumentView(origin="/summary", name="Summary"),
+        _log(),
+        row_shares=[3, 2],
+    )
+    return rrb.Horizontal(where, plots, words, column_shares=[5, 5, 3], name="Overview")
+
+
+def _tab(scene: Scene, name: str, columns: Mapping[str, Rows]) -> Any:
+    import rerun.blueprint as rrb
+
+    narrow = all(len(row) == 1 for rows in columns.values() for row in rows)
+    grids = [
+        rrb.Vertical(
+            *[_row(scene, row) for row in rows],
+            *([_strip(scene)] if narrow else []),
+            row_shares=[4.0] * len(rows) + ([2.0] if narrow else []),
+            name=label or name,
+        )
+        for label, rows in columns.items()
+    ]
+    if len(grids) == 1:
+        grids[0].name = name
+        return grids[0]
+    if narrow and len(grids) <= SIDE_BY_SIDE:
+        return rrb.Horizontal(*grids, name=name)
+    return rrb.Tabs(*grids, name=name, active_tab=0)
+
+
+def _row(scene: Scene, row: Sequence[Plot]) -> Any:
+    import rerun.blueprint as rrb
+
+    views = [_plot(scene, plot) for plot in row]
+    return views[0] if len(views) == 1 else rrb.Horizontal(*views)
+
+
+def _whole_flight(scene: Scene) -> Any:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    edge = rrb.TimeRangeBoundary.absolute
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
+
+
+def _plot(scene: Scene, plot: Plot) -> Any:
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(
+        origin=plot.path,
+        contents="$origin/**",
+        name=plot.title,
+        axis_x=_whole_flight(scene),
+        axis_y=rrb.ScalarAxis(range=plot.limits()),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+
+
+def _strip(scene: Scene) -> Any:
+    import rerun.blueprint as rrb
+
+    return rrb.StateTimelineView(origin="/phase", name="Legs and GNSS", time_view=_whole_flight(scene))
+
+
+def _log() -> Any:
+    import rerun.blueprint as rrb
+
+    return rrb.TextLogView(
+        origin="/events",
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+    )
+
+
+def _up_to_cursor(paths: Sequence[str], hidden: Sequence[str]) -> dict[Any, Any]:
+    import rerun.blueprint as rrb
+
+    past = rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
+    )
+    shown: dict[Any, Any] = {path: rrb.VisibleTimeRanges(past) for path in paths}
+    return shown | {path: rrb.EntityBehavior(visible=False) for path in hidden}
+
+
+def _below(paths: Sequence[str], root: str) -> list[str]:
+    return [path for path in paths if path.startswith(root)]
+
+
+def _space(scene: Scene) -> Any:
+    import rerun.blueprint as rrb
+
+    middle = 0.5 * (scene.low + scene.high)
+    eye = middle + scene.size * np.array([-0.8, -0.25, -0.6])
+    return rrb.Spatial3DView(
+        origin="/world",
+        name=f"Flight path (grid {scene.grid:g} m, aircraft enlarged)",
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0.0, 0.0, -1.0)),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=scene.grid),
+        overrides=_up_to_cursor(_below(scene.fixes, "/world"), _below(scene.hidden, "/world")),
+    )
+
+
+def _map(scene: Scene) -> Any:
+    import rerun.blueprint as rrb
+
+    # at zoom z a tile of 256 points covers (length of the parallel) / 2^z; a view has about 500 points
+    metres = 1.4 * scene.size / 500.0
+    zoom = np.log2(40_075_017.0 * np.cos(scene.lat) / 256.0 / metres)
+    return rrb.MapView(
+        origin="/map",
+        name="Map",
+        zoom=float(np.clip(zoom, 1.0, 18.0)),
+        overrides=_up_to_cursor(_below(scene.fixes, "/map"), _below(scene.hidden, "/map")),
+    )

@@ -1,0 +1,238 @@
+"""The flight in space: paths, aircraft and fixes in the local level frame of the start, and on the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.data import NavSolution, Sensed, Trajectory
+from bench.recording.plots import (
+    AXIS_COLOURS,
+    FIX,
+    SLOW,
+    TIMELINE,
+    TRUTH,
+    Colour,
+    entity,
+    estimator_colours,
+    round_number,
+    thin,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the views in space need to know."""
+
+    end: float  # of the flight [s]
+    low: FloatArray  # (3,) corner of the box around the true path [m], local NED
+    high: FloatArray  # (3,) its other corner
+    lat: float  # middle of the flight [rad]
+    fixes: tuple[str, ...]  # entities shown up to the cursor
+    hidden: tuple[str, ...]  # entities that are there but switched off
+
+    @property
+    def size(self) -> float:
+        """Length of the longer horizontal side of the box [m]."""
+        return float(max(self.high[0] - self.low[0], self.high[1] - self.low[1], 1.0))
+
+    @property
+    def grid(self) -> float:
+        """Distance of the lines of the ground grid [m]."""
+        return round_number(self.size / 5.0)
+
+
+def scene(truth: Trajectory, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
+    """Return what the views in space show; estimators after the first are switched off."""
+    path = earth.local_ned(truth.lla[thin(truth.t)], truth.lla[0])
+    others = list(solutions)[1:]
+    return Scene(
+        end=float(truth.t[-1]),
+        low=path.min(axis=0),
+        high=path.max(axis=0),
+        lat=float(truth.lla[:, 0].mean()),
+        fixes=("/world/gnss/fixes", "/map/gnss/fixes") if sensed.data.fixes is not None else (),
+        hidden=tuple(
+            entity(root, "estimators", label, "path") for root in ("world", "map") for label in others
+        ),
+    )
+
+
+def send(
+    stream: Any, mesh: str, truth: Trajectory, sensed: Sensed, solutions: Mapping[str, NavSolution]
+) -> None:
+    """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map."""
+    import rerun as rr
+
+    origin = truth.lla[0]
+    colours = estimator_colours(solutions)
+    keep = thin(truth.t)
+    t, lla = truth.t[keep], truth.lla[keep]
+    pos = earth.local_ned(lla, origin)
+    size = float(np.ptp(pos[:, :2], axis=0).max())
+    stream.log("/world", rr.ViewCoordinates.FRD, static=True)
+    stream.log(
+        "/world/axes",
+        rr.Arrows3D(
+            origins=[pos.min(axis=0) * [1, 1, 0]] * 2,
+            vectors=0.25 * size * np.eye(3)[:2],
+            colors=AXIS_COLOURS[:2],
+            labels=["north", "east"],
+            show_labels=True,
+        ),
+        static=True,
+    )
+    _send_path(stream, "/truth", lla, origin, TRUTH)
+    for label, solution in solutions.items():
+        sound = solution.lla[np.isfinite(solution.lla).all(axis=1)]
+        if len(sound):
+            _send_path(stream, entity("estimators", label), sound, origin, colours[label])
+
+    time = [rr.TimeColumn(TIMELINE, duration=t)]
+    vertices, triangles, paint = MESHES[mesh]()
+    vertices = vertices * max(1.0, 0.12 * size)
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    stream.log(
+        "/world/truth/aircraft",
+        rr.Mesh3D(
+            vertex_positions=corners.reshape(-1, 3),
+            vertex_normals=np.repeat(normals, 3, axis=0),
+            vertex_colors=np.repeat(paint, 3, axis=0),
+        ),
+        static=True,
+    )
+    q_sb = _in_start_frame(truth.q_nb[keep], lla, origin)
+    stream.send_columns(
+        "/world/truth/aircraft",
+        time,
+        rr.Transform3D.columns(translation=pos, quaternion=rotation.to_scalar_last(q_sb)),
+    )
+    stream.log("/map/truth/aircraft", rr.GeoPoints.from_fields(colors=[TRUTH], radii=[-7.0]), static=True)
+    slow = thin(truth.t, SLOW)
+    stream.send_columns(
+        "/map/truth/aircraft",
+        [rr.TimeColumn(TIMELINE, duration=truth.t[slow])],
+        rr.GeoPoints.columns(positions=np.rad2deg(truth.lla[slow, :2])),
+    )
+
+    fixes = sensed.data.fixes
+    if fixes is not None:
+        good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
+        time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
+        stream.log("/world/gnss/fixes", rr.Points3D.from_fields(colors=[FIX], radii=[-1.2]), static=True)
+        stream.send_columns(
+            "/world/gnss/fixes", time, rr.Points3D.columns(positions=earth.local_ned(fixes.lla[good], origin))
+        )
+        stream.log("/map/gnss/fixes", rr.GeoPoints.from_fields(colors=[FIX], radii=[-1.2]), static=True)
+        stream.send_columns(
+            "/map/gnss/fixes", time, rr.GeoPoints.columns(positions=np.rad2deg(fixes.lla[good, :2]))
+        )
+
+
+def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, colour: Colour) -> None:
+    """Send a whole path, in space and on the map; every fifth of at most 50 points a second is enough."""
+    import rerun as rr
+
+    lla = np.vstack([lla[:-1:5], lla[-1:]])
+    stream.log(
+        f"/world{branch}/path",
+        rr.LineStrips3D([earth.local_ned(lla, origin)], colors=[colour], radii=[-1.0]),
+        static=True,
+    )
+    stream.log(
+        f"/map{branch}/path",
+        rr.GeoLineStrings(lat_lon=[np.rad2deg(lla[:, :2])], colors=[colour], radii=[-1.0]),
+        static=True,
+    )
+
+
+def _in_start_frame(q_nb: FloatArray, lla: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return the attitude relative to the local level frame of the start instead of the one here."""
+    C_es = earth.matrix_en(origin[0], origin[1])
+    C_sn = C_es.T @ earth.matrix_en(lla[:, 0], lla[:, 1])
+    return rotation.multiply(rotation.from_matrix(C_sn), q_nb)
+
+
+def _loft(*rings: Any) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.int64]]]:
+    """Return the skin over rings of equally many points (K, 3), closed at both ends, normals outward."""
+    points = np.array(rings, float)
+    n, k = points.shape[:2]
+    j = np.arange(k)
+    faces = []
+    for i in range(n - 1):
+        a, b = i * k + j, i * k + (j + 1) % k
+        faces += [np.column_stack([a, b, b + k]), np.column_stack([a, b + k, a + k])]
+    fan = np.column_stack([0 * j[1:-1], j[1:-1], j[2:]])
+    faces += [fan[:, ::-1], fan + (n - 1) * k]
+    vertices, triangles = points.reshape(-1, 3), np.vstack(faces)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    inside_out = np.sum(a * np.cross(b, c)) < 0.0  # six times the volume
+    return vertices, triangles[:, ::-1] if inside_out else triangles
+
+
+def _uav() -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
+    """Return a small twin-boom pusher in body axes: vertices, triangles, a colour per triangle.
+
+    The wing spans 1. Its tips are red on the left and green on the right.
+    """
+    angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+    circle = np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
+
+    def ring(x: float, radius: float, z: float = 0.0) -> FloatArray:
+        return np.array([x, 0.0, z]) + radius * circle
+
+    def foil(x: float, y: float, z: float, chord: float) -> FloatArray:
+        outline = np.array([[0.5, 0, 0], [0.2, 0, -0.06], [-0.5, 0, 0], [0.2, 0, 0.04]])
+        return np.array([x, y, z]) + chord * outline
+
+    def boom(y: float) -> tuple[FloatArray, ...]:
+        offset = np.array([0.0, y, -0.03])
+        return tuple(offset + ring(x, 0.010) for x in (0.0, -0.38))
+
+    body, white, red, green, dark = (
+        [225, 228, 232],
+        [245, 245, 245],
+        [225, 50, 50],
+        [40, 190, 80],
+        [90, 95, 105],
+    )
+    parts = [
+        (
+            _loft(
+                ring(0.36, 0.006), ring(0.30, 0.04), ring(0.15, 0.06), ring(-0.10, 0.06), ring(-0.20, 0.03)
+            ),
+            body,
+        ),
+        (
+            _loft(foil(0.02, -0.40, -0.04, 0.13), foil(0.0, 0.0, -0.04, 0.17), foil(0.02, 0.40, -0.04, 0.13)),
+            white,
+        ),
+        (_loft(foil(0.03, -0.50, -0.05, 0.10), foil(0.02, -0.40, -0.04, 0.13)), red),
+        (_loft(foil(0.02, 0.40, -0.04, 0.13), foil(0.03, 0.50, -0.05, 0.10)), green),
+        (_loft(*boom(-0.14)), dark),
+        (_loft(*boom(0.14)), dark),
+        (
+            _loft(
+                foil(-0.38, -0.14, -0.03, 0.10), foil(-0.40, 0.0, -0.16, 0.09), foil(-0.38, 0.14, -0.03, 0.10)
+            ),
+            [255, 170, 60],
+        ),
+    ]
+    vertices, triangles, colours, start = [], [], [], 0
+    for (points, faces), colour in parts:
+        vertices.append(points)
+        triangles.append(faces + start)
+        colours.append(np.tile(colour, (len(faces), 1)))
+        start += len(points)
+    return np.vstack(vertices), np.vstack(triangles), np.vstack(colours)
+
+
+MESHES = {"uav": _uav}
+"""Shapes by ``AircraftSpec.mesh``."""

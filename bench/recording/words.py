@@ -1,0 +1,116 @@
+"""What a recording says in words: the summary, the log of events, and which leg was flown when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.data import NavSolution, Sensed, Trajectory
+from bench.evaluation.metrics import metric_of
+from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour
+from bench.specs import Profile
+
+WARNINGS = ("gnss_outage", "fault", "timeline", "rejected", "diverged")
+"""Kinds of event that are logged as warnings."""
+
+
+def send(
+    stream: Any,
+    profile: Profile,
+    truth: Trajectory,
+    sensed: Sensed,
+    solutions: Mapping[str, NavSolution],
+    metrics: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Send the summary, the log of events, and which leg and which GNSS there was when."""
+    import rerun as rr
+
+    page = summary(profile, truth, metrics)
+    stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
+
+    sources = [("", truth.events), ("", sensed.events)]
+    sources += [(f"{label}: ", solution.events) for label, solution in solutions.items()]
+    rows = []
+    for prefix, events in sources:
+        for start, end, kind, words in zip(events.t, events.t_end, events.kind, events.text, strict=True):
+            what = kind.replace("_", " ")
+            said = words if words.lower().startswith(what.lower()) else f"{what} {words}"
+            lasting = f" ({end - start:.0f} s)" if end > start else ""
+            level = "WARN" if kind in WARNINGS else "INFO"
+            rows.append((float(start), f"{prefix}{said}{lasting}", level))
+    rows.sort()
+    if rows:
+        t, text, levels = zip(*rows, strict=True)
+        stream.send_columns(
+            "/events",
+            [rr.TimeColumn(TIMELINE, duration=t)],
+            rr.TextLog.columns(text=text, level=levels),
+        )
+
+    legs = [(start, text) for start, _, text in truth.events.of("leg")]
+    legs.append((float(truth.t[-1]), ""))
+    _send_phase(stream, "/phase/leg", legs, {})
+    if sensed.data.fixes is not None:
+        changes = [(float(truth.t[0]), "available")]
+        for start, end, _ in sensed.events.of("gnss_outage"):
+            changes += [(start, "outage"), (end, "available")]
+        changes.append((float(truth.t[-1]), ""))
+        _send_phase(stream, "/phase/gnss", changes, {"available": (70, 110, 70), "outage": OUTAGE})
+
+
+def _send_phase(
+    stream: Any, entity: str, changes: Sequence[tuple[float, str]], colours: Mapping[str, Colour]
+) -> None:
+    import rerun as rr
+
+    if colours:
+        style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+        stream.log(entity, style, static=True)
+    t, states = zip(*changes, strict=True)
+    stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=t)], rr.StateChange.columns(state=states))
+
+
+def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
+    flight, sensors = profile.flight, profile.sensors
+    units = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    colours = ", ".join(
+        f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
+    )
+    lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
+    lines = [
+        f"# {profile.title}",
+        "",
+        f"- profile `{profile.name}`, seed {profile.seed}",
+        f"- aircraft `{flight.aircraft.name}`, {truth.t[-1] - truth.t[0]:.0f} s, wind "
+        f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "
+        f"turbulence severity {flight.severity}",
+        *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
+        *([f"- GNSS outage {lost}"] if lost else []),
+        "",
+        f"Truth is green, GNSS yellow; {colours}. ±3σ is what a filter claims about itself. Plots are "
+        f"hatched where GNSS is lost, and scaled to what comes after {profile.evaluation_from:g} s.",
+    ]
+    for label, values in metrics.items():
+        if values.get("reason"):
+            lines += ["", f"**{label}** did not converge: {values['reason']}."]
+        if values.get("unmodelled"):
+            lines += ["", f"On board, but not modelled by **{label}**: {', '.join(values['unmodelled'])}."]
+    lines += [
+        "",
+        f"**Metrics** from {profile.evaluation_from:g} s on",
+        "",
+        f"| | {' | '.join(metrics)} |",
+        f"|---|{'---:|' * len(metrics)}",
+    ]
+    for name in dict.fromkeys(name for values in metrics.values() for name in values):
+        row = [values.get(name) for values in metrics.values()]
+        if metric_of(name) is not None and not name.endswith("_all"):
+            lines.append(f"| {name} | {' | '.join(_number(value) for value in row)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: Any) -> str:
+    return "–" if value is None else f"{value:.4g}"

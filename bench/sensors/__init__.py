@@ -1,0 +1,57 @@
+"""What the instruments on board would have reported of the true motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
+from bench.sensors import baro, gnss, imu, initial
+from bench.sensors.timing import output_times
+from bench.specs import SensorsSpec
+
+
+def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
+    """Return one draw of all sensors and of the initial state.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion.
+    spec : SensorsSpec
+        The units on board and what is scripted to happen to them.
+    seed, run : int
+        Which draw; the same pair gives the same bits.
+
+    Returns
+    -------
+    sensed : Sensed
+        ``truth.baro_bias`` is NaN without a barometer. GNSS outages count only with a receiver.
+
+    Raises
+    ------
+    ValueError
+        When a sensor is faster than the truth or an IMU figure is missing.
+    """
+    outages = spec.gnss_outages if spec.gnss is not None else ()
+    imu_data, bias = imu.measure(truth, spec.imu, seed, run)
+    fixes = None
+    if spec.gnss is not None:
+        fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run)
+    baro_data, baro_bias = None, np.full(len(bias.t), np.nan)
+    if spec.baro is not None:
+        baro_data, drawn = baro.measure(truth, spec.baro, seed, run)
+        baro_bias = np.interp(bias.t, baro_data.t, drawn)
+    data = SensorData(
+        imu=imu_data,
+        fixes=fixes,
+        baro=baro_data,
+        antenna_b=np.array(spec.antenna_b),
+        specs=spec.assumed,
+        output_t=output_times(truth.t, spec.output_rate, outages),
+    )
+    return Sensed(
+        data=data,
+        initial=initial.draw(truth, spec, seed, run),
+        truth=SensorTruth(bias.t, bias.gyro_b, bias.accel_b, baro_bias),
+        events=Events.from_rows([(start, end, "gnss_outage", "GNSS outage") for start, end in outages]),
+    )

@@ -1,0 +1,118 @@
+"""Position-level GNSS: the antenna's position and velocity with white and Markov errors (A-5.2.1/2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray, IntArray
+from bench.data import GnssFixes, Trajectory
+from bench.sensors.processes import gauss_markov
+from bench.sensors.timing import epoch_rows, interval_rows
+from bench.specs import GnssSpec, stream
+
+SATELLITES_UNKNOWN = -1
+"""What ``GnssFixes.satellites`` holds here: a position-level receiver has no sky to count in."""
+
+
+def measure(
+    truth: Trajectory,
+    spec: GnssSpec,
+    antenna_b: tuple[float, float, float],
+    outages: tuple[tuple[float, float], ...],
+    seed: int,
+    run: int,
+) -> GnssFixes:
+    """Return the fixes of the receiver, those inside an outage left out.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion of the IMU.
+    spec : GnssSpec
+        The receiver. Its Markov errors are kept in metres, are stationary from the first epoch and
+        live on through an outage, so that an outage changes no fix outside itself.
+    antenna_b : (3,) tuple
+        Antenna relative to the IMU [m], b.
+    outages : tuple of (start, end)
+        Without fixes in [start, end) [s].
+    seed, run : int
+        Which draw of the errors.
+
+    Returns
+    -------
+    fixes : GnssFixes
+        At t = 1/rate, 2/rate, ... The reported covariance is the total of white and Markov errors.
+
+    Raises
+    ------
+    ValueError
+        When the rate is above that of the truth.
+    """
+    rows = epoch_rows("gnss", truth.t, spec.rate)
+    t = truth.t[rows]
+    lla, vel_n = antenna(truth, rows, antenna_b)
+    pos_white_sd = np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
+    pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])
+    vel_white_sd = np.full(3, spec.vel_white_sd)
+    vel_markov_sd = np.full(3, spec.vel_markov_sd)
+    ground_speed = np.hypot(truth.vel_n[rows, 0], truth.vel_n[rows, 1])
+    pos_decay = spec.pos_decay_distance * ground_speed + spec.pos_decay_time
+    vel_decay = np.full(len(t), spec.vel_decay_time)
+
+    pos_err_n = _white("gnss.position.white", len(t), pos_white_sd, seed, run)
+    pos_err_n += _markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
+    vel_err_n = _white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
+    vel_err_n += _markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
+
+    seen = np.ones(len(truth.t), bool)
+    for start, end in outages:
+        seen[slice(*interval_rows(truth.t, start, end))] = False
+    kept = seen[rows]
+    count = int(kept.sum())
+    return GnssFixes(
+        t=t[kept],
+        t_arrival=t[kept] + spec.latency,
+        valid=np.ones(count, bool),
+        lla=earth.displace(lla, pos_err_n)[kept],
+        vel_n=(vel_n + vel_err_n)[kept],
+        cov_pos_n=np.tile(np.diag(pos_white_sd**2 + pos_markov_sd**2), (count, 1, 1)),
+        cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2), (count, 1, 1)),
+        satellites=np.full(count, SATELLITES_UNKNOWN),
+    )
+
+
+def antenna(
+    truth: Trajectory, rows: IntArray, antenna_b: tuple[float, float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the true position (M, 3) [rad, rad, m] and velocity (M, 3) [m/s, n] of the antenna.
+
+    Notes
+    -----
+    ``v + C_nb (w_eb_b x l)``; the rate at an instant is the mean of the increments before and after
+    it over their length, right to dt^2 / 6 of its second derivative; at the last instant, the one
+    before, right to dt / 2 of its first. The turn of n between IMU and antenna, l / R, is left out.
+    """
+    lever_n = rotation.rotate(truth.q_nb[rows], np.array(antenna_b))
+    rate_b = truth.dtheta_b / np.diff(truth.t)[:, None]
+    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(rate_b) - 1)
+    w_ib_n = rotation.rotate(truth.q_nb[rows], 0.5 * (rate_b[before] + rate_b[after]))
+    lat = truth.lla[rows, 0]
+    w_ie_n = earth.RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
+    vel_n = truth.vel_n[rows] + np.cross(w_ib_n - w_ie_n, lever_n)
+    return earth.displace(truth.lla[rows], lever_n), vel_n
+
+
+def _white(name: str, count: int, sd: FloatArray, seed: int, run: int) -> FloatArray:
+    if not sd.any():
+        return np.zeros((count, 3))
+    return sd * stream(seed, run, name).standard_normal((count, 3))
+
+
+def _markov(name: str, t: FloatArray, rate: FloatArray, sd: FloatArray, seed: int, run: int) -> FloatArray:
+    """Return a Gauss-Markov error (M, 3) that decays at ``rate`` (M,) [1/s] up to each epoch."""
+    if not sd.any():
+        return np.zeros((len(t), 3))
+    decay = np.exp(-rate[1:] * np.diff(t))[:, None]
+    noise = stream(seed, run, name).standard_normal((len(t), 1, 3))
+    return sd * gauss_markov(decay, np.ones(1), noise)

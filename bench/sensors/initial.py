@@ -1,0 +1,41 @@
+"""Where the estimators are told to start: the truth plus one draw of the initial error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.data import InitialState, Trajectory
+from bench.specs import SensorsSpec, stream
+
+
+def draw(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialState:
+    """Return the initial state of one run; estimate = truth + error, errors as in ``InitialState.cov``.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion; its first instant counts.
+    spec : SensorsSpec
+        Standard deviations of the initial position, velocity and attitude errors.
+    seed, run : int
+        Which draw of the error.
+    """
+    sd = np.array(
+        [
+            *spec.initial_pos_sd,
+            *spec.initial_vel_sd,
+            spec.initial_tilt_sd,
+            spec.initial_tilt_sd,
+            spec.initial_heading_sd,
+        ]
+    )
+    error = sd * stream(seed, run, "initial").standard_normal(9)
+    return InitialState(
+        t=float(truth.t[0]),
+        lla=earth.displace(truth.lla[0], error[:3]),
+        vel_n=truth.vel_n[0] + error[3:6],
+        q_nb=rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0]),
+        cov=np.diag(sd**2),
+        alignment="given",
+    )

@@ -1,0 +1,223 @@
+"""What a profile asks for, in SI and radians: aircraft, flight, sensors, estimators; named random streams."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+GAUSS_MARKOV_PEAK = 0.617
+"""Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
+
+
+def stream(seed: int, run: int, name: str) -> np.random.Generator:
+    """Random stream of one error term ("imu.gyro.white", "gnss.markov", "initial") in one run.
+
+    Adding, removing or reordering one term leaves the noise of every other bit-identical.
+
+    Examples
+    --------
+    >>> bool(stream(1, 0, "initial").normal() == stream(1, 0, "initial").normal())
+    True
+    """
+    key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(run, key)))
+
+
+# --- the flight ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftSpec:
+    """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it."""
+
+    name: str
+    folder: Path  # holds <name>.xml
+    systems: Path  # holds guidance.xml
+    gains: Mapping[str, float]  # properties of the guidance system, by their name below ``guidance/``
+    min_speed: float  # slowest and fastest true airspeed guidance is tuned for [m/s]
+    max_speed: float
+    max_bank: float  # [rad]
+    max_climb: float  # largest climb rate a leg may ask for [m/s]
+    max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
+    antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
+    mesh: str  # class of the simple shape in the recording: "uav"
+
+
+@dataclass(frozen=True, slots=True)
+class Straight:
+    """Hold course heading, altitude and airspeed."""
+
+    duration: float  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Climb:
+    """Climb on the present heading to an altitude."""
+
+    to_alt: float  # ellipsoidal [m]
+    rate: float  # [m/s], positive
+
+
+@dataclass(frozen=True, slots=True)
+class Descend:
+    """Descend on the present heading to an altitude."""
+
+    to_alt: float  # ellipsoidal [m]
+    rate: float  # [m/s], positive
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Turn by an angle at a bank, altitude held."""
+
+    by: float  # heading change, positive to the right [rad]
+    bank: float  # [rad], positive
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEight:
+    """Full circles, right then left, again and again."""
+
+    bank: float  # [rad], positive
+    laps: int  # number of eights; one is a full right and a full left circle
+
+
+Leg = Straight | Climb | Descend | Turn | FigureEight
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSpec:
+    """Everything truth depends on."""
+
+    aircraft: AircraftSpec
+    rate: float  # truth and IMU output rate [Hz]
+    lat: float  # [rad]
+    lon: float  # [rad]
+    alt: float  # ellipsoidal [m]
+    heading: float  # [rad]
+    speed: float  # true airspeed [m/s]
+    wind_from: float  # direction the wind blows from [rad]
+    wind_speed: float  # [m/s]
+    severity: int  # Milspec turbulence: probability-of-exceedance index, 0 none
+    turbulence_seed: int
+    legs: tuple[Leg, ...]
+    duration: float | None  # the last leg is held to this instant [s]; None: to its own end
+
+
+# --- the sensors --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class TriadSpec:
+    """Three gyros (unit rad) or three accelerometers (unit m/s). What a unit does not have is 0."""
+
+    random_walk: float = 0.0  # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
+    bias_instability: float = 0.0  # minimum of the Allan deviation, white noise excluded [unit/s]
+    bias_correlation: float = 0.0  # [s]
+    bias_model: str = "flicker"  # or "gauss-markov"
+    turn_on_bias_sd: float = 0.0  # [unit/s]
+    scale_factor_sd: float = 0.0  # [1]
+    misalignment_sd: float = 0.0  # each off-diagonal element [rad]
+    quantization: float = 0.0  # least bit of an increment [unit]
+
+    @property
+    def instability_sd(self) -> float:
+        """Standard deviation of the Gauss-Markov process whose Allan deviation peaks at bias_instability."""
+        return self.bias_instability / GAUSS_MARKOV_PEAK
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSpec:
+    """An IMU as its datasheet describes it."""
+
+    name: str
+    gyro: TriadSpec
+    accel: TriadSpec
+
+
+@dataclass(frozen=True, slots=True)
+class GnssSpec:
+    """Position-level GNSS errors (A-5.2.1, A-5.2.2); standard deviations are per horizontal axis."""
+
+    name: str
+    rate: float  # [Hz]
+    pos_h_white_sd: float  # [m]
+    pos_v_white_sd: float  # [m]
+    vel_white_sd: float  # each axis [m/s]
+    pos_h_markov_sd: float = 0.0  # [m]
+    pos_v_markov_sd: float = 0.0  # [m]
+    vel_markov_sd: float = 0.0  # each axis [m/s]
+    pos_decay_distance: float = 0.0  # decorrelation by distance flown, lambda_s [1/m]
+    pos_decay_time: float = 0.0  # decorrelation by time, lambda_st [1/s]
+    vel_decay_time: float = 0.0  # lambda_V [1/s]
+    latency: float = 0.0  # from validity to arrival [s]
+
+
+@dataclass(frozen=True, slots=True)
+class BaroSpec:
+    """Barometric altitude: white noise and a bias that walks (A-5.3.1, A-5.3.2)."""
+
+    name: str
+    rate: float  # [Hz]
+    white_sd: float  # [m]
+    bias_sd: float  # of the bias at the start [m]
+    bias_walk: float  # [m/sqrt(s)]
+    quantization: float = 0.0  # least bit [m]
+    latency: float = 0.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedSpecs:
+    """The datasheets an estimator is told to believe."""
+
+    imu: ImuSpec
+    gnss: GnssSpec | None
+    baro: BaroSpec | None
+
+
+@dataclass(frozen=True, slots=True)
+class SensorsSpec:
+    """The units on board, what the filters assume of them, and what is scripted to happen."""
+
+    imu: ImuSpec
+    gnss: GnssSpec | None
+    baro: BaroSpec | None
+    assumed: AssumedSpecs
+    antenna_b: tuple[float, float, float]  # [m], b
+    gnss_outages: tuple[tuple[float, float], ...]  # [start, end) [s], ordered, disjoint
+    initial_pos_sd: tuple[float, float, float]  # n [m]
+    initial_vel_sd: tuple[float, float, float]  # n [m/s]
+    initial_tilt_sd: float  # north and east component of phi_n [rad]
+    initial_heading_sd: float  # down component of phi_n [rad]
+    output_rate: float  # of the solutions [Hz]
+
+
+# --- the estimators and the judgement ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorChoice:
+    """An estimator by its built-in name or ``module:Class``, with the keywords of its constructor."""
+
+    use: str
+    label: str  # unique in the profile; names files and report columns
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """One experiment: a flight, its sensors, the estimators and the judgement."""
+
+    name: str
+    title: str
+    seed: int
+    flight: FlightSpec
+    sensors: SensorsSpec
+    estimators: tuple[EstimatorChoice, ...]
+    evaluation_from: float  # end of the alignment window [s]
+    document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file

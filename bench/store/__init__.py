@@ -1,0 +1,29 @@
+"""What lies on disk: results folders (Parquet, JSON), their provenance, and the truth cache."""
+
+from __future__ import annotations
+
+from bench.store.provenance import provenance
+from bench.store.results import (
+    RESULT,
+    load,
+    load_sensors,
+    load_truth,
+    results_folder,
+    save,
+    to_json,
+    write_json,
+)
+from bench.store.truth_cache import truth_cached
+
+__all__ = [
+    "RESULT",
+    "load",
+    "load_sensors",
+    "load_truth",
+    "provenance",
+    "results_folder",
+    "save",
+    "to_json",
+    "truth_cached",
+    "write_json",
+]

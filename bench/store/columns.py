@@ -1,0 +1,112 @@
+"""How the records lie in columns: each with its name, its unit and its frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from bench.unit_names import unit_of
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The columns of one field of a record, in the order of its flattened rows."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    frame: str = ""
+    shape: tuple[int, ...] = ()  # of one row
+
+
+Layout = Mapping[str, Columns]
+"""Field of a record -> its columns."""
+
+_NED = ("n", "e", "d")
+_XYZ = ("x", "y", "z")
+
+
+def _one(name: str, frame: str = "") -> Columns:
+    return Columns((name,), (unit_of(name) or "1",), frame)
+
+
+def _vector(stem: str, unit: str, frame: str) -> Columns:
+    axes = _NED if frame == "n" else _XYZ
+    names = tuple(f"{stem}_{axis}_{unit}" for axis in axes)
+    return Columns(names, tuple(unit_of(name) for name in names), frame, (3,))
+
+
+def _matrix(stem: str, states: Sequence[tuple[str, str]], frame: str) -> Columns:
+    """Name the elements of a covariance by their two states, each (name, unit)."""
+    names = tuple(f"{stem}_{a}_{b}" for a, _ in states for b, _ in states)
+    units = tuple(f"{u} {v}" if u != v else f"({u})^2" for _, u in states for _, v in states)
+    return Columns(names, units, frame, (len(states), len(states)))
+
+
+_LLA = Columns(("lat_rad", "lon_rad", "alt_m"), ("rad", "rad", "m"), "WGS 84, geodetic", (3,))
+_Q_NB = Columns(tuple(f"q_nb_{c}" for c in "wxyz"), ("1",) * 4, "b to n, scalar first", (4,))
+_BLOCKS = (("pos", "m"), ("vel", "m/s"), ("phi", "rad"))
+_STATES = [(f"{block}_{axis}", unit) for block, unit in _BLOCKS for axis in _NED]
+
+T: Layout = {"t": _one("t_s")}
+INTERVAL: Layout = {**T, "dt": _one("dt_s")}
+ARRIVAL: Layout = {**T, "t_arrival": _one("t_arrival_s"), "valid": _one("valid")}
+MOTION: Layout = {**T, "lla": _LLA, "vel_n": _vector("vel", "mps", "n"), "q_nb": _Q_NB}
+INCREMENTS: Layout = {"dtheta_b": _vector("dtheta", "rad", "b"), "dvel_b": _vector("dvel", "mps", "b")}
+AIR: Layout = {
+    **T,
+    "pressure": _one("pressure_pa"),
+    "temperature": _one("temperature_k"),
+    "airspeed_true": _one("airspeed_true_mps"),
+    "airspeed_calibrated": _one("airspeed_calibrated_mps"),
+    "alpha": _one("alpha_rad"),
+    "beta": _one("beta_rad"),
+    "wind_n": _vector("wind", "mps", "n"),
+    "engine_speed": _one("engine_speed_rad_s"),
+}
+CONTROLS: Layout = {**T, **{name: _one(name) for name in ("aileron", "elevator", "rudder", "throttle")}}
+EVENTS: Layout = {**T, "t_end": _one("t_end_s"), "kind": _one("kind"), "text": _one("text")}
+IMU: Layout = {**INTERVAL, "valid": _one("valid"), **INCREMENTS}
+GNSS: Layout = {
+    **ARRIVAL,
+    "lla": _LLA,
+    "vel_n": _vector("vel", "mps", "n"),
+    "cov_pos_n": _matrix("cov", _STATES[0:3], "n"),
+    "cov_vel_n": _matrix("cov", _STATES[3:6], "n"),
+    "satellites": _one("satellites"),
+}
+BARO: Layout = {**ARRIVAL, "alt_baro": _one("alt_baro_m"), "sd": _one("sd_m")}
+BIASES: Layout = {
+    "gyro_bias_b": _vector("gyro_bias", "rad_s", "b"),
+    "accel_bias_b": _vector("accel_bias", "m_s2", "b"),
+}
+DRAWN: Layout = {**T, **BIASES, "baro_bias": _one("baro_bias_m")}
+ERRORS: Layout = {
+    **T,
+    "pos_n": _vector("pos_err", "m", "n"),
+    "vel_n": _vector("vel_err", "mps", "n"),
+    "phi_n": _vector("phi", "rad", "n"),
+    "heading": _one("heading_err_rad"),
+    "nees": _one("nees"),
+}
+INNOVATIONS: Layout = {
+    **T,
+    "sensor": _one("sensor"),
+    "component": _one("component", "n"),
+    "z": Columns(("z",), ("of the sensor",), "n"),
+    "S": Columns(("S",), ("of the sensor, squared",), "n"),
+    "nis": _one("nis"),
+    "accepted": _one("accepted"),
+}
+
+
+def solution(extra_names: Sequence[str]) -> Layout:
+    """Return the layout of a solution with the given states beyond position, velocity, attitude."""
+    n = len(extra_names)
+    units = tuple(unit_of(name) or "1" for name in extra_names)
+    return {
+        **MOTION,
+        **BIASES,
+        "cov": _matrix("cov", _STATES, "n"),
+        "extra": Columns(tuple(f"state_{name}" for name in extra_names), units, "", (n,)),
+        "extra_sd": Columns(tuple(f"sd_{name}" for name in extra_names), units, "", (n,)),
+    }

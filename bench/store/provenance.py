@@ -1,0 +1,42 @@
+"""Which software made a result, and on what machine."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from importlib.metadata import version
+
+import bench
+from bench.places import PACKAGE
+
+PACKAGES = ("numpy", "scipy", "numba", "jsbsim")
+"""Distributions whose version can move a number."""
+
+
+def provenance() -> dict[str, object]:
+    """Return the versions, the commit of the source tree (None outside one) and the platform."""
+    return {
+        "versions": versions(),
+        "commit": _commit(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of bench, Python and every package whose version can move a number."""
+    packages = {name: version(name) for name in PACKAGES}
+    return {"bench": bench.__version__, "python": platform.python_version(), **packages}
+
+
+def _commit() -> str | None:
+    """Return the commit of the tree bench runs from, with ``-dirty`` when files differ from it."""
+    tree = PACKAGE.parent
+    if not (tree / ".git").exists():
+        return None
+    command = ["git", "-C", str(tree), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):  # no git on this machine
+        return None
+    return done.stdout.strip() or None

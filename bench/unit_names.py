@@ -1,0 +1,43 @@
+"""The unit that a name at an edge of the bench ends in."""
+
+from __future__ import annotations
+
+_ENDINGS = {
+    "_deg_s_sqrt_hz": "deg/s/sqrt(Hz)",
+    "_deg_sqrt_h": "deg/sqrt(h)",
+    "_m_s_sqrt_h": "m/s/sqrt(h)",
+    "_ug_sqrt_hz": "ug/sqrt(Hz)",
+    "_m_sqrt_s": "m/sqrt(s)",
+    "_percent": "%",
+    "_deg_h": "deg/h",
+    "_deg_s": "deg/s",
+    "_rad_s": "rad/s",
+    "_m_s2": "m/s^2",
+    "_mrad": "mrad",
+    "_mps": "m/s",
+    "_m_s": "m/s",
+    "_deg": "deg",
+    "_rad": "rad",
+    "_ppm": "ppm",
+    "_ug": "ug",
+    "_mg": "mg",
+    "_km": "km",
+    "_hz": "Hz",
+    "_pa": "Pa",
+    "_m2": "m^2",
+    "_m": "m",
+    "_s": "s",
+    "_k": "K",
+}
+"""Ending -> unit; where two fit, the longer one stands first."""
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a name ends in, or an empty text.
+
+    Examples
+    --------
+    >>> unit_of("noise_deg_sqrt_h"), unit_of("lat_deg"), unit_of("seed")
+    ('deg/sqrt(h)', 'deg', '')
+    """
+    return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "")

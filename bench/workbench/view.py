@@ -1,0 +1,124 @@
+"""``bench view``: the viewer of the rerun wheel on a results folder, and the end of it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from rich.console import Console
+
+from bench.config import ConfigError
+from bench.store import RESULT
+from bench.workbench.run import RECORDING, RUNS
+
+_LOCAL = "127.0.0.1"
+_PATIENCE = 5.0  # between asking the viewer to end and ending it [s]
+
+
+class ViewerError(Exception):
+    """The machine has no viewer, or none that works here; one line says why."""
+
+
+def view(folder: Path | None, *, web: bool, console: Console) -> None:
+    """Open the viewer on a results folder and wait until it is closed.
+
+    Parameters
+    ----------
+    folder : Path or None
+        A results folder; the newest below ``runs`` when None.
+    web : bool
+        Serve it to a browser on this machine instead of opening a window.
+    console : Console
+        Where the address is printed.
+
+    Raises
+    ------
+    ConfigError
+        When there is no recording.
+    ViewerError
+        When the viewer cannot be started or fails.
+    """
+    recording = find_recording(folder)
+    command = [str(_binary()), str(recording), "--bind", _LOCAL]
+    if web:
+        port, page = free_port(9876), free_port(9090)
+        command += ["--serve-web", "--port", str(port), "--web-viewer-port", str(page)]
+        source = f"rerun%2Bhttp%3A%2F%2F{_LOCAL}%3A{port}%2Fproxy"
+        console.print(f"{recording} is served on http://{_LOCAL}:{page}/?url={source}", soft_wrap=True)
+        console.print("Ctrl-C ends it.")
+    else:
+        _need_display()
+        command += ["--port", "auto", "--hide-welcome-screen"]
+    status = wait_for(command)
+    if status:
+        raise ViewerError(f"the viewer ended with status {status}: {' '.join(command)}")
+
+
+def find_recording(folder: Path | None) -> Path:
+    """Return the recording of a results folder, or of the newest one below ``runs``.
+
+    Raises
+    ------
+    ConfigError
+        When there is none.
+    """
+    if folder is None:
+        results = [path for path in RUNS.glob(f"*/{RESULT}") if (path.parent / RECORDING).is_file()]
+        if not results:
+            raise ConfigError(f"{RUNS}: no recording in any folder; 'bench run figure-eight' makes one")
+        folder = max(results, key=lambda path: path.stat().st_mtime).parent
+    recording = folder / RECORDING
+    if not recording.is_file():
+        raise ConfigError(f"{folder}: no {RECORDING} in it; 'bench run' without --no-rrd writes one")
+    return recording
+
+
+def wait_for(command: Sequence[str]) -> int:
+    """Run a command in a process group of its own and return its status; the group ends with this call."""
+    quiet = {"RUST_LOG": "warn", **os.environ}
+    child = subprocess.Popen(command, start_new_session=True, env=quiet)
+    try:
+        return child.wait()
+    finally:
+        _end_group(child)
+
+
+def free_port(wanted: int) -> int:
+    """Return the wanted port of this machine, or another one when it is taken."""
+    for port in (wanted, 0):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind((_LOCAL, port))
+            return int(probe.getsockname()[1])
+    raise ViewerError(f"no free port on {_LOCAL}")
+
+
+def _end_group(child: subprocess.Popen[bytes]) -> None:
+    """End what is left of a process group, politely first."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(_PATIENCE)
+
+
+def _binary() -> Path:
+    """Return the viewer itself: its launcher in Python would leave it running when ended."""
+    package = find_spec("rerun_cli")
+    if package is not None and package.origin is not None:
+        folder = Path(package.origin).parent
+        for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
+            if (folder / name).is_file():
+                return folder / name
+    raise ViewerError("no viewer here: the package rerun-sdk has none; 'pip install rerun-sdk' brings it")
+
+
+def _need_display() -> None:
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError("no display to open a window on; 'bench view --web' serves it to a browser")

@@ -1,0 +1,260 @@
+"""Speed as ratios measured side by side in one run: ``make perf``.
+
+Every ratio is the median over interleaved rounds of two CPU times of the same process, so that a slow or busy
+machine moves both. Whole commands are measured by the CPU time of their own process. Exit status 1 when a
+limit is exceeded.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench import config, earth, pipeline, rotation
+from bench.data import Sensed, Trajectory
+from bench.navigation.fusion import Loose
+from bench.navigation.mechanization import propagate
+from bench.specs import Profile
+
+ROUNDS = 7
+
+
+@dataclass(frozen=True)
+class Figure:
+    what: str
+    value: float
+    limit: float
+    unit: str
+    higher_is_better: bool = False
+
+    @property
+    def kept(self) -> bool:
+        return self.value >= self.limit if self.higher_is_better else self.value <= self.limit
+
+
+def cpu(work: Callable[[], object]) -> float:
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def ratio(work: Callable[[], object], unit: Callable[[], object], rounds: int = ROUNDS) -> float:
+    """Return the median over interleaved rounds of the CPU time of ``work`` over that of ``unit``."""
+    work(), unit()  # compiled and warm
+    return float(np.median([cpu(work) / cpu(unit) for _ in range(rounds)]))
+
+
+def command_cpu(*arguments: str, cwd: Path, cache: Path | None = None) -> float:
+    """Return the CPU time of one ``bench`` command, its children included."""
+    environment = dict(os.environ) | ({"BENCH_CACHE": str(cache)} if cache else {})
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [str(Path(sys.executable).parent / "bench"), *arguments],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode != 0:
+        sys.exit(f"bench {' '.join(arguments)}: exit {done.returncode}\n{done.stderr.decode()}")
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def flying(profile: Profile) -> list[Figure]:
+    """Recording against stepping the same aircraft with its guidance, and the first flight as a whole."""
+    from bench.flight import recorder
+
+    def record() -> None:
+        recorder.record(profile.flight)
+
+    def step() -> None:
+        _, dt = recorder.simulation_step(profile.flight.rate)
+        fdm, _ = recorder.prepare(profile.flight, dt)
+        for _ in range(round((profile.flight.duration or 600.0) / dt)):
+            fdm.run()
+
+    def fly() -> None:
+        recorder.fly(profile.flight)
+
+    return [
+        Figure("recording a flight / stepping it", ratio(record, step, 3), 1.4, "x"),
+        Figure("first flight / stepping it", ratio(fly, step, 3), 4.0, "x"),
+    ]
+
+
+def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
+    from bench.sensors import imu
+
+    n = len(truth) - 1
+    draw = np.random.default_rng(1)
+
+    def unit() -> None:
+        draw.standard_normal((n, 6))
+
+    cost = ratio(lambda: imu.measure(truth, profile.sensors.imu, 1, 0), unit, 31)
+    return [Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units")]
+
+
+def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:
+    """The whole filter against the strapdown alone over the same record."""
+    data, initial = sensed.data, sensed.initial
+
+    def strapdown() -> None:
+        imu = data.imu
+        propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
+
+    full, slow = Loose(), Loose(covariance_hz=20.0)
+    return [
+        Figure(
+            "loose-15, full covariance / strapdown",
+            ratio(lambda: full.run(data, initial), strapdown),
+            14.0,
+            "x",
+        ),
+        Figure(
+            "loose-15, 20 Hz covariance / strapdown",
+            ratio(lambda: slow.run(data, initial), strapdown),
+            4.0,
+            "x",
+        ),
+    ]
+
+
+def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> list[Figure]:
+    """Largest relative change of a pooled RMSE when the covariance runs at 20 Hz."""
+    names = (
+        "pos_rmse_n_m",
+        "pos_rmse_e_m",
+        "pos_rmse_d_m",
+        "vel_rmse_3d_mps",
+        "tilt_rmse_deg",
+        "heading_rmse_deg",
+    )
+    squares = np.zeros((2, len(names)))
+    for run in range(runs):
+        sensed = pipeline.sense(profile, truth, run)
+        for k, filter_ in enumerate((Loose(), Loose(covariance_hz=20.0))):
+            solution = filter_.run(sensed.data, sensed.initial)
+            _, metrics = pipeline.judge(profile, truth, solution)
+            squares[k] += [metrics[name] ** 2 for name in names]
+    change = np.abs(np.sqrt(squares[1] / squares[0]) - 1).max()
+    return [Figure(f"largest change of an RMSE by 20 Hz covariance, {runs} runs", 100 * change, 1.0, "%")]
+
+
+def against_python_ins(truth: Trajectory, sensed: Sensed, seconds: float = 60.0) -> list[Figure]:
+    """The same 15-state work by the python-ins package, both with a 10 Hz covariance; one round."""
+    try:
+        import pandas as pd
+        from pyins import filters, inertial_sensor, measurements, strapdown
+    except ImportError:
+        print("python-ins is not installed: that ratio is left out (make perf installs it)")
+        return []
+    data, initial, specs = sensed.data, sensed.initial, sensed.data.specs
+    n = int(np.searchsorted(data.imu.t, seconds))
+    m = int(np.searchsorted(data.fixes.t, seconds))
+    roll, pitch, heading = np.rad2deg(rotation.to_euler(initial.q_nb))
+    pva = pd.Series(
+        [*np.rad2deg(initial.lla[:2]), initial.lla[2], *initial.vel_n, roll, pitch, heading],
+        index=["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"],
+        name=initial.t,
+    )
+    columns = ["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
+    values = np.hstack([data.imu.dtheta_b[:n], data.imu.dvel_b[:n]])
+    record = pd.DataFrame(
+        np.vstack([values[:1], values]), index=[initial.t, *data.imu.t[:n]], columns=columns
+    )
+    lla = data.fixes.lla[:m] * [180 / np.pi, 180 / np.pi, 1.0]
+    position = pd.DataFrame(lla, index=data.fixes.t[:m], columns=["lat", "lon", "alt"])
+    velocity = pd.DataFrame(data.fixes.vel_n[:m], index=data.fixes.t[:m], columns=["VN", "VE", "VD"])
+
+    def model(triad):
+        return inertial_sensor.EstimationModel(
+            bias_sd=np.hypot(triad.turn_on_bias_sd, triad.instability_sd),
+            noise=triad.random_walk,
+            bias_walk=triad.instability_sd * np.sqrt(2 / triad.bias_correlation),
+        )
+
+    sd = np.sqrt(np.diag(initial.cov))
+
+    def theirs() -> object:
+        return filters.run_feedback_filter(
+            pva, sd[0], sd[3], np.rad2deg(sd[6]), np.rad2deg(sd[8]),
+            strapdown.compute_increments_from_imu(record, "increment"),
+            model(specs.imu.gyro), model(specs.imu.accel),
+            [
+                measurements.Position(position, specs.gnss.pos_h_white_sd, data.antenna_b),
+                measurements.NedVelocity(velocity, specs.gnss.vel_white_sd, data.antenna_b),
+            ],
+            time_step=0.1,
+        )  # fmt: skip
+
+    ours = Loose(baro=False, covariance_hz=10.0)
+    short = replace(
+        data,
+        imu=type(data.imu)(*(getattr(data.imu, f)[:n] for f in ("t", "dt", "valid", "dtheta_b", "dvel_b"))),
+        output_t=data.output_t[data.output_t <= data.imu.t[n - 1]],
+    )
+    start = time.process_time()
+    result = theirs()
+    their_time = time.process_time() - start
+    our_time = float(np.median([cpu(lambda: ours.run(short, initial)) for _ in range(ROUNDS)]))
+    end = result.trajectory.iloc[-1]
+    there = np.array([np.deg2rad(end["lat"]), np.deg2rad(end["lon"]), end["alt"]])
+    apart = earth.difference_n(ours.run(short, initial).lla[-1], there)
+    print(f"python-ins and loose-15 end {np.linalg.norm(apart):.2f} m apart after {seconds:.0f} s")
+    return [Figure("python-ins / loose-15, 10 Hz covariance, 60 s", their_time / our_time, 300.0, "x", True)]
+
+
+def commands() -> list[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        there, cache = Path(folder), Path(folder) / "cache"
+        first = command_cpu("run", "figure-eight", "-o", "first", cwd=there, cache=cache)
+        flown = [
+            command_cpu("run", "figure-eight", "-o", f"again-{k}", cwd=there, cache=cache) for k in range(3)
+        ]
+        help_ = [command_cpu("--help", cwd=there, cache=cache) for _ in range(3)]
+    return [
+        Figure("bench run figure-eight, truth cached, kernels warm", float(np.median(flown)), 3.5, "s CPU"),
+        Figure("bench run figure-eight, first ever, compiling", first, 25.0, "s CPU"),
+        Figure("bench --help", float(np.median(help_)), 0.5, "s CPU"),
+    ]
+
+
+def main() -> None:
+    profile = config.load_profile("figure-eight")
+    matched = config.load_profile("figure-eight-matched")
+    truth = pipeline.fly(profile)
+    sensed = pipeline.sense(profile, truth)
+    figures = [
+        *navigating(truth, sensed),
+        *slower_covariance(matched, truth),
+        *against_python_ins(truth, sensed),
+        *sensing(profile, truth),
+        *flying(profile),
+        *commands(),
+    ]
+    table = Table(title="Speed, as ratios inside one run")
+    for heading in ("", "measured", "limit", ""):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for f in figures:
+        sign = ">=" if f.higher_is_better else "<="
+        table.add_row(
+            f.what, f"{f.value:.3g} {f.unit}", f"{sign} {f.limit:g}", "kept" if f.kept else "[red]exceeded"
+        )
+    Console(width=110).print(table)
+    sys.exit(0 if all(f.kept for f in figures) else 1)
+
+
+if __name__ == "__main__":
+    main()

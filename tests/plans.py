@@ -1,0 +1,32 @@
+"""Flight plans for tests: the Aerosonde with the shipped gains, one leg list at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+from typing import Any
+
+from bench.config import load_profile
+from bench.specs import FlightSpec, Leg
+
+FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
+AEROSONDE = FIGURE_EIGHT.aircraft
+CALM = replace(
+    FIGURE_EIGHT,
+    lat=radians(47.26),
+    lon=radians(11.34),
+    alt=1200.0,
+    heading=radians(85.0),
+    speed=25.0,
+    rate=100.0,
+    wind_from=0.0,
+    wind_speed=0.0,
+    severity=0,
+    turbulence_seed=1,
+    duration=None,
+)
+
+
+def plan(*legs: Leg, **changes: Any) -> FlightSpec:
+    """Legs from 47.26 N 11.34 E, 1200 m, heading 85 deg at 25 m/s in calm air, unless changed."""
+    return replace(CALM, legs=legs, **changes)

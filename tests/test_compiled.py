@@ -1,0 +1,80 @@
+"""Compiled code is never stale: the cache folder is named by every source that uses the compiler."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench import compiled, places
+
+ANSWER = """
+import sys, shutil, pathlib
+from bench import compiled, earth
+print(earth.radii_kernel(0.0)[1], compiled.numba.config.CACHE_DIR)
+"""
+
+
+def copy_of_the_package(folder: Path) -> Path:
+    for source in places.PACKAGE.rglob("*.py"):
+        target = folder / "bench" / source.relative_to(places.PACKAGE)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(source.read_bytes())
+    return folder
+
+
+def answer(folder: Path, cache: Path) -> tuple[float, str]:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": str(folder), "BENCH_CACHE": str(cache)}
+    done = subprocess.run(
+        [sys.executable, "-c", ANSWER],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    value, where = done.stdout.split()
+    return float(value), where
+
+
+def test_a_constant_changed_in_another_module_is_seen(tmp_path):
+    """numba's own cache returns the old value here; the name of the folder must change."""
+    folder, cache = copy_of_the_package(tmp_path / "tree"), tmp_path / "cache"
+    before, first = answer(folder, cache)
+    again, same = answer(folder, cache)
+    assert (again, same) == (before, first)
+    earth = folder / "bench" / "earth.py"
+    earth.write_text(earth.read_text().replace('"WGS-84", 6378137.0', '"WGS-84", 6378138.0'))
+    after, second = answer(folder, cache)
+    assert (before, after) == (6378137.0, 6378138.0)
+    assert second != first
+
+
+def test_folders_unused_for_a_month_are_removed(tmp_path):
+    old, young, keep = (tmp_path / name for name in ("old", "young", "keep"))
+    for folder in (old, young, keep):
+        folder.mkdir()
+    month = 31 * 86400
+    for folder in (old, keep):
+        os.utime(folder, (time.time() - month,) * 2)
+    compiled._remove_unused(tmp_path, keep=keep)
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["keep", "young"]
+
+
+def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path))
+    assert places.cache_folder("truth") == tmp_path / "truth"
+    monkeypatch.delenv("BENCH_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert places.cache_folder("truth") == tmp_path / "bench" / "truth"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert places.cache_folder("truth") == Path.home() / ".cache" / "bench" / "truth"
+
+
+@pytest.mark.parametrize("module", ["numba", "jsbsim", "rerun", "pyarrow", "matplotlib", "filterpy"])
+def test_importing_bench_imports_nothing_heavy(module):
+    code = f"import sys, bench; sys.exit({module!r} in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

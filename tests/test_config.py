@@ -1,0 +1,429 @@
+"""A file in human units becomes SI exactly, what was typed last wins, and everything that is wrong with it is
+said at once: where, what, and what would be right."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from bench import config
+from bench.config.datasheets import ACCEL, GYRO, read_imu
+from bench.places import PACKAGE
+from bench.specs import Climb, FigureEight, Straight, Turn
+
+SHIPPED = [name for name, _ in config.list_profiles()]
+
+PROFILE = """
+aircraft = "aerosonde"
+[start]
+lat_deg = 45.0
+lon_deg = -90.0
+alt_m = 1000
+heading_deg = 180.0
+speed_mps = 25
+[[leg]]
+kind = "straight"
+duration_s = 30
+[[leg]]
+kind = "climb"
+to_alt_m = 1100.0
+rate_mps = 2.0
+[[leg]]
+kind = "turn"
+by_deg = -90.0
+bank_deg = 30.0
+[[leg]]
+kind = "figure-eight"
+bank_deg = 18.0
+laps = 2
+[sensors]
+imu = "matched-mems"
+gnss = "matched-white"
+[[estimator]]
+use = "loose-15"
+"""
+
+
+def write(folder: Path, text: str = PROFILE, name: str = "own.toml") -> str:
+    (folder / name).write_text(text)
+    return str(folder / name)
+
+
+def errors(name: str, **keywords) -> list[str]:
+    """The messages of a profile that is wrong, without the folder of its file."""
+    with pytest.raises(config.ConfigError) as caught:
+        config.load_profile(name, **keywords)
+    return [message.replace(f"{Path(name).parent}/", "") for message in caught.value.messages]
+
+
+# --- from human units to SI ---------------------------------------------------------------------------
+
+
+def test_a_profile_becomes_si(tmp_path):
+    profile = config.load_profile(write(tmp_path))
+    flight = profile.flight
+    assert (profile.name, flight.rate, flight.speed, flight.alt) == ("own", 200.0, 25.0, 1000.0)
+    assert flight.lat == pytest.approx(math.pi / 4, rel=1e-15)
+    assert flight.lon == pytest.approx(-math.pi / 2, rel=1e-15)
+    assert flight.heading == pytest.approx(math.pi, rel=1e-15)
+    straight, climb, turn, eight = flight.legs
+    assert (straight, climb) == (Straight(30.0), Climb(1100.0, 2.0))
+    assert isinstance(turn, Turn)
+    assert turn.by == pytest.approx(-math.pi / 2)
+    assert turn.bank == pytest.approx(math.pi / 6)
+    assert isinstance(eight, FigureEight)
+    assert (eight.bank, eight.laps) == (pytest.approx(math.pi / 10), 2)
+    sensors = profile.sensors
+    assert sensors.initial_tilt_sd == pytest.approx(math.radians(0.5))
+    assert sensors.baro is None
+    assert sensors.assumed.imu == sensors.imu
+    assert sensors.antenna_b == flight.aircraft.antenna_b
+
+
+# By hand: 1 deg = 0.0174532925 rad, 1 h = 3600 s, 1 g = 9.80665 m/s^2. The first row is the gyro of grade 3
+# of table 2.4.2 (A-2.4): 0.01 deg/sqrt(h) = 0.01 * 0.0174532925 / 60 rad/sqrt(s).
+BY_HAND = [
+    ("gyro", "noise_deg_sqrt_h", 0.01, "random_walk", 2.9088821e-6),
+    ("gyro", "noise_deg_s_sqrt_hz", 0.0035, "random_walk", 6.1086524e-5),
+    ("gyro", "bias_instability_deg_h", 0.1, "bias_instability", 4.8481368e-7),
+    ("gyro", "turn_on_bias_sd_deg_h", 36.0, "turn_on_bias_sd", 1.7453293e-4),
+    ("gyro", "turn_on_bias_sd_deg_s", 0.01, "turn_on_bias_sd", 1.7453293e-4),
+    ("gyro", "scale_factor_sd_ppm", 200.0, "scale_factor_sd", 2e-4),
+    ("gyro", "scale_factor_sd_percent", 0.5, "scale_factor_sd", 5e-3),
+    ("gyro", "misalignment_sd_mrad", 0.75, "misalignment_sd", 7.5e-4),
+    ("gyro", "misalignment_sd_deg", 0.1, "misalignment_sd", 1.7453293e-3),
+    ("gyro", "quantization_deg", 0.001, "quantization", 1.7453293e-5),
+    ("gyro", "quantization_rad", 2e-6, "quantization", 2e-6),
+    ("gyro", "bias_correlation_s", 250.0, "bias_correlation", 250.0),
+    ("accel", "noise_m_s_sqrt_h", 0.02, "random_walk", 3.3333333e-4),
+    ("accel", "noise_ug_sqrt_hz", 60.0, "random_walk", 5.88399e-4),
+    ("accel", "bias_instability_ug", 15.0, "bias_instability", 1.4709975e-4),
+    ("accel", "bias_instability_mg", 0.05, "bias_instability", 4.903325e-4),
+    ("accel", "turn_on_bias_sd_mg", 2.0, "turn_on_bias_sd", 1.96133e-2),
+    ("accel", "scale_factor_sd_ppm", 300.0, "scale_factor_sd", 3e-4),
+    ("accel", "scale_factor_sd_percent", 0.1, "scale_factor_sd", 1e-3),
+    ("accel", "misalignment_sd_mrad", 1.0, "misalignment_sd", 1e-3),
+    ("accel", "misalignment_sd_deg", 0.5, "misalignment_sd", 8.7266463e-3),
+    ("accel", "quantization_m_s", 1e-5, "quantization", 1e-5),
+    ("accel", "bias_correlation_s", 100.0, "bias_correlation", 100.0),
+]
+
+
+@pytest.mark.parametrize(("triad", "key", "value", "field", "si"), BY_HAND)
+def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
+    needs = "\nbias_correlation_s = 300.0" if field == "bias_instability" else ""
+    write(tmp_path, f'source = "by hand"\n[{triad}]\n{key} = {value}{needs}\n', "unit.toml")
+    spec = read_imu(tmp_path / "unit.toml", "unit.toml")
+    assert getattr(getattr(spec, triad), field) == pytest.approx(si, rel=1e-7)
+    other = spec.accel if triad == "gyro" else spec.gyro
+    assert getattr(other, field) == 0.0
+
+
+def test_every_key_of_a_datasheet_is_computed_by_hand():
+    known = {("gyro", key) for spellings in GYRO.values() for key in spellings}
+    known |= {("accel", key) for spellings in ACCEL.values() for key in spellings}
+    assert known == {(triad, key) for triad, key, *_ in BY_HAND}
+
+
+def test_gnss_decay_is_the_inverse_of_its_length(tmp_path):
+    """A-5.2.2: 250 km is 4e-6 1/m, 2000 s is 5e-4 1/s."""
+    text = """
+    source = "by hand"
+    [gnss]
+    rate_hz = 1
+    pos_h_white_sd_m = 2
+    pos_v_white_sd_m = 3
+    vel_white_sd_mps = 0.03
+    pos_h_markov_sd_m = 6
+    pos_decay_distance_km = 250
+    pos_decay_time_s = 2000
+    """
+    write(tmp_path, text, "rx.toml")
+    spec = config.load_profile(write(tmp_path), {"sensors.gnss": "rx.toml"}).sensors.gnss
+    assert spec.pos_decay_distance == pytest.approx(4e-6)
+    assert spec.pos_decay_time == pytest.approx(5e-4)
+    assert (spec.name, spec.rate, spec.vel_decay_time) == ("rx", 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("word", "severity"), [("none", 0), ("light", 3), ("moderate", 4), ("severe", 6), (5, 5)]
+)
+def test_turbulence_by_name_and_by_number(tmp_path, word, severity):
+    profile = config.load_profile(write(tmp_path), {"wind.turbulence": word})
+    assert profile.flight.severity == severity
+
+
+# --- what was typed last wins -------------------------------------------------------------------------
+
+
+def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
+    name = write(tmp_path, "seed = 3\nturbulence_seed = 4\n" + PROFILE)
+    plain = config.load_profile(name)
+    assert (plain.seed, plain.flight.turbulence_seed, plain.evaluation_from) == (3, 4, 60.0)
+    seeded = config.load_profile(name, seed=9)
+    assert (seeded.seed, seeded.flight.turbulence_seed) == (9, 9)
+    typed = config.load_profile(name, {"seed": 5, "leg.0.duration_s": 12, "evaluation.from_s": 20.0})
+    assert (typed.seed, typed.flight.turbulence_seed) == (5, 4)
+    assert typed.flight.legs[0] == Straight(12.0)
+    assert typed.evaluation_from == 20.0
+    assert config.load_profile(write(tmp_path), seed=None).flight.turbulence_seed == 0
+
+
+def test_the_assumed_units_are_those_on_board_unless_the_file_says_otherwise(tmp_path):
+    name = write(tmp_path)
+    swapped = config.load_profile(name, {"sensors.imu": "stim300"}).sensors
+    assert (swapped.imu.name, swapped.assumed.imu.name) == ("stim300", "stim300")
+    told = config.load_profile(name, {"sensors.assumed.imu": "stim300"}).sensors
+    assert (told.imu.name, told.assumed.imu.name, told.assumed.gnss) == ("matched-mems", "stim300", told.gnss)
+
+
+def test_estimators_are_chosen_by_label(tmp_path):
+    more = '[[estimator]]\nuse = "my.lab:Huber"\noptions = { k = 1.5 }\n'
+    name = write(tmp_path, PROFILE + more)
+    assert [c.label for c in config.load_profile(name).estimators] == ["loose-15", "Huber"]
+    (kept,) = config.load_profile(name, estimators=["Huber"]).estimators
+    assert (kept.use, kept.options) == ("my.lab:Huber", {"k": 1.5})
+    assert errors(name, estimators=["loos-15"]) == [
+        "own.toml: no estimator 'loos-15' in this profile. Did you mean 'loose-15'?\n"
+        "  known estimators: Huber, free-inertial, loose-15, 'module:Class'"
+    ]
+    others = config.load_profile(name, estimators=["free-inertial", "your.lab:Own"])
+    assert [(c.use, c.label) for c in others.estimators] == [
+        ("free-inertial", "free-inertial"),
+        ("your.lab:Own", "Own"),
+    ]
+    assert others.document["estimator"][1] == {"use": "your.lab:Own", "label": "Own", "options": {}}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_document_is_the_profile_as_flown(tmp_path, name):
+    """Written as JSON, read back and flown again, it gives the same profile."""
+    profile = config.load_profile(name, {"sensors.imu": "stim300"}, seed=7)
+    document = json.loads(json.dumps(profile.document))
+    assert document["seed"] == document["turbulence_seed"] == 7
+    assert document["sensors"]["assumed"]["imu"] == "stim300"
+    again = config.load_profile(write(tmp_path), document)
+    assert (again.flight, again.sensors, again.estimators) == (
+        profile.flight,
+        profile.sensors,
+        profile.estimators,
+    )
+
+
+def test_the_matched_profile_differs_in_its_sensors_only():
+    documents = [
+        dict(config.load_profile(name).document) for name in ("figure-eight", "figure-eight-matched")
+    ]
+    sensors = [document.pop("sensors") for document in documents]
+    for document in documents:
+        del document["title"]
+    assert documents[0] == documents[1]
+    assert not set(sensors[0]["assumed"].values()) & set(sensors[1]["assumed"].values())
+
+
+# --- what is wrong is said in one line, all at once ---------------------------------------------------
+
+
+def test_the_messages_of_the_conventions(tmp_path):
+    text = """
+    aircraft = "aerosonde"
+    [start]
+    lat_deg = 95
+    lon_deg = 0.0
+    alt_m = 1000.0
+    heading_deg = 0.0
+    speed_mps = 25.0
+    [[leg]]
+    kind = "climb"
+    climb_rate_mps = 3.0
+    to_alt_m = 2000.0
+    rate_mps = 2.0
+    [sensors]
+    imu = "matched-mems"
+    [[estimator]]
+    use = "free-inertial"
+    """
+    assert errors(write(tmp_path, text, "survey.toml")) == [
+        "survey.toml: [start] lat_deg = 95 deg is outside -90 to 90 deg",
+        "survey.toml: [[leg]] 1 (climb): unknown key 'climb_rate_mps'. Did you mean 'rate_mps'?\n"
+        "  known keys: kind, rate_mps, to_alt_m",
+    ]
+
+
+NAN, INF = float("nan"), float("inf")
+ONE_THING_WRONG = [
+    ({"wnd": {}}, "unknown key 'wnd'. Did you mean 'wind'?\n  known keys: aircraft, duration_s, "),
+    ({"start.alt_ft": 3000.0}, "[start]: unknown key 'alt_ft'. Did you mean 'alt_m'?\n  known keys: alt_m,"),
+    ({"sensors.assumed.imx": "a"}, "[sensors.assumed]: unknown key 'imx'. Did you mean 'imu'?"),
+    ({"estimator.0.us": "a"}, "[[estimator]] 1: unknown key 'us'. Did you mean 'use'?"),
+    ({"leg.1.rate_mps": NAN}, "[[leg]] 2 (climb): rate_mps = nan m/s must be a finite number"),
+    ({"start.alt_m": INF}, "[start] alt_m = inf m must be a finite number"),
+    ({"start.alt_m": True}, "[start] alt_m = true must be a number"),
+    ({"start.alt_m": "1000"}, "[start] alt_m = '1000' must be a number"),
+    ({"seed": 1.5}, "seed = 1.5 must be a whole number"),
+    ({"seed": -1}, "seed = -1 is outside 0 to 9.0072e+15"),
+    ({"title": 3}, "title = 3 must be a text in quotes"),
+    ({"rate_hz": 250}, "rate_hz = 250 Hz must be 100, 200 or 400"),
+    ({"start": 3}, "start = 3 must be a table"),
+    ({"leg": 3}, "leg = 3 must be a list"),
+    ({"leg": []}, "leg = [] must have at least 1 entry"),
+    ({"leg.0": 3}, "[[leg]] 1 = 3 must be a table"),
+    ({"leg.0": {}}, "[[leg]] 1: kind is missing"),
+    ({"leg.0": {"kind": "straight"}}, "[[leg]] 1 (straight): duration_s is missing"),
+    (
+        {"leg.0.kind": "lop"},
+        "[[leg]] 1: kind = 'lop' is unknown\n  known kinds: climb, descend, figure-eight,",
+    ),
+    ({"leg.2.by_deg": 0}, "[[leg]] 3 (turn): by_deg = 0 deg must not be 0; positive turns right"),
+    ({"leg.2.bank_deg": 60}, "[[leg]] 3 (turn): bank_deg = 60 deg is above the 45 deg of the aerosonde"),
+    ({"leg.1.rate_mps": 9}, "[[leg]] 2 (climb): rate_mps = 9 m/s is above the 3.5 m/s of the aerosonde"),
+    ({"leg.1.to_alt_m": 900}, "[[leg]] 2 (climb): to_alt_m = 900 m is not above the 1000 m before it"),
+    ({"leg.1.kind": "descend"}, "[[leg]] 2 (descend): to_alt_m = 1100 m is not below the 1000 m before it"),
+    ({"start.speed_mps": 60}, "[start] speed_mps = 60 m/s is outside 20 to 29 m/s of the aerosonde"),
+    (
+        {"wind.turbulence": "bad"},
+        "[wind] turbulence = 'bad' must be none, light, moderate, severe or a whole",
+    ),
+    ({"wind.turbulence": 8}, "[wind] turbulence = 8 must be none, light, moderate, severe or a whole number"),
+    ({"initial_error_sd.pos_m": [1, 2]}, "[initial_error_sd] pos_m[2] is missing"),
+    (
+        {"initial_error_sd.pos_m": [1, -2, 3]},
+        "[initial_error_sd] pos_m[1] = -2 m is outside 0.001 to 10000 m",
+    ),
+    ({"estimator.0.options": {"k": INF}}, "[[estimator]] 1: options = { ... } must hold finite numbers,"),
+    ({"estimator.0.use": "los-15"}, "[[estimator]] 1: use = 'los-15' is no built-in estimator. Did you mean"),
+    ({"estimator.0.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
+    ({"evaluation.output_hz": 7}, "[evaluation] output_hz = 7 Hz must divide rate_hz = 200 Hz"),
+    (
+        {"evaluation.from_s": 100, "duration_s": 90},
+        "[evaluation] from_s = 100 s is outside the flight, 0 to 90",
+    ),
+    ({"aircraft": "../etc"}, "aircraft = '../etc' must be a name of letters, digits, '-' and '_'"),
+    ({"sensors.imu": "stim30"}, "[sensors] imu = 'stim30' is not in the catalog. Did you mean 'stim300'?\n"),
+    ({"sensors.gnss": "x.toml"}, "[sensors] gnss = 'x.toml': no such file beside the profile"),
+]
+
+
+@pytest.mark.parametrize(("overrides", "message"), ONE_THING_WRONG)
+def test_one_thing_wrong_is_one_message(tmp_path, overrides, message):
+    (found,) = errors(write(tmp_path), overrides=overrides)
+    assert found.startswith(f"own.toml: {message}")
+
+
+def test_outages(tmp_path):
+    def rows(*pairs):
+        return {"gnss_outage": [{"start_s": start, "duration_s": duration} for start, duration in pairs]}
+
+    name = write(tmp_path)
+    taken = config.load_profile(name, {**rows((50, 10), (20, 30)), "duration_s": 70})
+    assert taken.sensors.gnss_outages == ((20.0, 50.0), (50.0, 60.0))
+    assert errors(name, overrides=rows((20, 30), (40, 30))) == [
+        "own.toml: [[gnss_outage]] 2: start_s = 40 s overlaps [[gnss_outage]] 1 (20 to 50 s)"
+    ]
+    assert errors(name, overrides={**rows((50, 60)), "duration_s": 100}) == [
+        "own.toml: [[gnss_outage]] 1: its end at 110 s is outside the flight, 0 to 100 s"
+    ]
+
+
+def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_path):
+    (message,) = errors(write(tmp_path), overrides={"aircraft": "aerosond"})
+    assert message.startswith("own.toml: aircraft = 'aerosond' is not found. Did you mean 'aerosonde'?\n")
+    assert message.endswith(f"searched: aircraft, {PACKAGE.parent / 'aircraft'}, {PACKAGE / 'aircraft'}")
+    own = tmp_path / "aircraft" / "kite"
+    own.mkdir(parents=True)
+    shipped = config.load_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
+    (own / "aircraft.toml").write_text(shipped.read_text().replace("min_speed_mps", "min_sped_mps"))
+    found = errors(write(tmp_path), overrides={"aircraft": "kite"})
+    assert found == [
+        "kite/aircraft.toml: [limits] min_speed_mps is missing",
+        "kite/aircraft.toml: [limits]: unknown key 'min_sped_mps'. Did you mean 'min_speed_mps'?\n"
+        "  known keys: max_bank_deg, max_climb_mps, max_descent_mps, max_speed_mps, min_speed_mps",
+    ]
+    (own / "aircraft.toml").write_text(shipped.read_text())
+    assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == ["kite/kite.xml: no such file"]
+    (own / "kite.xml").write_text("<fdm_config/>")
+    assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.folder == own
+
+
+def test_everything_wrong_is_said_at_once(tmp_path):
+    overrides = {"start.lat_deg": 95, "aircraft": "x", "sensors.imu": "y", "leg.0.bank_deg": 3, "rate_hz": 1}
+    assert len(errors(write(tmp_path), overrides=overrides)) == 5
+
+
+DATASHEET = [
+    ("", "source is missing"),
+    (
+        'source = "a"\n[gyro]\nnoise_deg_h = 1',
+        "[gyro]: unknown key 'noise_deg_h'. Did you mean 'noise_deg_sqrt_h'?",
+    ),
+    (
+        'source = "a"\n[gyro]\nnoise_deg_sqrt_h = -1',
+        "[gyro] noise_deg_sqrt_h = -1 deg/sqrt(h) must not be negative",
+    ),
+    (
+        'source = "a"\n[accel]\nbias_instability_ug = 50\nbias_instability_mg = 0.05\nbias_correlation_s = 9',
+        "[accel] bias_instability_ug and bias_instability_mg are one figure; give one of them",
+    ),
+    (
+        'source = "a"\n[gyro]\nbias_instability_deg_h = 1',
+        "[gyro] bias_instability needs bias_correlation_s above 0 s",
+    ),
+    (
+        'source = "a"\nassumed = ["gyro.bias"]\n[gyro]\nnoise_deg_sqrt_h = 1',
+        "assumed: 'gyro.bias' is no figure of this file",
+    ),
+    ('source = "a"\n[sources]\n"accel.x" = "b"', "[sources]: 'accel.x' is no figure of this file"),
+    ("source = ", "not valid TOML: Invalid value (at end of document)"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), DATASHEET)
+def test_a_wrong_datasheet(tmp_path, text, message):
+    write(tmp_path, text, "unit.toml")
+    (found,) = errors(write(tmp_path), overrides={"sensors.imu": "unit.toml"})
+    assert found.startswith(f"unit.toml: {message}")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "figure-eigth",
+            "no shipped profile 'figure-eigth' (a file of your own ends in .toml). Did you mean",
+        ),
+        ("nowhere.toml", "nowhere.toml: no such file"),
+    ],
+)
+def test_a_profile_that_is_not_there(name, message):
+    (found,) = errors(name)
+    assert found.startswith(message)
+
+
+def test_a_file_that_is_no_text(tmp_path):
+    (tmp_path / "own.toml").write_bytes(b"title = '\xff'")
+    assert errors(str(tmp_path / "own.toml")) == ["own.toml: not a text file in UTF-8"]
+    (tmp_path / "dir.toml").mkdir()
+    assert errors(str(tmp_path / "dir.toml")) == ["dir.toml: Is a directory"]
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("leg.9.bank_deg", "--set leg.9.bank_deg: '9' must be a number from 0 to 3"),
+        ("aircraft.x", "--set aircraft.x: 'x' is not a key of a table"),
+    ],
+)
+def test_an_override_that_leads_nowhere(tmp_path, key, message):
+    assert errors(write(tmp_path), overrides={key: 1}) == [message]
+
+
+def test_shipped_files_parse_and_have_titles():
+    shelves = [*config.list_profiles(), *config.list_aircraft(), *(row[1:] for row in config.list_sensors())]
+    assert all(name and title for name, title in shelves)
+    for path in PACKAGE.glob("profiles/*.toml"):
+        assert tomllib.loads(path.read_text())
+        config.load_profile(path.stem)

@@ -1,0 +1,234 @@
+"""The linear error dynamics are the Jacobian of our own mechanization, element by element (gate G1).
+
+The mechanization runs as plain Python in extended precision, so that differences over a short step are clean.
+"""
+
+import types
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import earth, rotation
+from bench.navigation import error_state, mechanization
+
+LONG = np.longdouble
+pytestmark = pytest.mark.skipif(
+    np.finfo(LONG).eps > 1e-18, reason="this platform has no extended precision to difference in"
+)
+
+
+def plain(kernel):
+    """Return a kernel as Python that calls only Python."""
+    function = kernel.py_func
+    space = dict(function.__globals__)
+    for name in function.__code__.co_names:
+        if hasattr(space.get(name), "py_func"):
+            space[name] = plain(space[name])
+    return types.FunctionType(function.__code__, space, function.__name__, function.__defaults__)
+
+
+STEP = plain(mechanization.step_kernel)
+BODY = plain(mechanization.body_step_kernel)
+MATRIX = plain(mechanization.matrix_kernel)
+TURN = plain(mechanization.turn_kernel)
+RADII = plain(earth.radii_kernel)
+
+
+def displaced(nav, error):
+    """Return a state with an error (estimate minus truth) added to it."""
+    state = nav.copy()
+    meridian, prime = RADII(np.sin(nav[0]))
+    state[0] += error[0] / (meridian + nav[2])
+    state[1] += error[1] / ((prime + nav[2]) * np.cos(nav[0]))
+    state[2] -= error[2]
+    state[3:6] += error[3:6]
+    TURN(state, error[6], error[7], error[8], True)
+    return state
+
+
+def difference(state, nav):
+    """Return the error of a state against nav, metres at nav."""
+    meridian, prime = RADII(np.sin(nav[0]))
+    d = np.empty(9, LONG)
+    d[0] = (state[0] - nav[0]) * (meridian + nav[2])
+    d[1] = (state[1] - nav[1]) * (prime + nav[2]) * np.cos(nav[0])
+    d[2] = nav[2] - state[2]
+    d[3:6] = state[3:6] - nav[3:6]
+    w, x, y, z = state[6:]
+    a, b, c, e = nav[6], -nav[7], -nav[8], -nav[9]
+    s = w * a - x * b - y * c - z * e
+    v = np.array(
+        [w * b + x * a + y * e - z * c, w * c - x * e + y * a + z * b, w * e + x * c - y * b + z * a]
+    )
+    tangent = np.sqrt(np.sum(v * v)) / s
+    d[6:] = 2 * v / s * (np.arctan(tangent) / tangent if tangent > 0 else 1)
+    return d
+
+
+def one_step(nav, f_b, w_ib_b, biases, dt):
+    state = nav.copy()
+    rotvec, dv, dv_n, C = np.empty(3, LONG), np.empty(3, LONG), np.empty(3, LONG), np.empty((3, 3), LONG)
+    dtheta, dvel = (w_ib_b - biases[:3]) * dt, (f_b - biases[3:]) * dt
+    BODY(dt, dtheta, dvel, np.zeros(7, LONG), rotvec, dv)
+    STEP(state, dt, rotvec, dv, C, dv_n)
+    return state
+
+
+SIZE = np.array([1e3] * 3 + [10.0] * 3 + [1e-3] * 3 + [1e-4] * 3 + [0.1] * 3)
+STEP_LENGTH = 0.02
+
+
+def numerical_dynamics(nav, f_b, w_ib_b):
+    """Central differences of the step map in the errors; the limit dt -> 0 by Richardson, order dt^4 left."""
+    size = SIZE.astype(LONG)
+
+    def slope(dt):
+        F = np.empty((9, 15), LONG)
+        reference = one_step(nav, f_b, w_ib_b, np.zeros(6, LONG), dt)
+        for k in range(15):
+            ends = []
+            for sign in (1, -1):
+                error = np.zeros(15, LONG)
+                error[k] = sign * size[k]
+                state = one_step(displaced(nav, error[:9]), f_b, w_ib_b, error[9:], dt)
+                ends.append(difference(state, reference))
+            F[:, k] = (ends[0] - ends[1]) / (2 * size[k])
+        return (F - np.eye(9, 15)) / dt
+
+    table = [slope(LONG(STEP_LENGTH) / 2**k) for k in range(4)]
+    for order in range(1, 4):
+        table = [(2**order * b - a) / (2**order - 1) for a, b in pairwise(table)]
+    return table[0].astype(float)
+
+
+def allowed(numeric):
+    """Return the difference that passes: 1e-4 of an element, and what rounding (6e-13 m) leaves.
+
+    An element that is zero by structure may differ by 1e-4 of the largest of its block, or by 1e-6 in a block
+    that is zero: the rest of Richardson's limit.
+    """
+    rounding = np.zeros((9, 15))
+    rounding[:3] = 6e-13 / SIZE / STEP_LENGTH * 30
+    rounding[3:] = 1e-17 / SIZE / STEP_LENGTH * 30
+    return 1e-4 * np.abs(numeric) + rounding
+
+
+def block_largest(matrix):
+    blocks = np.abs(matrix).reshape(3, 3, 5, 3).max(axis=(1, 3))
+    return np.kron(blocks, np.ones((3, 3)))
+
+
+CASES = [
+    # lat deg, height, speeds n e d, roll pitch heading deg, f_b
+    (47.0, 1200.0, (20.0, 15.0, -2.0), (30.0, 5.0, 70.0), (0.5, 0.3, -11.0)),
+    (-35.0, 11000.0, (-180.0, 140.0, 7.0), (-25.0, 2.0, 145.0), (1.0, -0.5, -10.5)),
+    (78.0, 300.0, (5.0, -60.0, 3.0), (10.0, -8.0, 280.0), (-1.0, 2.0, -9.0)),
+    (0.5, 0.0, (100.0, 100.0, 20.0), (170.0, 60.0, 10.0), (3.0, 1.0, 5.0)),
+]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_dynamics_are_the_jacobian_of_the_mechanization(case):
+    """A-5.1.10 in NED and metres; every element to 1e-4 of itself (or of rounding where it is zero)."""
+    nav, f_b, w_ib_b, F = dynamics_of(case)
+    numeric = numerical_dynamics(nav, f_b, w_ib_b)
+    zero = np.maximum(1e-4 * block_largest(F), np.where(block_largest(F) == 0, 1e-6, 0))
+    bad = np.abs(F - numeric) > np.where(F == 0, zero, 0) + allowed(numeric)
+    assert not bad.any(), [(i, j, F[i, j], numeric[i, j]) for i, j in np.argwhere(bad)]
+
+
+def dynamics_of(case):
+    lat, alt, vel, euler, f_b = case
+    q = rotation.from_euler(*np.deg2rad(euler))
+    nav = np.concatenate([[np.deg2rad(lat), 0.3, alt], vel, q])
+    C = rotation.matrix(q)
+    w_ib_b = np.array([0.1, -0.05, 0.2])
+    return (
+        nav.astype(LONG), np.array(f_b, LONG), w_ib_b.astype(LONG), error_state.dynamics(nav, C, C @ f_b)
+    )  # fmt: skip
+
+
+def test_the_gate_catches_a_misprint():
+    """Every element that is not zero, 1 % off, is caught (A-5.1.10's own misprints were 16 % and more)."""
+    nav, f_b, w_ib_b, F = dynamics_of(CASES[1])
+    numeric = numerical_dynamics(nav, f_b, w_ib_b)
+    caught = np.abs(0.99 * F - numeric) > allowed(numeric)
+    assert caught[F != 0].all(), np.argwhere(~caught & (F != 0))
+
+
+def test_register_elements_in_their_own_frame():
+    """A-5.1.10 as printed and corrected, mapped by equations 1.3 (alpha_NED = -phi_n)."""
+    nav, f_b, _, F = dynamics_of(CASES[1])
+    nav = nav.astype(float)
+    f_n = rotation.matrix(nav[6:]) @ f_b.astype(float)
+    R_M, R_P = earth.radii(nav[0])
+    u, tan, sin, cos = earth.RATE, np.tan(nav[0]), np.sin(nav[0]), np.cos(nav[0])
+    lon_rate = nav[4] / ((R_P + nav[2]) * cos)
+    assert_allclose(F[4, 3], 2 * u * sin + 2 * lon_rate * sin - lon_rate * sin, rtol=1e-12)  # f4,5 = U sin
+    assert_allclose(F[3, 4], -2 * (u + lon_rate) * sin, rtol=1e-12)  # f5,4
+    assert_allclose(-F[5, 4], 2 * (u + lon_rate) * cos, rtol=1e-12)  # f6,4, down is -h
+    assert_allclose(F[5, 3], -2 * nav[3] / (R_M + nav[2]), rtol=1e-12)  # f6,5
+    assert_allclose(F[3, 7], f_n[2], rtol=1e-12)  # f5,7 = a_h: -a_h alpha_E with both signs turned
+    assert_allclose(F[8, 4], tan / (R_P + nav[2]), rtol=1e-12)  # f9,4
+
+
+def test_transition_is_the_matrix_exponential_to_second_order():
+    from scipy.linalg import expm
+
+    _, _, _, F = dynamics_of(CASES[0])
+    full = np.zeros((15, 15))
+    full[:9] = F
+    for T in (0.005, 0.05):
+        G = np.zeros((9, 15))
+        error_state.transition_kernel(F, T, G)
+        missing = expm(full * T)[:9] - np.eye(9, 15) - G
+        # what is left: third order along the chain, second order in the slow rates (2e-4 1/s) and
+        # in the Schuler rate (g / R = 1.54e-6 1/s^2)
+        third = block_largest((full @ full @ full)[:9]) * T**3
+        bound = third + 1e-3 * T * block_largest(G) + 1.6e-6 * T**2
+        assert (np.abs(missing) < bound).all()
+
+
+def test_covariance_step_is_the_dense_product():
+    rng = np.random.default_rng(8)
+    _, _, _, F = dynamics_of(CASES[2])
+    for n in (15, 16, 20):
+        root = rng.normal(size=(n, n))
+        P = root @ root.T
+        G = np.zeros((9, 15))
+        error_state.transition_kernel(F, 0.5, G)
+        decay = np.concatenate([np.ones(9), rng.uniform(0.5, 1.0, n - 9)])
+        q = rng.uniform(size=n)
+        Phi = np.diag(decay)
+        Phi[:9, :15] += G
+        wanted = Phi @ P @ Phi.T + np.diag(q) * 0.5
+        for kernel in (error_state.covariance_kernel, error_state.covariance_kernel.py_func):
+            got = P.copy()
+            kernel(got, G, decay, q, 0.5, np.empty((9, n)), np.empty((n, n)))
+            assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
+            assert (got == got.T).all()
+
+
+def test_feedback_takes_the_error_away():
+    """A-5.4.8, A-5.4.9: a state with an error, corrected by that error, is the state without."""
+    lat, alt, vel, euler, _ = CASES[0]
+    nav = np.concatenate([[np.deg2rad(lat), 0.3, alt], vel, rotation.from_euler(*np.deg2rad(euler))])
+    error = np.array([3.0, -4, 5, 0.1, -0.2, 0.3, 1e-3, -2e-3, 3e-3, 1e-5, 2e-5, 3e-5, 1e-3, 2e-3, 3e-3, 0.7])
+    state = displaced(nav, error[:9])
+    gyro, accel, extra, dx = error[9:12].copy(), error[12:15].copy(), error[15:].copy(), error.copy()
+    error_state.feedback_kernel(state, gyro, accel, extra, dx)
+    assert_allclose(earth.difference_n(state[:3], nav[:3]), 0, atol=1e-5)
+    assert_allclose(state[3:], nav[3:], atol=1e-12)
+    assert not np.concatenate([gyro, accel, extra, dx]).any()
+
+
+def test_layout_names_every_state_once():
+    layout = error_state.StateLayout(("baro_bias", "m", 1), ("clock", "m", 2))
+    assert layout.size == 18
+    covered = [i for name, _, _ in layout.blocks for i in range(layout.size)[layout.slice(name)]]
+    assert covered == list(range(18))
+    assert len(layout.labels()) == 9
+    with pytest.raises(KeyError, match="no state block 'scale'; there are pos, vel"):
+        layout.slice("scale")

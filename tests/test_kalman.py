@@ -1,0 +1,159 @@
+"""The scalar kernels do what the matrix formulas of the Kalman filter say, and P stays a covariance.
+
+A sub-vector used component by component equals the stacked vector update (independent components); the
+innovation squared is that of the whole sub-vector; P stays symmetric and positive after 1e5 updates (register
+36), where the short form of the update loses it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bench.navigation.kalman import nis_kernel, update_kernel
+
+N = 16
+
+
+def problem(seed, m=3, n=N):
+    """P, dx, H, z, r with correlations, unlike scales, and H with empty columns."""
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** rng.uniform(-4, 2, n)
+    root = scale[:, None] * rng.normal(size=(n, n))
+    H = rng.normal(size=(m, n)) * (rng.random((m, n)) < 0.4) / scale
+    H[:, 0] = 1.0 / scale[0]
+    return root @ root.T, rng.normal(size=n) * scale, H, rng.normal(size=m), rng.uniform(0.1, 2.0, m)
+
+
+def sequential(P, dx, H, z, r, update=update_kernel):
+    P, dx = P.copy(), dx.copy()
+    for a in range(len(z)):
+        update(P, dx, H[a], z[a], r[a], np.empty(len(P)), np.empty(len(P)))
+    return P, dx
+
+
+def stacked(P, dx, H, z, r):
+    """The Joseph form with whole matrices (A-5.4.5)."""
+    R = np.diag(r)
+    K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    keep = np.eye(len(P)) - K @ H
+    return keep @ P @ keep.T + K @ R @ K.T, dx + K @ (z - H @ dx)
+
+
+def nis(P, dx, H, z, r, kernel=nis_kernel):
+    m = len(z)
+    var, work = np.full(m, np.nan), np.zeros((m, m + 1))
+    return kernel(P, dx, H, z, r, var, work), var
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_component_by_component_equals_the_stacked_update(seed, m):
+    case = problem(seed, m)
+    P, dx = sequential(*case)
+    P_whole, dx_whole = stacked(*case)
+    sd = np.sqrt(np.diag(case[0]))  # of before: what an element can be off by, relative
+    assert_allclose(P / np.outer(sd, sd), P_whole / np.outer(sd, sd), rtol=0, atol=1e-12)
+    assert_allclose(dx / sd, dx_whole / sd, rtol=0, atol=1e-12)
+    assert_array_equal(P, P.T)
+    assert np.abs(dx - case[1]).max() > 0  # an update took place
+
+
+def test_the_order_of_the_components_does_not_matter():
+    P, dx, H, z, r = problem(11)
+    forward = sequential(P, dx, H, z, r)
+    backward = sequential(P, dx, H[::-1].copy(), z[::-1].copy(), r[::-1].copy())
+    sd = np.sqrt(np.diag(P))
+    assert_allclose(forward[0] / np.outer(sd, sd), backward[0] / np.outer(sd, sd), rtol=0, atol=1e-12)
+    assert_allclose(forward[1] / sd, backward[1] / sd, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_nis_and_variances_are_those_of_the_whole_sub_vector(seed, m):
+    P, dx, H, z, r = problem(seed, m)
+    S = H @ P @ H.T + np.diag(r)
+    innovation = z - H @ dx
+    value, var = nis(P, dx, H, z, r)
+    assert_allclose(value, innovation @ np.linalg.solve(S, innovation), rtol=1e-10)
+    assert_allclose(var, np.diag(S), rtol=1e-12)
+
+
+def test_nis_sees_a_fault_that_points_across_the_correlation():
+    """Two components told apart only by their correlation: each alone is ordinary, together they are not."""
+    P = np.array([[1.0, 0.99], [0.99, 1.0]])
+    value, var = nis(P, np.zeros(2), np.eye(2), np.array([1.0, -1.0]), np.full(2, 1e-4))
+    assert_allclose(value, 2 / (0.01 + 1e-4), rtol=1e-12)
+    assert (1.0 / var < 1.0).all()
+
+
+@pytest.mark.parametrize("broken", [np.nan, -5.0])
+def test_a_covariance_that_is_none_gives_a_nis_that_no_gate_accepts(broken):
+    P, dx, H, z, r = problem(3)
+    P[0, 0] = broken * abs(P[0, 0])
+    value, _ = nis(P, dx, H, z, r)
+    assert not value <= np.inf
+
+
+def test_an_exact_measurement_leaves_no_variance_and_a_worthless_one_changes_nothing():
+    P, dx, H, z, _ = problem(4, 1)
+    exact, moved = sequential(P, dx, H, z, np.array([0.0]))
+    assert abs(H[0] @ exact @ H[0]) < 1e-12 * (H[0] @ P @ H[0])
+    assert_allclose(H[0] @ moved, z[0], rtol=1e-9)
+    worthless, still = sequential(P, dx, H, z, np.array([1e30]))
+    assert_allclose(worthless, P, rtol=1e-12, atol=1e-15)
+    assert_allclose(still, dx, rtol=1e-12, atol=1e-15)
+
+
+def short_form(P, dx, h, z, r, Ph, K):
+    """P - K h' P: equal on paper."""
+    Ph[:] = P @ h
+    s = h @ Ph + r
+    K[:] = Ph / s
+    dx += K * (z - h @ dx)
+    P -= np.outer(K, Ph)
+
+
+def smallest_eigenvalue(P):
+    sd = np.sqrt(np.abs(np.diag(P)))
+    return np.linalg.eigvalsh(P / np.outer(sd, sd))[0]
+
+
+def many_updates(update, count):
+    """Measurements of 15 states in 60 combinations, each variance 1e-14 of what is known before the first."""
+    rng = np.random.default_rng(36)
+    sd = np.repeat([1e4, 1e2, 1.0, 1e-3, 1e-2], 3)
+    root = sd[:, None] * (np.eye(15) + 0.3 * rng.normal(size=(15, 15)))
+    P, dx = root @ root.T, np.zeros(15)
+    H = rng.normal(size=(60, 15)) / sd
+    z, work = rng.normal(size=60) * 1e-7, np.empty((2, 15))
+    for k in range(count):
+        update(P, dx, H[k % 60], z[k % 60], 1e-14, work[0], work[1])
+    return P
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 60, 1000, 100_000])
+def test_p_stays_symmetric_and_positive_up_to_1e5_updates(count):
+    P = many_updates(update_kernel, count)
+    assert_array_equal(P, P.T)
+    assert (np.diag(P) > 0).all()
+    assert smallest_eigenvalue(P) > 0
+
+
+def test_the_short_form_of_the_update_does_not_survive_that():
+    P = many_updates(short_form, 5000)
+    assert smallest_eigenvalue(0.5 * (P + P.T)) < 0
+
+
+def test_compiled_kernels_agree_with_their_own_python():
+    for seed in range(3):
+        case = problem(seed)
+        compiled, plain = sequential(*case), sequential(*case, update=update_kernel.py_func)
+        sd = np.sqrt(np.diag(case[0]))
+        assert_allclose(compiled[0] / np.outer(sd, sd), plain[0] / np.outer(sd, sd), rtol=0, atol=1e-13)
+        assert_allclose(compiled[1] / sd, plain[1] / sd, rtol=0, atol=1e-13)
+        value, var = nis(*case)
+        own, own_var = nis(*case, kernel=nis_kernel.py_func)
+        assert_allclose(value, own, rtol=1e-13)
+        assert_allclose(var, own_var, rtol=1e-13)

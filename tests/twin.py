@@ -1,0 +1,331 @@
+"""The loose filter a second time, plain and slow: what it says must be what the compiled one says.
+
+It shares with ``bench``: the records that go in, the datasheet figures in them, and nothing else; filterpy
+does the covariance and the updates. It computes by itself: the WGS 84 Earth, the strapdown step (attitude as
+a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R, the antenna,
+gates, and feedback as small rotations of that matrix. What it takes over by design, not by code: both rates
+as lines over two intervals, midpoint rules, and the order of Phi (``transition``).
+
+    lat' = v_N / (R_M + h)      lon' = v_E / ((R_P + h) cos lat)      h' = -v_D       (A-5.1.2)
+    C'   = C [w_ib_b x] - [(w_ie_n + w_en_n) x] C                                     (A-5.1.3)
+    v'   = C f_b + g_n - (2 w_ie_n + w_en_n) x v                                      (A-5.1.4)
+
+Errors are estimate minus truth: metres and m/s along n, phi with C_est = exp([phi x]) C_true, biases, baro
+bias. The twin takes records without faulty rows only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from scipy.stats import chi2
+
+SEMI_MAJOR, FLATTENING, EARTH_RATE, EARTH_GM = 6378137.0, 1 / 298.257223563, 7.292115e-5, 3.986004418e14
+SEMI_MINOR = SEMI_MAJOR * (1 - FLATTENING)
+GRAVITY_EQUATOR, GRAVITY_POLE = 9.7803253359, 9.8321849379  # NIMA TR8350.2 (2000)
+
+STEP = np.repeat([300.0, 1.0, 1e-4, 1e-3, 1e-1], 3)
+"""Half-width of the central differences: m, m/s, rad, rad/s, m/s^2."""
+
+
+def vector(x, y, z):
+    """Components (...) as vectors (..., 3)."""
+    columns = np.array([x, y, z])
+    return columns.transpose(*range(1, columns.ndim), 0)
+
+
+# --- the Earth, for one place or many ------------------------------------------------------------------
+
+
+def radii(lat):
+    """Radii of curvature along the meridian and across it [m] (A-2.2.R)."""
+    b2_a2 = (SEMI_MINOR / SEMI_MAJOR) ** 2
+    denominator = np.cos(lat) ** 2 + b2_a2 * np.sin(lat) ** 2
+    return SEMI_MAJOR * b2_a2 / denominator**1.5, SEMI_MAJOR / denominator**0.5
+
+
+def gravity(lat, alt):
+    """Normal gravity (..., 3) [m/s^2], n: Somigliana by its two ends, second order in height."""
+    a, b, f = SEMI_MAJOR, SEMI_MINOR, FLATTENING
+    c2, s2 = np.cos(lat) ** 2, np.sin(lat) ** 2
+    surface = (a * GRAVITY_EQUATOR * c2 + b * GRAVITY_POLE * s2) / np.sqrt(a * a * c2 + b * b * s2)
+    m = EARTH_RATE**2 * a * a * b / EARTH_GM
+    down = surface * (1 - 2 / a * (1 + f + m - 2 * f * s2) * alt + 3 / a**2 * alt**2)
+    return vector(-8.08e-9 * alt * np.sin(2 * lat), 0 * down, down)
+
+
+def frame_rates(lat, alt, vel):
+    """Rates (..., 3) of the Earth and of n over the Earth [rad/s], n."""
+    meridian, prime = radii(lat)
+    earth = EARTH_RATE * vector(np.cos(lat), 0 * lat, -np.sin(lat))
+    east = vel[..., 1] / (prime + alt)
+    return earth, vector(east, -vel[..., 0] / (meridian + alt), -east * np.tan(lat))
+
+
+def metres(lla):
+    """Metres north, east, down (..., 3) of one unit of lat, lon, height at a place."""
+    meridian, prime = radii(lla[..., 0])
+    alt = lla[..., 2]
+    return vector(meridian + alt, (prime + alt) * np.cos(lla[..., 0]), 0 * alt - 1)
+
+
+# --- rotations ----------------------------------------------------------------------------------------
+
+
+def cross(a, b):
+    """Vector product (..., 3)."""
+    return vector(
+        a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+        a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+        a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+    )
+
+
+def cross_matrix(v):
+    """[v x] (3, 3)."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def rotation_matrix(v):
+    """exp([v x]) (3, 3) by Rodrigues."""
+    angle = np.sqrt(v @ v)
+    if angle == 0.0:
+        return np.eye(3)
+    K = cross_matrix(v / angle)
+    return np.eye(3) + np.sin(angle) * K + 2 * np.sin(angle / 2) ** 2 * (K @ K)
+
+
+def quaternion_matrix(q):
+    """C of a scalar-first Hamilton quaternion: (w^2 - v.v) I + 2 v v' + 2 w [v x]."""
+    w, v = q[0], np.asarray(q[1:])
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross_matrix(v)
+
+
+# --- strapdown ----------------------------------------------------------------------------------------
+
+
+def strapdown(lla, vel, C, dt, dtheta, dvel, before):
+    """State after one interval, and the velocity increment in the body axes at its start.
+
+    ``before`` is (dt, dtheta, dvel) of the interval before or None. Both rates are lines through the means
+    of the two intervals; the midpoint of the interval serves for Coriolis, transport rate and gravity.
+    """
+    w, f = dtheta / dt, dvel / dt
+    w_slope = f_slope = np.zeros(3)
+    if before is not None:
+        span = 0.5 * (dt + before[0])
+        w_slope, f_slope = (w - before[1] / before[0]) / span, (f - before[2] / before[0]) / span
+    turn = dtheta + dt**3 / 12 * cross(w, w_slope)
+    K, angle = cross_matrix(turn), np.sqrt(turn @ turn)
+    dvel_start = dvel + dt**3 / 12 * (cross(w, f_slope) + cross(f, w_slope))
+    if angle > 0:
+        K = K / angle
+        dvel_start = (
+            dvel_start
+            + 2 * np.sin(angle / 2) ** 2 / angle * (K @ dvel)
+            + (1 - np.sin(angle) / angle) * (K @ K @ dvel)
+        )
+
+    dvel_n = C @ dvel_start
+    lla_middle = lla + 0.5 * dt * vel / metres(lla)
+    g = gravity(lla_middle[0], lla_middle[2])
+    vel_middle = vel + 0.5 * (dvel_n + g * dt)
+    earth, transport = frame_rates(lla_middle[0], lla_middle[2], vel_middle)
+    turn_n = (earth + transport) * dt
+    vel_end = vel + dvel_n - 0.5 * cross(turn_n, dvel_n) + dt * (g - cross(2 * earth + transport, vel_middle))
+    lla_end = lla + 0.5 * dt * (vel + vel_end) / metres(lla_middle)
+    return lla_end, vel_end, rotation_matrix(-turn_n) @ C @ rotation_matrix(turn), dvel_start
+
+
+# --- linear dynamics by central differences -----------------------------------------------------------
+
+
+def derivative(lla, vel, C, f_b, w_b):
+    """Rates of change (..., 3) of lla and velocity, and the rate in n at which C turns."""
+    lat, alt = lla[..., 0], lla[..., 2]
+    earth, transport = frame_rates(lat, alt, vel)
+    vel_rate = (C @ f_b[..., None])[..., 0] + gravity(lat, alt) - cross(2 * earth + transport, vel)
+    return vel / metres(lla), vel_rate, (C @ w_b[..., None])[..., 0] - earth - transport
+
+
+def jacobian(lla, vel, C, f_b, w_b):
+    """F (S, 15, 15) at S states: how fast each error grows by each error."""
+    d = np.concatenate([np.diag(STEP), -np.diag(STEP)])  # (30, 15)
+    tilt = np.stack([rotation_matrix(row) for row in d[:, 6:9]])
+    lla_rate, vel_rate, turn = derivative(lla, vel, C, f_b, w_b)
+    per_unit = metres(lla)
+    per_unit_rate = 0.5 * (metres(lla + lla_rate) - metres(lla - lla_rate))
+    dlla = d[:, :3] / per_unit[:, None]
+    est_lla_rate, est_vel_rate, est_turn = derivative(
+        lla[:, None] + dlla,
+        vel[:, None] + d[:, 3:6],
+        tilt @ C[:, None],
+        f_b[:, None] - d[:, 12:],
+        w_b[:, None] - d[:, 9:12],
+    )
+    growth = np.zeros((len(lla), 30, 15))
+    growth[..., :3] = per_unit[:, None] * (est_lla_rate - lla_rate[:, None]) + per_unit_rate[:, None] * dlla
+    growth[..., 3:6] = est_vel_rate - vel_rate[:, None]
+    growth[..., 6:9] = est_turn - (tilt @ turn[:, None, :, None])[..., 0]  # of exp([phi x]), to first order
+    return np.swapaxes((growth[:, :15] - growth[:, 15:]) / (2 * STEP)[:, None], 1, 2)
+
+
+# --- the datasheets -----------------------------------------------------------------------------------
+
+
+def bias_process(triad):
+    """Variance at the start, density and decay rate of a bias state."""
+    sd = triad.bias_instability / 0.617
+    if sd == 0:
+        return triad.turn_on_bias_sd**2, 0.0, 0.0
+    tau = triad.bias_correlation
+    return triad.turn_on_bias_sd**2 + sd**2, 2 * sd**2 / tau, (triad.turn_on_bias_sd == 0) / tau
+
+
+def fix_covariance(gnss):
+    """R (6, 6) of a fix: white and Markov part together."""
+    h = gnss.pos_h_white_sd**2 + gnss.pos_h_markov_sd**2
+    v = gnss.pos_v_white_sd**2 + gnss.pos_v_markov_sd**2
+    s = gnss.vel_white_sd**2 + gnss.vel_markov_sd**2
+    return np.diag([h, h, v, s, s, s])
+
+
+# --- the filter ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Answer:
+    """Solution at the output times, and every sub-vector used or refused."""
+
+    t: np.ndarray  # (M,)
+    lla: np.ndarray  # (M, 3)
+    vel_n: np.ndarray  # (M, 3)
+    C_nb: np.ndarray  # (M, 3, 3)
+    bias: np.ndarray  # (M, n - 9) gyro, accelerometer, baro
+    cov: np.ndarray  # (M, n, n)
+    nis: np.ndarray  # (K,)
+    accepted: np.ndarray  # (K,)
+
+
+def antenna(lla, vel, C, lever, w_b):
+    """Position [lat, lon, height], velocity of the antenna, and the errors of both by the states (6, 15).
+
+    As the filter declares it: the rate against the Earth is taken as known, but for the gyro bias in it.
+    """
+    earth, _ = frame_rates(lla[0], lla[2], vel)
+    w_eb_b = w_b - C.T @ earth
+    H = np.zeros((6, 15))
+    H[:, :6] = np.eye(6)
+    H[:3, 6:9] = -cross_matrix(C @ lever)
+    H[3:, 6:9] = -cross_matrix(C @ cross(w_eb_b, lever))
+    H[3:, 9:12] = C @ cross_matrix(lever)
+    return lla + C @ lever / metres(lla), vel + C @ cross(w_eb_b, lever), H
+
+
+def correct(lla, vel, C, bias, x):
+    """State less an estimated error."""
+    return lla - x[:3] / metres(lla), vel - x[3:6], rotation_matrix(-x[6:9]) @ C, bias - x[9:]
+
+
+def transition(F, T, decay):
+    """Phi (n, n) over T: F T, its square along bias - tilt - velocity - position, the decay of the biases."""
+    chain = np.zeros((15, 15))
+    for row, column in ((0, 3), (3, 6), (3, 12), (6, 9)):
+        block = np.s_[row : row + 3, column : column + 3]
+        chain[block] = F[block] * T
+    Phi = np.diag(decay)
+    Phi[:9, :15] += (F * T + chain @ chain / 2)[:9]
+    return Phi
+
+
+class Aiding:
+    """Gate and use sub-vectors by filterpy; the state of the counters of refusals."""
+
+    def __init__(self, kf, gate_probability, readmit_after):
+        self.kf, self.sound, self.readmit_after = kf, 1 - gate_probability, readmit_after
+        self.refused, self.rows = {}, []
+
+    def use(self, name, z, H, R):
+        """Gate one sub-vector of predicted less measured values z (m,), then update error and P."""
+        kf, column = self.kf, np.asarray(z).reshape(-1, 1)
+        wide = np.zeros((len(z), kf.dim_x))
+        wide[:, : H.shape[1]] = H
+        innovation = column - wide @ kf.x
+        S = wide @ kf.P @ wide.T + R
+        nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
+        accepted = nis <= chi2.ppf(self.sound, len(z)) or self.refused.get(name, 0) >= self.readmit_after
+        self.refused[name] = 0 if accepted else self.refused.get(name, 0) + 1
+        self.rows.append((nis, accepted))
+        if accepted:
+            kf.update(column, R=R, H=wide)
+            assert kf.x.shape == (kf.dim_x, 1)
+
+
+def first_sample(imu_t, arrival):
+    """Index of the first IMU sample at or after each arrival, as {sample: row}."""
+    return {int(k): row for row, k in enumerate(np.searchsorted(imu_t, arrival - 1e-6)) if k < len(imu_t)}
+
+
+def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10):
+    """Run the twin over a record without faulty rows."""
+    imu, specs = sensors.imu, sensors.specs
+    n = 15 if sensors.baro is None else 16
+    kf = KalmanFilter(dim_x=n, dim_z=3)
+    kf.P = np.zeros((n, n))
+    kf.P[:9, :9] = initial.cov
+    q, decay_rate = np.zeros(n), np.zeros(n)
+    q[3:6], q[6:9] = specs.imu.accel.random_walk**2, specs.imu.gyro.random_walk**2
+    for i, triad in ((9, specs.imu.gyro), (12, specs.imu.accel)):
+        variance, q[i : i + 3], decay_rate[i : i + 3] = bias_process(triad)
+        kf.P[i : i + 3, i : i + 3] = variance * np.eye(3)
+    fixes_at, baro_at = {}, {}
+    if sensors.fixes is not None:
+        fixes_at, fix_R = first_sample(imu.t, sensors.fixes.t_arrival), fix_covariance(specs.gnss)
+    if sensors.baro is not None:
+        baro_at = first_sample(imu.t, sensors.baro.t_arrival)
+        kf.P[15, 15], q[15] = specs.baro.bias_sd**2, specs.baro.bias_walk**2
+    aiding = Aiding(kf, gate_probability, readmit_after)
+
+    lla, vel, C = initial.lla, initial.vel_n, quaternion_matrix(initial.q_nb)
+    bias = np.zeros(n - 9)
+    wanted = list(sensors.output_t)
+    out = []
+    if wanted[0] < initial.t + 1e-6:
+        out.append((lla, vel, C, bias, kf.P.copy()))
+    before, points, now = None, [], initial.t
+    for k in range(len(imu)):
+        dt, now = imu.t[k] - now, imu.t[k]
+        dtheta, dvel = imu.dtheta_b[k] - bias[:3] * dt, imu.dvel_b[k] - bias[3:6] * dt
+        start = (lla, vel, C)
+        lla, vel, C, dvel_start = strapdown(lla, vel, C, dt, dtheta, dvel, before)
+        before = (dt, dtheta, dvel)
+        points.append((*start, dvel_start / dt, dtheta / dt, dt))
+        bias = bias * np.exp(-decay_rate[9:] * dt)
+        asked = len(out) < len(wanted) and wanted[len(out)] <= now + 1e-6
+        if not (asked or k in fixes_at or k in baro_at):
+            continue
+        *states, spans = (np.array(column) for column in zip(*points, strict=True))
+        for F, T in zip(jacobian(*states), spans, strict=True):
+            kf.predict(F=transition(F, T, np.exp(-decay_rate * T)), Q=np.diag(q * T))
+        points = []
+        if k in fixes_at:
+            row = fixes_at[k]
+            place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
+            aiding.use("position", (place - sensors.fixes.lla[row]) * metres(lla), H[:3], fix_R[:3, :3])
+            aiding.use("velocity", speed - sensors.fixes.vel_n[row], H[3:], fix_R[3:, 3:])
+            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
+            kf.x = np.zeros((n, 1))
+        if k in baro_at:
+            H = np.zeros((1, 16))
+            H[0, 2], H[0, 15] = -1.0, 1.0
+            z = lla[2] + bias[6] - sensors.baro.alt_baro[baro_at[k]]
+            aiding.use("baro", [z], H, np.array([[specs.baro.white_sd**2]]))
+            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
+            kf.x = np.zeros((n, 1))
+        if asked:
+            out.append((lla, vel, C, bias, kf.P.copy()))
+    columns = [np.array(column) for column in zip(*out, strict=True)]
+    nis, accepted = zip(*aiding.rows, strict=True) if aiding.rows else ((), ())
+    return Answer(np.array(wanted[: len(out)]), *columns, np.array(nis), np.array(accepted, bool))
