@@ -2,8 +2,8 @@
 
 1e-6 m, 1e-7 m/s and 1e-8 rad over two minutes at full rate. What this comparison catches is shown below
 by breaking the twin: a sign, a term or a figure that moves the answer beyond the tolerance within half a
-minute. It is blind to the elements of F by latitude and height, gravity's and the position's own excepted:
-they move less, and the Jacobian test of the error state looks at each of them.
+minute. It is blind to single elements of F by latitude, height and the slow rates of the level frame: they
+move less, and the Jacobian test of the error state looks at each of them.
 """
 
 from __future__ import annotations
