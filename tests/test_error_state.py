@@ -203,10 +203,10 @@ def test_covariance_step_is_the_dense_product():
         q = rng.uniform(size=n)
         Phi = np.diag(decay)
         Phi[:9, :15] += G
-        wanted = Phi @ P @ Phi.T + np.diag(q) * 0.5
+        wanted = Phi @ P @ Phi.T + np.diag(q)
         for kernel in (error_state.covariance_kernel, error_state.covariance_kernel.py_func):
             got = P.copy()
-            kernel(got, G, decay, q, 0.5, np.empty((9, n)), np.empty((n, n)))
+            kernel(got, G, decay, q, np.empty((9, n)), np.empty((n, n)))
             assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
             assert (got == got.T).all()
 

@@ -208,12 +208,12 @@ def _rows_kernel(P: FloatArray, G: FloatArray, A: FloatArray, n: int) -> None:
 
 @kernel
 def covariance_kernel(
-    P: FloatArray, G: FloatArray, decay: FloatArray, q: FloatArray, T: float, A: FloatArray, B: FloatArray
+    P: FloatArray, G: FloatArray, decay: FloatArray, noise: FloatArray, A: FloatArray, B: FloatArray
 ) -> None:
-    """Replace P (n, n) by Phi P Phi' + diag(q) T.
+    """Replace P (n, n) by Phi P Phi' + diag(noise).
 
-    Phi is I + G in its first nine rows and diag(decay) in the rest; ``q`` holds densities. ``A`` (9, n)
-    and ``B`` (n, n) are memory to work in. P stays exactly symmetric.
+    Phi is I + G in its first nine rows and diag(decay) in the rest. ``A`` (9, n) and ``B`` (n, n) are
+    memory to work in. P stays exactly symmetric.
     """
     n = P.shape[0]
     _rows_kernel(P, G, A, n)
@@ -236,7 +236,7 @@ def covariance_kernel(
             P[j, i] = value
         P[i, i] = A[i, i]
     for i in range(n):
-        P[i, i] += q[i] * T
+        P[i, i] += noise[i]
 
 
 @kernel

@@ -28,11 +28,25 @@ class Estimator(Protocol):
 
 
 BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
-    "loose-15": ("INS/GNSS/baro, 15 states and a baro bias", "bench.navigation.fusion:Loose", {}),
+    "loose-15": (
+        "INS/GNSS/baro, 15 states and a baro bias",
+        "bench.navigation.fusion:Loose",
+        {"gnss_markov": False},
+    ),
+    "loose-22": (
+        "the same with GNSS Markov errors, 22 states",
+        "bench.navigation.fusion:Loose",
+        {"gnss_markov": True},
+    ),
+    "baro-inertial": (
+        "IMU and barometer",
+        "bench.navigation.fusion:Loose",
+        {"gnss": False, "gnss_markov": False},
+    ),
     "free-inertial": (
         "IMU alone, with its open-loop covariance",
         "bench.navigation.fusion:Loose",
-        {"gnss": False, "baro": False},
+        {"gnss": False, "baro": False, "gnss_markov": False},
     ),
 }
 """Name -> (what it is, "module:Class", options that make it so)."""

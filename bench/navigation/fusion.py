@@ -4,17 +4,16 @@ An error-state extended Kalman filter in closed loop: the strapdown navigator ru
 estimated biases, the covariance follows its linear dynamics, and every accepted measurement is fed back at
 once. Loose coupling: position and velocity of the GNSS antenna, barometric altitude.
 
-    z_pos  = antenna position, predicted less measured = dp - [C l x] phi
-    z_vel  = antenna velocity, predicted less measured = dv - [C (w x l) x] phi + C [l x] db_g
+    z_pos  = antenna position, predicted less measured = dp - [C l x] phi + dm_p
+    z_vel  = antenna velocity, predicted less measured = dv - [C (w x l) x] phi + C [l x] db_g + dm_v
     z_baro = h + b - h_baro                            = -dp_D + db
 
-with l the antenna in b and w the rate of b against e. The change of P by the turn of the frame at feedback
-(half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations section 10).
+with l the antenna in b, w the rate of b against e, and m the Markov part of the GNSS error where the layout
+has it. The change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below
+1e-4 for corrections below 0.01 rad (equations section 10).
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from bench.earth import RATE, radii_kernel
 from bench.navigation import timeline
 from bench.navigation.error_state import (
     ACCEL,
+    CORE,
     GYRO,
     PHI,
     POS,
@@ -37,7 +37,8 @@ from bench.navigation.error_state import (
 )
 from bench.navigation.kalman import nis_kernel, update_kernel
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, matrix_kernel, step_kernel
-from bench.specs import AssumedSpecs, TriadSpec
+from bench.navigation.state_model import fix_variance, known, state_model, unmodelled
+from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
 _POSITION, _VELOCITY, _BARO = 0, 1, 2
@@ -132,7 +133,9 @@ def _fusion_kernel(
     extra: FloatArray,
     P: FloatArray,
     q: FloatArray,
-    decay_rate: FloatArray,
+    decay_time: FloatArray,
+    decay_distance: FloatArray,
+    stationary: FloatArray,
     t: FloatArray,
     span: FloatArray,
     scale: FloatArray,
@@ -151,6 +154,7 @@ def _fusion_kernel(
     alt_baro: FloatArray,
     baro_r: FloatArray,
     baro_index: int,
+    markov_index: int,
     gates: FloatArray,
     readmit_after: int,
     output_at: IntArray,
@@ -175,7 +179,7 @@ def _fusion_kernel(
     )  # fmt: skip
     C, C_sum, dv_sum = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     F, G, A, B = np.zeros((9, 15)), np.zeros((9, 15)), np.zeros((9, n)), np.zeros((n, n))
-    decay, dx, reference = np.ones(n), np.zeros(n), nav.copy()
+    decay, noise, dx, reference = np.ones(n), np.zeros(n), np.zeros(n), nav.copy()
     H, z, var, square, vectors = (
         np.zeros((7, n)),
         np.zeros(7),
@@ -209,14 +213,19 @@ def _fusion_kernel(
                 dv_sum[i] /= T
                 for j in range(3):
                     C_sum[i, j] /= T
-            for i in range(9, n):
-                decay[i] = np.exp(-decay_rate[i] * T) if decay_rate[i] > 0.0 else 1.0
+            ground_speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
+            for i in range(n):
+                rate = decay_time[i] + decay_distance[i] * ground_speed
+                decay[i] = np.exp(-rate * T) if rate > 0.0 else 1.0
+                noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
             for i in range(3):
                 gyro_bias[i] *= decay[GYRO + i]
                 accel_bias[i] *= decay[ACCEL + i]
+            for i in range(extra.shape[0]):
+                extra[i] *= decay[CORE + i]
             dynamics_kernel(reference, C_sum, dv_sum, F)
             transition_kernel(F, T, G)
-            covariance_kernel(P, G, decay, q, T, A, B)
+            covariance_kernel(P, G, decay, noise, A, B)
             T = 0.0
             C_sum[:] = 0.0
             dv_sum[:] = 0.0
@@ -226,6 +235,10 @@ def _fusion_kernel(
                 row = fix_rows[fix]
                 matrix_kernel(nav, C)
                 _antenna_kernel(nav, C, antenna_b, w_ib_b, fix_lla[row], fix_vel[row], H, z)
+                if markov_index >= 0:
+                    for i in range(6):
+                        H[i, markov_index + i] = 1.0
+                        z[i] += extra[markov_index - CORE + i]
                 for code in (_POSITION, _VELOCITY):
                     a = 3 * code
                     count = _aid_kernel(
@@ -240,7 +253,7 @@ def _fusion_kernel(
                 z[6] = nav[2] - alt_baro[baro_rows[baro]]
                 if baro_index >= 0:
                     H[6, baro_index] = 1.0
-                    z[6] += extra[baro_index - 15]
+                    z[6] += extra[baro_index - CORE]
                 count = _aid_kernel(
                     _BARO, t[k], P, dx, H[6:7], z[6:7], baro_r, gates, readmit_after,
                     misses, numbers, marks, count, var, square_1, vectors,
@@ -258,17 +271,20 @@ def _fusion_kernel(
 
 
 class Loose:
-    """Loosely coupled INS/GNSS/baro filter: 15 inertial states and a barometer bias.
+    """Loosely coupled INS/GNSS/baro filter: 15 inertial states, a barometer bias, GNSS Markov errors.
 
     The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
     ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
-    whose mean decays too. Q, R and P0 come from the assumed specs: R is the white and the Markov variance of
-    the GNSS datasheet together, taken as white.
+    whose mean decays too. Q, R and P0 come from the assumed specs (`bench.navigation.state_model`): R is the
+    white variance of the GNSS datasheet with Markov states, and the white and Markov variance together,
+    taken as white, without.
 
     Parameters
     ----------
     gnss, baro : bool
         Which aiding to use; without any it navigates by the IMU alone and P is its open-loop covariance.
+    gnss_markov : bool
+        Estimate the Markov part of the GNSS errors in six states: with all aiding the 22 states of A-5.4.1.
     covariance_hz : float or None
         Rate of the covariance step; None: at every IMU sample.
     gate_probability : float
@@ -282,19 +298,25 @@ class Loose:
         *,
         gnss: bool = True,
         baro: bool = True,
+        gnss_markov: bool = False,
         covariance_hz: float | None = None,
         gate_probability: float = 1e-5,
         readmit_after: int = 10,
     ) -> None:
-        if covariance_hz is not None and not 0 < covariance_hz < np.inf:
+        for name, value in (("gnss", gnss), ("baro", baro), ("gnss_markov", gnss_markov)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} = {value!r} must be true or false")
+        if covariance_hz is not None and not (_is_number(covariance_hz) and 0 < covariance_hz < np.inf):
             raise ValueError(
-                f"covariance_hz = {covariance_hz} must be positive, or left out for every sample"
+                f"covariance_hz = {covariance_hz!r} must be positive, or left out for every sample"
             )
-        if not 0 < gate_probability < 1:
-            raise ValueError(f"gate_probability = {gate_probability} must lie between 0 and 1")
-        if readmit_after < 1:
-            raise ValueError(f"readmit_after = {readmit_after} must be at least 1")
-        self.gnss, self.baro = gnss, baro
+        if not (_is_number(gate_probability) and 0 < gate_probability < 1):
+            raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
+        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
+        if gnss_markov and not gnss:
+            raise ValueError("gnss_markov = True needs gnss = True: the states are errors of its fixes")
+        self.gnss, self.baro, self.gnss_markov = gnss, baro, gnss_markov
         self.covariance_hz = covariance_hz
         self.gate_probability = gate_probability
         self.readmit_after = readmit_after
@@ -310,9 +332,10 @@ class Loose:
         specs = sensors.specs
         fixes = sensors.fixes if self.gnss else None
         baro = sensors.baro if self.baro else None
-        layout = StateLayout(("baro_bias", "m", 1)) if baro is not None else StateLayout()
-        P, q, decay_rate = _start(layout, initial, specs)
-        n = layout.size
+        model = state_model(
+            initial, specs, baro_bias=baro is not None, gnss_markov=self.gnss_markov and fixes is not None
+        )
+        layout, n = model.layout, model.layout.size
 
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
         t = np.concatenate([sensors.imu.t[rows], [initial.t]])  # the last one serves the start, index -1
@@ -323,31 +346,34 @@ class Loose:
             values = np.hstack([fixes.lla, fixes.vel_n])
             fix_rows, fix_at, left = timeline.aiding_rows(fixes, values, "gnss", t[:-1], initial.t)
             events += left
-            fix_lla, fix_vel, fix_r = fixes.lla, fixes.vel_n, _fix_variance(specs)
+            fix_lla, fix_vel = fixes.lla, fixes.vel_n
+            fix_r = fix_variance(specs, gnss_markov=self.gnss_markov)
         baro_rows, baro_at, alt_baro, baro_r = no_rows, no_rows, _no_values(0), np.empty(1)
         if baro is not None:
             baro_rows, baro_at, left = timeline.aiding_rows(
                 baro, baro.alt_baro[:, None], "baro", t[:-1], initial.t
             )
             events += left
-            alt_baro, baro_r = baro.alt_baro, np.array([_known(specs.baro, "baro").white_sd ** 2])
+            alt_baro, baro_r = baro.alt_baro, np.array([known(specs.baro, "baro").white_sd ** 2])
 
         m = len(sensors.output_t)
         served = sensors.output_t >= initial.t - timeline.TIME_TOLERANCE
         served &= sensors.output_t <= np.max(t) + timeline.TIME_TOLERANCE
         output_at = np.searchsorted(t[:-1], sensors.output_t[served] - timeline.TIME_TOLERANCE)
         output_at[sensors.output_t[served] < initial.t + timeline.TIME_TOLERANCE] = -1
-        out = {"nav": (STATE_SIZE,), "biases": (2, 3), "extra": (n - 15,), "P": (n, n)}
+        out = {"nav": (STATE_SIZE,), "biases": (2, 3), "extra": (n - CORE,), "P": (n, n)}
         series = {name: np.full((len(output_at), *shape), np.nan) for name, shape in out.items()}
         size = 6 * len(fix_at) + len(baro_at)
         numbers, marks = np.empty((size, 4)), np.empty((size, 3), np.int64)
         count = _fusion_kernel(
             np.concatenate([initial.lla, initial.vel_n, initial.q_nb]),
             np.zeros((2, 3)),
-            np.zeros(n - 15),
-            P,
-            q,
-            decay_rate,
+            np.zeros(n - CORE),
+            model.P,
+            model.q,
+            model.decay_time,
+            model.decay_distance,
+            model.stationary,
             t[:-1],
             span,
             span / sensors.imu.dt[rows],
@@ -366,6 +392,7 @@ class Loose:
             alt_baro,
             baro_r,
             layout.slice("baro_bias").start if layout.has("baro_bias") else -1,
+            layout.slice("gnss_pos").start if layout.has("gnss_pos") else -1,
             _gates(self.gate_probability),
             self.readmit_after,
             output_at.astype(np.int64),
@@ -383,29 +410,11 @@ class Loose:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
-        found = []
-        for name, triad in (("gyro", specs.imu.gyro), ("accelerometer", specs.imu.accel)):
-            found += [
-                f"{name} {what}"
-                for what, value in {
-                    "scale factor": triad.scale_factor_sd,
-                    "misalignment": triad.misalignment_sd,
-                    "quantization": triad.quantization,
-                }.items()
-                if value > 0
-            ]
-            if triad.bias_instability > 0 and triad.bias_model == "flicker":
-                found.append(f"{name} bias instability as flicker noise")
-        if self.gnss and specs.gnss is not None:
-            if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0:
-                found.append("time-correlated GNSS position error")
-            if specs.gnss.vel_markov_sd > 0:
-                found.append("time-correlated GNSS velocity error")
-            if specs.gnss.latency > 0:
-                found.append("GNSS latency")
-        if self.baro and specs.baro is not None and specs.baro.quantization > 0:
-            found.append("barometer quantization")
-        return tuple(found)
+        return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=self.gnss_markov)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _no_values(*shape: int) -> FloatArray:
@@ -413,52 +422,6 @@ def _no_values(*shape: int) -> FloatArray:
     column = np.empty(shape)
     column.flags.writeable = False
     return column
-
-
-def _start(
-    layout: StateLayout, initial: InitialState, specs: AssumedSpecs
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return P at the start, the densities of Q and the decay rates of the states [1/s]."""
-    n = layout.size
-    P, q, decay_rate = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    P[:9, :9] = initial.cov
-    q[layout.slice("vel")] = specs.imu.accel.random_walk**2
-    q[layout.slice("phi")] = specs.imu.gyro.random_walk**2
-    for name, triad in (("gyro_bias", specs.imu.gyro), ("accel_bias", specs.imu.accel)):
-        block = layout.slice(name)
-        variance, q[block], decay_rate[block] = _bias_process(triad)
-        P[block, block] = np.eye(3) * variance
-    if layout.has("baro_bias"):
-        baro = _known(specs.baro, "baro")
-        block = layout.slice("baro_bias")
-        P[block, block] = baro.bias_sd**2
-        q[block] = baro.bias_walk**2
-    return P, q, decay_rate
-
-
-def _bias_process(triad: TriadSpec) -> tuple[float, float, float]:
-    """Return variance at the start, density and decay rate [1/s] of a bias state."""
-    instability2 = triad.instability_sd**2
-    if instability2 == 0:
-        return triad.turn_on_bias_sd**2, 0.0, 0.0
-    density = 2 * instability2 / triad.bias_correlation
-    decay_rate = 0.0 if triad.turn_on_bias_sd > 0 else 1 / triad.bias_correlation
-    return triad.turn_on_bias_sd**2 + instability2, density, decay_rate
-
-
-def _fix_variance(specs: AssumedSpecs) -> FloatArray:
-    """Return the variances (6,) of a fix, position then velocity, n."""
-    g = _known(specs.gnss, "gnss")
-    h = g.pos_h_white_sd**2 + g.pos_h_markov_sd**2
-    v = g.pos_v_white_sd**2 + g.pos_v_markov_sd**2
-    s = g.vel_white_sd**2 + g.vel_markov_sd**2
-    return np.array([h, h, v, s, s, s])
-
-
-def _known(spec: Any, name: str) -> Any:
-    if spec is None:
-        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
-    return spec
 
 
 def _gates(probability: float) -> FloatArray:

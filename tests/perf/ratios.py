@@ -115,7 +115,20 @@ def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:
         propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
 
     full, slow = Loose(), Loose(covariance_hz=20.0)
+    full_22, slow_22 = Loose(gnss_markov=True), Loose(gnss_markov=True, covariance_hz=20.0)
     return [
+        Figure(
+            "loose-22, full covariance / strapdown",
+            ratio(lambda: full_22.run(data, initial), strapdown),
+            16.0,
+            "x",
+        ),
+        Figure(
+            "loose-22, 20 Hz covariance / strapdown",
+            ratio(lambda: slow_22.run(data, initial), strapdown),
+            4.0,
+            "x",
+        ),
         Figure(
             "loose-15, full covariance / strapdown",
             ratio(lambda: full.run(data, initial), strapdown),

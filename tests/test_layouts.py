@@ -1,0 +1,159 @@
+"""One filter, several layouts: 15 states, the 22 of A-5.4.1, baro-inertial; each honest in its own model.
+
+Register #34: loosely coupled error-state filter with GNSS Markov states.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import pipeline
+from bench.config import load_profile
+from bench.evaluation.consistency import mean_nis, nis_by_sensor
+from bench.navigation.estimator import load
+from bench.navigation.fusion import Loose
+
+RUNS = 100
+
+
+@pytest.fixture(scope="module")
+def profile():
+    """Matched IMU and barometer, and the receiver of the catalog with its wandering error."""
+    matched = load_profile("figure-eight-matched", {"sensors.gnss": "l1-code"})
+    return replace(matched, evaluation_from=120.0)
+
+
+@pytest.fixture(scope="module")
+def five_minutes(figure_eight_truth):
+    n = 60_001
+    cut = {name: getattr(figure_eight_truth, name)[:n] for name in ("t", "lla", "vel_n", "q_nb")}
+    cut |= {name: getattr(figure_eight_truth, name)[: n - 1] for name in ("dtheta_b", "dvel_b")}
+    return replace(figure_eight_truth, **cut)
+
+
+def without_markov(specs):
+    return replace(specs, gnss=replace(specs.gnss, pos_h_markov_sd=0, pos_v_markov_sd=0, vel_markov_sd=0))
+
+
+def test_states_without_variance_change_nothing(profile, five_minutes):
+    """A 22-state layout with zero variance in its extra states equals the 15-state one."""
+    sensed = pipeline.sense(profile, five_minutes)
+    data = replace(sensed.data, specs=without_markov(sensed.data.specs))
+    small, large = (Loose(gnss_markov=markov).run(data, sensed.initial) for markov in (False, True))
+    assert_allclose(small.lla, large.lla, rtol=0, atol=1e-15)
+    assert_allclose(small.vel_n, large.vel_n, rtol=0, atol=1e-9)
+    assert_allclose(small.cov, large.cov, rtol=1e-9, atol=1e-18)
+    assert large.extra.shape[1] == small.extra.shape[1] + 6
+    assert not large.extra[:, -6:].any()
+
+
+def ensemble(estimator, profile, truth, runs, assumed=None):
+    """Return the time-averaged NEES of each run and the NIS of every sensor."""
+    nees, nis = [], {}
+    for run in range(runs):
+        sensed = pipeline.sense(profile, truth, run)
+        data = sensed.data if assumed is None else replace(sensed.data, specs=assumed)
+        solution = estimator.run(data, sensed.initial)
+        errors, _ = pipeline.judge(profile, truth, solution)
+        nees.append(errors.nees[errors.t >= profile.evaluation_from].mean())
+        for sensor, series in nis_by_sensor(solution.innovations, profile.evaluation_from).items():
+            nis.setdefault(sensor, []).append(series)
+    pooled = {
+        sensor: mean_nis(np.concatenate([s.nis for s in each]), np.concatenate([s.dof for s in each]))
+        for sensor, each in nis.items()
+    }
+    return np.array(nees), pooled
+
+
+def standard_errors_from(nees, states):
+    return (nees.mean() - states) / (nees.std(ddof=1) / np.sqrt(len(nees)))
+
+
+@pytest.mark.slow
+def test_loose_22_knows_the_error_of_a_wandering_receiver(profile, five_minutes):
+    """Mean NEES within 3.3 standard errors of 9 (the runs are the samples), mean NIS in the 99.9 % band."""
+    nees, nis = ensemble(load("loose-22", {}), profile, five_minutes, RUNS)
+    assert abs(standard_errors_from(nees, 9)) < 3.3
+    assert all(band.inside for band in nis.values()), nis
+
+
+@pytest.mark.slow
+def test_the_same_check_fails_for_markov_errors_assumed_a_third_too_small(profile, five_minutes):
+    gnss = profile.sensors.assumed.gnss
+    small = replace(
+        profile.sensors.assumed,
+        gnss=replace(
+            gnss,
+            pos_h_markov_sd=gnss.pos_h_markov_sd * 0.67,
+            pos_v_markov_sd=gnss.pos_v_markov_sd * 0.67,
+            vel_markov_sd=gnss.vel_markov_sd * 0.67,
+        ),
+    )
+    nees, nis = ensemble(load("loose-22", {}), profile, five_minutes, RUNS, small)
+    assert standard_errors_from(nees, 9) > 3.3
+    assert not nis["gnss_velocity"].inside
+
+
+def test_loose_15_believes_what_the_receiver_averages_away(profile, five_minutes):
+    """Section 7.1 (a): with the error taken for white, position is no better and far too sure of itself."""
+    sensed = pipeline.sense(profile, five_minutes)
+    nees = {}
+    for name in ("loose-15", "loose-22"):
+        solution = load(name, {}).run(sensed.data, sensed.initial)
+        errors, _ = pipeline.judge(profile, five_minutes, solution)
+        nees[name] = errors.nees[errors.t >= 120.0].mean()
+    assert nees["loose-15"] > 50
+    assert nees["loose-22"] < 30
+
+
+def test_loose_22_reports_a_position_no_better_than_the_receiver(profile, five_minutes):
+    """Section 7.1 (a): the Markov error is not separable from the INS error in loose coupling."""
+    sensed = pipeline.sense(profile, five_minutes)
+    solution = load("loose-22", {}).run(sensed.data, sensed.initial)
+    sd = np.sqrt(solution.cov[-1, 0, 0])
+    assert 0.3 * profile.sensors.gnss.pos_h_markov_sd < sd < profile.sensors.gnss.pos_h_markov_sd
+
+
+@pytest.mark.slow
+def test_open_loop_covariance_against_monte_carlo(profile, five_minutes):
+    """free-inertial and baro-inertial: errors over their own sigma at the end are standard normal.
+
+    Each component over 60 runs, chi-square with 60 degrees of freedom, 99.9 % band: 0.47 to 1.77 of its mean.
+    """
+    from scipy.stats import chi2
+
+    runs = 60
+    low, high = chi2.ppf([0.0005, 0.9995], runs) / runs
+    for name in ("free-inertial", "baro-inertial"):
+        squares = np.zeros(9)
+        for run in range(runs):
+            sensed = pipeline.sense(profile, five_minutes, run)
+            solution = load(name, {}).run(sensed.data, sensed.initial)
+            errors, _ = pipeline.judge(profile, five_minutes, solution)
+            k = int(np.searchsorted(errors.t, 100.0))  # errors are still small enough to be linear
+            error = np.concatenate([errors.pos_n[k], errors.vel_n[k], errors.phi_n[k]])
+            squares += error**2 / np.diag(solution.cov[k]) / runs
+        assert ((low < squares) & (squares < high)).all(), (name, squares)
+
+
+def test_baro_inertial_holds_the_height(profile, five_minutes):
+    sensed = pipeline.sense(profile, five_minutes)
+    free, held = (load(n, {}).run(sensed.data, sensed.initial) for n in ("free-inertial", "baro-inertial"))
+    true = np.interp(free.t, five_minutes.t, five_minutes.lla[:, 2])
+    assert np.abs(held.lla[-1, 2] - true[-1]) < 15 < np.abs(free.lla[-1, 2] - true[-1])
+    assert held.extra_names[-1] == "baro_bias_m"
+
+
+def test_what_a_layout_has_no_room_for(profile):
+    specs = profile.sensors.assumed
+    named = {name: load(name, {}).unmodelled(specs) for name in ("loose-15", "loose-22", "baro-inertial")}
+    assert "time-correlated GNSS position error" in named["loose-15"]
+    assert not [text for text in named["loose-22"] if "GNSS" in text]
+    assert not [text for text in named["baro-inertial"] if "GNSS" in text]
+
+
+def test_markov_states_need_their_receiver():
+    with pytest.raises(ValueError, match="gnss_markov = True needs gnss = True"):
+        Loose(gnss=False, gnss_markov=True)
