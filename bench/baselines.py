@@ -2,14 +2,15 @@
 
 A baseline is ``<profile>.json`` in a folder of them: by estimator and metric the mean
 over some runs (the sensor draws 0, 1, ... of the profile's seed on one truth), its
-standard error, the tolerance, the direction and the reason of the tolerance. The mean
-of an RMSE over runs is a number to compare with, not a pooled RMSE.
+standard error, the tolerance, the direction and the reason of the tolerance. A check
+flies the same truth and the same draws, so that a difference is a change of the code,
+however small beside the spread of the draws. The mean of an RMSE over runs is a number
+to compare with, not a pooled RMSE.
 """
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,13 +30,13 @@ DIRECTORY = Path("tests/baselines")
 """Where ``bench check`` looks for baselines when not told."""
 
 RUNS = 10
-"""Sensor draws of a new baseline: the tolerance is 2.1 times the spread of one run; from 5 draws 5.4."""
+"""Sensor draws of a new baseline."""
 
 PROBABILITY = 0.999
-"""Two means of equal expectation differ by less than the recorded tolerance with this probability."""
+"""A mean of fewer draws lies within its allowance of the mean of all with this probability."""
 
-RELATIVE_FLOOR = 0.02
-"""Least tolerance, as a fraction of the mean [1]: other processors and library versions."""
+RELATIVE_TOLERANCE = 0.02
+"""Tolerance of the same draws, as a fraction of the mean [1]: other processors and library versions."""
 
 CONVERGED = "converged"
 """Name of the fraction of runs that converged, which stands in every baseline."""
@@ -146,7 +147,7 @@ def record(
         When there are fewer than two runs.
     """
     if runs < 2:
-        raise ConfigError(f"runs = {runs} must be at least 2: the tolerance comes from the spread")
+        raise ConfigError(f"runs = {runs} must be at least 2: the standard error comes from the spread")
     results = _fly(profile, runs, progress)
     return {
         "profile": source or profile.name,
@@ -161,32 +162,30 @@ def record(
 
 
 def _limit(name: str, found: Statistic) -> dict[str, Any]:
-    """Return the limit that a metric's spread suggests."""
+    """Return the limit of a metric over the same draws."""
     row = metric_of(name)
     if row is None:  # the fraction of runs that converged
         tolerance, reason = 0.0, "a run that diverges is worse"
+    elif row.unit == "1" and abs(found.mean) < 1.0:
+        tolerance, reason = RELATIVE_TOLERANCE, f"{RELATIVE_TOLERANCE:g}: same draws, another processor"
     else:
-        scale = max(abs(found.mean), 1.0) if row.unit == "1" else abs(found.mean)
-        floor = RELATIVE_FLOOR * scale
-        spread = _student(found.n) * 2**0.5 * found.standard_error
-        tolerance = max(spread, floor)
-        if spread > floor:
-            reason = f"{PROBABILITY:.1%} band of the difference of two means of {found.n} runs"
-        elif scale > abs(found.mean):
-            reason = f"{RELATIVE_FLOOR:g}; the spread over {found.n} runs asks for less"
-        else:
-            reason = f"{RELATIVE_FLOOR:.0%} of the mean; the spread over {found.n} runs asks for less"
+        tolerance = RELATIVE_TOLERANCE * abs(found.mean)
+        reason = f"{RELATIVE_TOLERANCE:.0%} of the mean: same draws, another processor"
     return {**asdict(found), "tolerance": tolerance, "direction": _direction(name), "reason": reason}
 
 
-def _student(n: int) -> float:
-    """Return the two-sided quantile of a difference of two means over its standard error from one of them.
+def _fewer_draws(limit: Mapping[str, Any], m: int) -> float:
+    """Return how far the mean of m of the n draws may lie from the mean of all, by their spread.
 
-    Student's t with n - 1 degrees of freedom: the spread is known from the n runs of the baseline only.
+    Student's t with n - 1 degrees of freedom times the standard error of a mean of m of n.
     """
     from scipy.special import stdtrit
 
-    return float(stdtrit(n - 1, 0.5 + 0.5 * PROBABILITY)) if n > 1 else 0.0
+    n = limit["n"]
+    if m == n:
+        return 0.0
+    quantile = float(stdtrit(max(n - 1, 1), 0.5 + 0.5 * PROBABILITY))
+    return float(quantile * limit["standard_error"] * abs(n / m - 1.0) ** 0.5)
 
 
 def _fly(profile: Profile, runs: int, progress: Progress | None) -> list[RunResult]:
@@ -205,12 +204,7 @@ def write(directory: Path, baseline: Mapping[str, Any]) -> Path:
     """Write a baseline into a folder, atomically, and return its file."""
     path = directory / f"{Path(baseline['profile']).stem}.json"
     directory.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        scratch.write_text(store.to_json(baseline), encoding="utf-8")
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    store.write_json(path, baseline)
     return path
 
 
@@ -238,6 +232,8 @@ def read(path: Path) -> dict[str, Any]:
         for name, limit in metrics.items():
             with noting(wrong):
                 checked(Limit, limit, f"{path}: [estimators.{label}.{name}]")
+    if not any(baseline["estimators"].values()):
+        wrong.append(f"{path}: [estimators] holds no limit; 'bench check --record' writes some")
     if wrong:
         raise ConfigError(*wrong)
     return baseline
@@ -248,8 +244,8 @@ def compare(baseline: Mapping[str, Any], measured: Measured) -> list[Verdict]:
 
     A metric is worse when its mean lies beyond the tolerance on the wrong side: above for
     direction "lower", below for "higher", on either for "both", which knows no improvement;
-    also when no run has it any more. A mean of m runs where the baseline has n spreads more:
-    the tolerance is wider by ``sqrt((1 + n/m) / 2)`` for m < n.
+    also when no run has it any more. Over fewer or more draws than the baseline has, the tolerance is
+    wider by what the spread of the draws explains.
     """
     verdicts = []
     for label, limits in baseline["estimators"].items():
@@ -258,7 +254,7 @@ def compare(baseline: Mapping[str, Any], measured: Measured) -> list[Verdict]:
             expected, tolerance, direction = limit["mean"], limit["tolerance"], limit["direction"]
             above = below = False
             if found is not None:
-                tolerance *= max(1.0, (0.5 * (1.0 + limit["n"] / found.n)) ** 0.5)
+                tolerance += _fewer_draws(limit, found.n)
                 above = found.mean > expected + tolerance
                 below = found.mean < expected - tolerance
             worse = {"lower": above, "higher": below, "both": above or below}[direction]
@@ -315,6 +311,13 @@ def check(
         )
     baselines = [read(directory / f"{name}.json") for name in names or known]
     profiles = [load_profile(baseline["profile"]) for baseline in baselines]
+    moved = [
+        f"{directory / profile.name}.json: seed = {baseline['seed']} is not the profile's, {profile.seed}"
+        for baseline, profile in zip(baselines, profiles, strict=True)
+        if baseline["seed"] != profile.seed
+    ]
+    if moved:
+        raise ConfigError(*moved)
     verdicts = []
     for baseline, profile in zip(baselines, profiles, strict=True):
         results = _fly(profile, runs or baseline["runs"], progress)

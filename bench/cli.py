@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import tomllib
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -17,14 +18,15 @@ from bench import __version__
 if TYPE_CHECKING:
     from rich.console import Console
 
-DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 """Exit statuses, as the help of every verb lists them."""
 
 _STATUS = """\b
 Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
 diverged); 2 the command line, a file or the results folder is wrong; 3 the
 aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
-full, no viewer); 130 interrupted.
+full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
+130 interrupted.
 """
 
 _HELP = {"max_content_width": 100}
@@ -241,13 +243,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _fail(INTERRUPTED, "interrupted")
     except Exception as error:
-        return _fail(*_failure(error))
+        failure = _failure(error)
+        if failure is None:
+            traceback.print_exc()
+            return BUG
+        return _fail(*failure)
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-def _failure(error: Exception) -> tuple[int, str]:
-    """Return the exit status and message of a failure that is no bug; raise what is one."""
+def _failure(error: Exception) -> tuple[int, str] | None:
+    """Return the exit status and message of a failure that is no bug, None of one that is."""
     from bench.config import ConfigError
     from bench.flight.model import FlightError
     from bench.navigation.estimator import EstimatorError
@@ -262,7 +268,7 @@ def _failure(error: Exception) -> tuple[int, str]:
     if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
         place = f"{error.filename}: " if error.filename else ""
         return MACHINE, f"{place}{error.strerror or error}"
-    raise error
+    return None
 
 
 def _fail(status: int, message: str) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bench import pipeline, store
-from bench.config import load_profile
+from bench.config import ConfigError, load_profile
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.specs import EstimatorChoice, Profile
 
@@ -38,8 +38,7 @@ def run(
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name, path of a TOML file, or a profile already read (the other arguments but ``run`` do not
-        change it then).
+        Shipped name, path of a TOML file, or a profile already read, which takes ``run`` alone.
     seed : int or None
         Seed of the noise and of the turbulence; the profile's own when None.
     run : int
@@ -63,10 +62,15 @@ def run(
     bench.flight.FlightError
         When the aircraft cannot be loaded, trimmed or flown.
     """
-    if not isinstance(profile, Profile):
+    if isinstance(profile, Profile):
+        if (seed, estimators, sensors) != (None, None, None):
+            raise ConfigError("bench.run: a profile already read takes no seed, estimators or sensors")
+    else:
         overrides = {f"sensors.{kind}": name for kind, name in (sensors or {}).items()}
         profile = load_profile(str(profile), overrides, seed, estimators)
-    return pipeline.run(profile, run).result
+    if run != int(run) or run < 0:
+        raise ConfigError(f"bench.run: run = {run} must be a whole number, at least 0")
+    return pipeline.run(profile, int(run)).result
 
 
 def fly(profile: str | Path | Profile) -> Trajectory:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from bench import store
+from bench.config import ConfigError
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.navigation import estimator
 from bench.specs import AssumedSpecs, EstimatorChoice, Profile
@@ -55,9 +56,11 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
     Raises
     ------
     bench.navigation.estimator.EstimatorError
-        When there is no such estimator or it refuses its options.
+        When there is no such estimator, it refuses its options, or its answer is no solution.
+    bench.navigation.estimator.EstimatorFailedError
+        When its ``run`` raises.
     """
-    return estimator.load(choice.use, choice.options).run(data, initial)
+    return estimator.answer(estimator.load(choice.use, choice.options), choice.label, data, initial)
 
 
 def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[ErrorSeries, dict[str, Any]]:
@@ -92,15 +95,17 @@ def run(
     progress : callable or None
         Called with the seconds flown so far.
     """
-    for choice in profile.estimators:  # a wrong name or option fails before the flight
-        estimator.load(choice.use, choice.options)
+    built = {c.label: estimator.load(c.use, c.options) for c in profile.estimators}  # fails before the flight
     clock = {"fly": time.process_time()}
     if truth is None:
         truth = fly(profile, progress=progress)
+    _check_times(profile, float(truth.t[-1]))
     clock["sense"] = time.process_time()
     sensed = sense(profile, truth, run)
     clock["navigate"] = time.process_time()
-    solutions = {c.label: navigate(c, sensed.data, sensed.initial) for c in profile.estimators}
+    solutions = {
+        label: estimator.answer(one, label, sensed.data, sensed.initial) for label, one in built.items()
+    }
     clock["judge"] = time.process_time()
     judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
     clock["end"] = time.process_time()
@@ -111,7 +116,8 @@ def run(
         seed=profile.seed,
         run=run,
         metrics={
-            c.label: {**judged[c.label][1], "unmodelled": _unmodelled(profile, c)} for c in profile.estimators
+            label: {**judged[label][1], "unmodelled": _unmodelled(profile, one)}
+            for label, one in built.items()
         },
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
@@ -120,12 +126,26 @@ def run(
     return Run(result, truth, sensed)
 
 
-def _unmodelled(profile: Profile, choice: EstimatorChoice) -> list[str] | None:
+def _check_times(profile: Profile, end: float) -> None:
+    """Raise ConfigError when an outage or the alignment window lies beyond a flight now that it is flown."""
+    wrong = [
+        f"{profile.name}: [[gnss_outage]] {k}: its end at {stop:g} s is outside the flight, 0 to {end:g} s"
+        for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
+        if stop > end
+    ]
+    if profile.evaluation_from >= end:
+        wrong.append(
+            f"{profile.name}: [evaluation] from_s = {profile.evaluation_from:g} s is outside the flight, "
+            f"0 to {end:g} s"
+        )
+    if wrong:
+        raise ConfigError(*wrong)
+
+
+def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:
     """Return the errors of the true units that an estimator says it has no state for."""
-    named: Mapping[str, Any] = {
-        "imu": profile.sensors.imu,
-        "gnss": profile.sensors.gnss,
-        "baro": profile.sensors.baro,
-    }
-    asked = getattr(estimator.load(choice.use, choice.options), "unmodelled", None)
-    return list(asked(AssumedSpecs(**named))) if asked is not None else None
+    asked = getattr(built, "unmodelled", None)
+    if asked is None:
+        return None
+    on_board = profile.sensors
+    return list(asked(AssumedSpecs(imu=on_board.imu, gnss=on_board.gnss, baro=on_board.baro)))

@@ -4,16 +4,18 @@ NEES at 1 Hz after the update and NIS of every sensor, by the three claims of `b
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench import pipeline
+from bench import baselines, pipeline
 from bench.config import load_profile
 from bench.evaluation.consistency import consistency, nis_by_sensor
 from bench.navigation.fusion import Loose
 
 RUNS = 50
+DIRECTORY = Path(__file__).parent / "baselines"
 pytestmark = pytest.mark.slow
 
 
@@ -66,3 +68,19 @@ def test_R_a_fifth_too_small_breaks_every_claim(profile, figure_eight_truth):  #
 def test_both_profiles_fly_the_same_flight(profile):
     """figure-eight-matched differs in its sensors only, so one truth serves both."""
     assert load_profile("figure-eight").flight == profile.flight
+
+
+def test_a_lever_arm_left_out_breaks_limits_of_both_profiles(figure_eight_truth, monkeypatch):
+    """What ``bench check`` is for: a defect of decimetres shows beside an error of metres, draw for draw."""
+    run = Loose.run
+    monkeypatch.setattr(
+        Loose, "run", lambda self, data, initial: run(self, replace(data, antenna_b=np.zeros(3)), initial)
+    )
+    monkeypatch.setattr(pipeline, "fly", lambda profile: figure_eight_truth)
+    broken = {row.profile for row in baselines.check(DIRECTORY) if row.regressed}
+    assert broken == {"figure-eight", "figure-eight-matched"}
+
+
+def test_the_limits_hold(figure_eight_truth, monkeypatch):
+    monkeypatch.setattr(pipeline, "fly", lambda profile: figure_eight_truth)
+    assert not [row for row in baselines.check(DIRECTORY) if row.regressed]

@@ -197,6 +197,16 @@ def test_a_model_writes_no_files_opens_no_port_prints_nothing_and_leaves_no_scra
         ("aero/ci2vel", "aero/nothing", "aircraft aerosonde: .*property aero/nothing does not exist"),
         ('<system file="guidance"/>', "", "aircraft aerosonde: .*guidance/throttle-cmd-norm does not exist"),
         ('file="guidance"', 'file="nothing"', "aircraft aerosonde: JSBSim cannot load it: .*file: nothing"),
+        (
+            "<fdm_config ",
+            '<fdm_config xmlns="http://any.where" ',
+            r"aerosonde\.xml: a DOCTYPE or an XML namespace",
+        ),
+        (
+            "<fdm_config ",
+            "<!DOCTYPE fdm_config><fdm_config ",
+            r"aerosonde\.xml: a DOCTYPE or an XML namespace",
+        ),
     ],
 )
 def test_a_broken_model_is_one_line_that_says_what(tmp_path, old, new, message):

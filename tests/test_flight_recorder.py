@@ -76,13 +76,21 @@ def test_at_100_hz_within_five_and_increments_of_the_wrong_form_do_not_pass():
 
 
 def test_in_turbulence_the_increments_replay_in_the_form_they_were_made():
-    """Below 0.1 mm in ten minutes; a navigator that takes the motion for smooth between samples cannot."""
+    """Below 0.1 mm in ten minutes; README states what a two-sample navigator makes of it."""
     recording = record(replace(FIGURE_EIGHT, severity=4, rate=200.0))
     distance, angle = same_form_error(recording)
     assert distance < 0.1 * MM
     assert angle < 0.1 * UM
-    truth = to_trajectory(recording)
-    assert two_sample_error(truth)[0] > 1 * MM
+
+
+def test_the_path_over_ground_crosses_the_date_line():
+    """The distance is that of the same flight elsewhere, not once round the Earth."""
+    legs = {"legs": (Straight(20.0),), "rate": 100.0, "duration": 20.0, "heading": radians(90.0)}
+    here, there = (fly(replace(FIGURE_EIGHT, lon=radians(lon), **legs)) for lon in (11.0, 179.9999))
+    assert there.lla[0, 1] > 3.0
+    assert there.lla[-1, 1] < -3.0
+    paths = [summarise(truth)["path_over_ground_m"] for truth in (here, there)]
+    assert_allclose(paths[0], paths[1], rtol=1e-3)
 
 
 def test_the_record_starts_at_zero_and_is_evenly_sampled(short_truth):

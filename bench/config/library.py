@@ -145,7 +145,8 @@ def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
 
 def _aircraft_places(beside: Path | None = None) -> list[Path]:
     beside_profile = [beside / "aircraft"] if beside else []
-    return [*beside_profile, PACKAGE.parent / "aircraft", PACKAGE / "aircraft"]
+    tree = [PACKAGE.parent / "aircraft"] if (PACKAGE.parent / "pyproject.toml").is_file() else []
+    return [*beside_profile, *tree, PACKAGE / "aircraft"]
 
 
 def list_profiles() -> list[tuple[str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,11 @@ def load_profile(
     if estimators is not None:
         by_label = {choice.label: choice for choice in choices}
         choices = tuple(by_label.get(name) or _choice(name) for name in estimators)
+        twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
+        if twice:
+            raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
+        if not choices:
+            raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -117,7 +123,7 @@ def _override(document: Mapping[str, Any], key: str, value: object) -> dict[str,
 def _index(rows: object, part: str, key: str) -> int:
     if not isinstance(rows, list):
         raise ConfigError(f"--set {key}: {part!r} is not a key of a table")
-    if not part.isdigit() or int(part) >= len(rows):
+    if not part.isdecimal() or int(part) >= len(rows):
         raise ConfigError(f"--set {key}: {part!r} must be a number from 0 to {len(rows) - 1}")
     return int(part)
 

@@ -192,10 +192,11 @@ def consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[Sensor
         for name, series in nis.items()
     }
     offset = abs(mean - states)
+    errors_away = offset / standard_error if standard_error > 0 else float("inf")
     reasons = []
     if not offset < STANDARD_ERRORS * standard_error:
         reasons.append(
-            f"mean NEES {mean:.3f} is {offset / standard_error:.1f} standard errors ({standard_error:.3f}) "
+            f"mean NEES {mean:.3f} is {errors_away:.1f} standard errors ({standard_error:.3f}) "
             f"from {states}; allowed {STANDARD_ERRORS}"
         )
     if not offset < LARGEST_OFFSET:

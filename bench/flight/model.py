@@ -115,6 +115,8 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
             reason = _one_line(" ".join(log.lines), scratch)
             raise FlightError(f"aircraft {aircraft.name}: JSBSim cannot load it: {reason}")
     for name, gain in aircraft.gains.items():
+        if not _NAME.fullmatch(name):
+            raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
         node(fdm, f"guidance/{name}").set_double_value(gain)
     fdm["guidance/bank-limit-rad"] = aircraft.max_bank
     fdm["guidance/climb-limit-mps"] = aircraft.max_climb
@@ -297,6 +299,10 @@ def _copy_without_io(source: Path, target: Path) -> None:
         except ElementTree.ParseError as error:
             raise FlightError(f"{source / path.relative_to(target)}: not well-formed XML: {error}") from None
         model = tree.getroot()
+        if b"<!DOCTYPE" in path.read_bytes() or any("}" in str(element.tag) for element in model.iter()):
+            # JSBSim sees other names than a reader of plain XML does
+            place = source / path.relative_to(target)
+            raise FlightError(f"{place}: a DOCTYPE or an XML namespace has no place in a JSBSim file")
         unwanted = [child for child in model if child.tag in ("input", "output")]
         for child in unwanted:
             model.remove(child)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.data import Trajectory
-from bench.earth import radii
+from bench.earth import difference_n
 from bench.rotation import to_euler
 
 _STANDARD_G = 9.80665  # [m/s^2]
@@ -20,12 +20,8 @@ def summarise(truth: Trajectory) -> dict[str, Any]:
     of the body relative to i; both are means over one sample.
     """
     roll, pitch, _ = to_euler(truth.q_nb)
-    R_M, R_P = radii(truth.lla[:-1, 0])
     alt = truth.lla[:, 2]
-    steps = np.diff(truth.lla, axis=0)
-    over_ground = np.hypot(
-        steps[:, 0] * (R_M + alt[:-1]), steps[:, 1] * (R_P + alt[:-1]) * np.cos(truth.lla[:-1, 0])
-    )
+    over_ground = np.hypot(*difference_n(truth.lla[1:], truth.lla[:-1])[:, :2].T)
     dt = np.diff(truth.t)
     load = -truth.dvel_b[:, 2] / dt / _STANDARD_G
     rates = np.abs(truth.dtheta_b / dt[:, None]).max(axis=0)

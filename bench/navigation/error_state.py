@@ -254,11 +254,11 @@ def feedback_kernel(
     nav[2] += dx[2]
     for i in range(3):
         nav[3 + i] -= dx[3 + i]
-        gyro_bias[i] -= dx[9 + i]
-        accel_bias[i] -= dx[12 + i]
+        gyro_bias[i] -= dx[GYRO + i]
+        accel_bias[i] -= dx[ACCEL + i]
     turn_kernel(nav, -dx[6], -dx[7], -dx[8], True)
     for i in range(extra.shape[0]):
-        extra[i] -= dx[15 + i]
+        extra[i] -= dx[CORE + i]
     dx[:] = 0.0
 
 

@@ -102,6 +102,36 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
     return built
 
 
+class EstimatorFailedError(RuntimeError):
+    """An estimator's ``run`` raised; what it raised is the cause."""
+
+
+def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:
+    """Return what an estimator says, as long as it is a solution at every instant asked for.
+
+    Raises
+    ------
+    EstimatorError
+        When it is not, in one line.
+    EstimatorFailedError
+        When ``run`` raises.
+    """
+    try:
+        solution = estimator.run(sensors, initial)
+    except Exception as error:
+        raise EstimatorFailedError(f"estimator {name!r}: run() raised {error!r}") from error
+    if not isinstance(solution, NavSolution):
+        found = type(solution).__name__
+        raise EstimatorError(f"estimator {name!r}: run() must return a NavSolution; got {found}")
+    if not np.array_equal(solution.t, sensors.output_t):
+        raise EstimatorError(
+            f"estimator {name!r}: its t must be sensors.output_t, {len(sensors.output_t)} instants; "
+            f"got {len(solution.t)} instants"
+            + (", others" if len(solution.t) == len(sensors.output_t) else "")
+        )
+    return solution
+
+
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:
     """Raise AssertionError where an estimator breaks the contract of the bench.
 

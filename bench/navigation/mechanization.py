@@ -48,7 +48,7 @@ def matrix_kernel(nav: FloatArray, C: FloatArray) -> None:
 def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> None:
     """Multiply q_nb by the quaternion of a rotation vector [rad], on the left (in n) or the right (in b)."""
     angle2 = x * x + y * y + z * z
-    if angle2 < 1e-2:  # series: the next terms are below 1e-17
+    if angle2 < 1e-2:  # series: the next terms are below 1e-15
         c = 1.0 - angle2 / 8.0 * (1.0 - angle2 / 48.0 * (1.0 - angle2 / 120.0))
         s = 0.5 - angle2 / 48.0 * (1.0 - angle2 / 80.0 * (1.0 - angle2 / 168.0))
     else:

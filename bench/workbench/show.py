@@ -30,6 +30,8 @@ _SUMMARY = (
     "outage_",
     "nees_mean",
     "nees_states",
+    "nees_inside_95",
+    "coverage_3sigma_",
     "nis_mean_",
 )
 """Metrics of the table, or how their names begin; all the others are in result.json."""
@@ -43,7 +45,9 @@ def result(console: Console, profile: Profile, run: RunResult) -> None:
     for start in _SUMMARY:
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
-                values = [_number(metrics.get(name)) for metrics in run.metrics.values()]
+                values = [
+                    _number(metrics.get(name)) + _band(name, metrics) for metrics in run.metrics.values()
+                ]
                 table.add_row(name, *values)
     console.print(table)
     for label, metrics in run.metrics.items():
@@ -51,6 +55,13 @@ def result(console: Console, profile: Profile, run: RunResult) -> None:
             console.print(f"{label} diverged: {metrics['reason']}", style="bold red")
         if metrics.get("unmodelled"):
             console.print(f"{label} does not model: {', '.join(metrics['unmodelled'])}")
+
+
+def _band(name: str, metrics: Mapping[str, Any]) -> str:
+    """Return the 99.9 % band of a mean NIS, where the filter is matched."""
+    sensor = name.removeprefix("nis_mean_")
+    low, high = metrics.get(f"nis_low_{sensor}"), metrics.get(f"nis_high_{sensor}")
+    return f" ({low:.3g} to {high:.3g})" if sensor != name and low is not None else ""
 
 
 def flight(console: Console, profile: Profile, truth: Trajectory) -> None:

@@ -1,0 +1,58 @@
+"""The Python door: run is its four steps, and an argument that would have no effect is refused."""
+
+import numpy as np
+import pytest
+
+import bench
+from bench.config import ConfigError
+
+SHORT = {
+    "duration_s": 20.0,
+    "evaluation.from_s": 5.0,
+    "gnss_outage": [],
+    "leg": [{"kind": "straight", "duration_s": 5.0}],
+}
+
+
+@pytest.fixture(scope="module")
+def profile():
+    return bench.load_profile("figure-eight", SHORT, seed=3, estimators=["loose-15"])
+
+
+def test_run_is_fly_sense_navigate_judge(profile):
+    result = bench.run(profile)
+    truth = bench.fly(profile)
+    sensed = bench.sense(profile, truth)
+    solution = bench.navigate("loose-15", sensed.data, sensed.initial)
+    errors, metrics = bench.judge(profile, truth, solution)
+    np.testing.assert_array_equal(result.solutions["loose-15"].lla, solution.lla)
+    np.testing.assert_array_equal(result.errors["loose-15"].pos_n, errors.pos_n)
+    assert {k: v for k, v in result.metrics["loose-15"].items() if k != "unmodelled"} == metrics
+    assert result.seed == 3
+
+
+def test_another_draw_is_another_result(profile):
+    first, second = (bench.run(profile, run=run).metrics["loose-15"]["pos_rmse_h_m"] for run in (0, 1))
+    assert first != second
+
+
+@pytest.mark.parametrize(
+    "argument", [{"seed": 1}, {"estimators": ["loose-15"]}, {"sensors": {"imu": "stim300"}}]
+)
+def test_arguments_without_effect_are_refused(profile, argument):
+    with pytest.raises(ConfigError, match="a profile already read takes no seed"):
+        bench.run(profile, **argument)
+
+
+@pytest.mark.parametrize("run", [-1, 1.5])
+def test_a_draw_is_a_whole_number(profile, run):
+    with pytest.raises(ConfigError, match="must be a whole number, at least 0"):
+        bench.run(profile, run=run)
+
+
+def test_a_unit_is_exchanged_by_name():
+    profile = bench.load_profile("figure-eight", {**SHORT, "sensors.imu": "stim300"})
+    assert profile.sensors.imu.name == "stim300"
+    assert "run" in dir(bench)
+    with pytest.raises(AttributeError, match="has no attribute 'fligh'"):
+        bench.fligh  # noqa: B018
