@@ -302,7 +302,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
 @pytest.mark.parametrize(
     ("use", "options", "message"),
     [
-        ("lose-15", {}, "no estimator 'lose-15'; there are loose-15, loose-22, baro-inertial,"),
+        ("lose-15", {}, "no estimator 'lose-15'; there are loose-15, loose-22, smoother, baro-inertial,"),
         ("", {}, "no estimator ''; there are"),
         (":Class", {}, "no estimator ':Class'; there are"),
         (".here:Class", {}, "no estimator '.here:Class'; there are"),

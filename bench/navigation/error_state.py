@@ -240,6 +240,19 @@ def covariance_kernel(
 
 
 @kernel
+def accumulate_kernel(Phi: FloatArray, G: FloatArray, decay: FloatArray, A: FloatArray) -> None:
+    """Replace Phi (n, n) by the transition of one more step times Phi; ``A`` (9, n) is memory to work in."""
+    n = Phi.shape[0]
+    _rows_kernel(Phi, G, A, n)
+    for i in range(9):
+        for j in range(n):
+            Phi[i, j] = A[i, j]
+    for i in range(9, n):
+        for j in range(n):
+            Phi[i, j] *= decay[i]
+
+
+@kernel
 def feedback_kernel(
     nav: FloatArray, gyro_bias: FloatArray, accel_bias: FloatArray, extra: FloatArray, dx: FloatArray
 ) -> None:

@@ -38,6 +38,11 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
         "bench.navigation.fusion:Loose",
         {"gnss_markov": True},
     ),
+    "smoother": (
+        "loose-15 and a pass back over its record",
+        "bench.navigation.smoother:Smoother",
+        {"gnss": True, "gnss_markov": False},
+    ),
     "baro-inertial": (
         "IMU and barometer",
         "bench.navigation.fusion:Loose",

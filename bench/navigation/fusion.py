@@ -15,6 +15,8 @@ has it. The change of P by the turn of the frame at feedback (half the tilt corr
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
@@ -30,6 +32,7 @@ from bench.navigation.error_state import (
     POS,
     VEL,
     StateLayout,
+    accumulate_kernel,
     covariance_kernel,
     dynamics_kernel,
     feedback_kernel,
@@ -127,6 +130,15 @@ def _antenna_kernel(
 
 
 @kernel
+def _pack_kernel(nav: FloatArray, biases: FloatArray, extra: FloatArray, row: FloatArray) -> None:
+    """Fill a row (n + 1,): navigation state, gyro and accelerometer bias, extra states."""
+    row[:10] = nav
+    row[10:13] = biases[0]
+    row[13:16] = biases[1]
+    row[16:] = extra
+
+
+@kernel
 def _fusion_kernel(
     nav: FloatArray,
     biases: FloatArray,
@@ -164,12 +176,18 @@ def _fusion_kernel(
     out_P: FloatArray,
     numbers: FloatArray,
     marks: IntArray,
+    node_t: FloatArray,
+    node_state: FloatArray,
+    node_P: FloatArray,
+    node_Phi: FloatArray,
 ) -> int:
     """Run the filter over a record; return the number of innovation rows written.
 
     ``nav``, ``biases`` (2, 3), ``extra`` and ``P`` are the start and end as the last state. ``interval`` is
     the covariance step; a measurement or an output takes one at once. ``scale`` stretches increments over a
-    gap.
+    gap. The nodes, where there is room for any, take what a smoother needs at every instant of a measurement
+    or an output: state (N, 2, n + 1) and covariance (N, 2, n, n) before and after it, and the transition
+    (N, n, n) from the node before.
     """
     n = P.shape[0]
     gyro_bias, accel_bias = biases[0], biases[1]
@@ -189,7 +207,9 @@ def _fusion_kernel(
     )
     square_1 = np.zeros((1, 2))
     misses = np.zeros(3, np.int64)
-    T, count, fix, baro, output = 0.0, 0, 0, 0, 0
+    keep = node_t.shape[0] > 0
+    Phi = np.eye(n)
+    T, count, fix, baro, output, node = 0.0, 0, 0, 0, 0, 0
     for k in range(-1, t.shape[0]):
         if k >= 0:
             row, dt = rows[k], span[k]
@@ -226,10 +246,20 @@ def _fusion_kernel(
             dynamics_kernel(reference, C_sum, dv_sum, F)
             transition_kernel(F, T, G)
             covariance_kernel(P, G, decay, noise, A, B)
+            if keep:
+                accumulate_kernel(Phi, G, decay, A)
             T = 0.0
             C_sum[:] = 0.0
             dv_sum[:] = 0.0
             reference[:] = nav
+        if keep and due:
+            node_t[node] = t[k]
+            node_Phi[node] = Phi
+            node_P[node, 0] = P
+            _pack_kernel(nav, biases, extra, node_state[node, 0])
+            Phi[:] = 0.0
+            for i in range(n):
+                Phi[i, i] = 1.0
         if aided:
             while fix < fix_at.shape[0] and fix_at[fix] == k:
                 row = fix_rows[fix]
@@ -261,6 +291,10 @@ def _fusion_kernel(
                 feedback_kernel(nav, gyro_bias, accel_bias, extra, dx)
                 baro += 1
             reference[:] = nav
+        if keep and due:
+            node_P[node, 1] = P
+            _pack_kernel(nav, biases, extra, node_state[node, 1])
+            node += 1
         while output < output_at.shape[0] and output_at[output] == k:
             out_nav[output] = nav
             out_biases[output] = biases
@@ -268,6 +302,18 @@ def _fusion_kernel(
             out_P[output] = P
             output += 1
     return count
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """A forward run at the instants of its measurements and outputs, for a smoother."""
+
+    layout: StateLayout
+    t: FloatArray  # (N,) [s]
+    state: FloatArray  # (N, 2, n + 1) before and after: nav state (10), gyro bias, accelerometer bias, extra
+    P: FloatArray  # (N, 2, n, n) before and after
+    Phi: FloatArray  # (N, n, n) transition of the errors from the node before
+    output: IntArray  # (M,) node of each instant of the solution, -1 outside the record
 
 
 class Loose:
@@ -329,6 +375,10 @@ class Loose:
         ValueError
             When a sensor in use has no assumed spec.
         """
+        return self.forward(sensors, initial, keep=False)[0]
+
+    def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
+        """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
         specs = sensors.specs
         fixes = sensors.fixes if self.gnss else None
         baro = sensors.baro if self.baro else None
@@ -365,6 +415,17 @@ class Loose:
         series = {name: np.full((len(output_at), *shape), np.nan) for name, shape in out.items()}
         size = 6 * len(fix_at) + len(baro_at)
         numbers, marks = np.empty((size, 4)), np.empty((size, 3), np.int64)
+        at = np.unique(np.concatenate([fix_at, baro_at, output_at])) if keep else np.empty(0, np.int64)
+        nodes = Nodes(
+            layout,
+            np.empty(len(at)),
+            np.empty((len(at), 2, n + 1)),
+            np.empty((len(at), 2, n, n)),
+            np.empty((len(at), n, n)),
+            np.full(m, -1),
+        )
+        if keep:
+            nodes.output[served] = np.searchsorted(at, output_at)
         count = _fusion_kernel(
             np.concatenate([initial.lla, initial.vel_n, initial.q_nb]),
             np.zeros((2, 3)),
@@ -402,11 +463,16 @@ class Loose:
             series["P"],
             numbers,
             marks,
+            nodes.t,
+            nodes.state,
+            nodes.P,
+            nodes.Phi,
         )
         full = {name: np.full((m, *shape), np.nan) for name, shape in out.items()}
         for name, values in series.items():
             full[name][served] = values
-        return _solution(sensors, layout, full, numbers[:count], marks[:count], timeline.as_events(events))
+        told = timeline.as_events(events)
+        return _solution(sensors, layout, full, numbers[:count], marks[:count], told), nodes
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""

@@ -1,0 +1,137 @@
+"""Rauch-Tung-Striebel smoother over a stored forward run of the loose filter.
+
+The forward run is an error-state filter in closed loop. Between two nodes its state moves from x_j (after the
+updates of node j) to x_{j+1}^- (before those of node j+1), with the error transition Phi. Going back,
+
+    C_j   = P_j Phi' (P_{j+1}^-)^-1
+    x_j^s = x_j + C_j (x_{j+1}^s - x_{j+1}^-)
+    P_j^s = P_j + C_j (P_{j+1}^s - P_{j+1}^-) C_j'
+
+where the difference of two states is an error state: metres in n, the rotation from one attitude to the
+other, and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3 (8), 1965).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.data import InitialState, NavSolution, SensorData
+from bench.navigation.error_state import CORE, PHI, POS, VEL
+from bench.navigation.fusion import Loose, Nodes
+from bench.specs import AssumedSpecs
+
+
+class Smoother:
+    """The loose filter, then back over its record; options as for `bench.navigation.fusion.Loose`.
+
+    Innovations and events are those of the forward run.
+    """
+
+    def __init__(
+        self,
+        *,
+        gnss: bool = True,
+        baro: bool = True,
+        gnss_markov: bool = False,
+        covariance_hz: float | None = 20.0,
+        gate_probability: float = 1e-5,
+        readmit_after: int = 10,
+    ) -> None:
+        self.filter = Loose(
+            gnss=gnss,
+            baro=baro,
+            gnss_markov=gnss_markov,
+            covariance_hz=covariance_hz,
+            gate_probability=gate_probability,
+            readmit_after=readmit_after,
+        )
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate with all measurements of the record, those after an instant too.
+
+        Raises
+        ------
+        ValueError
+            When a sensor in use has no assumed spec.
+        """
+        forward, nodes = self.filter.forward(sensors, initial, keep=True)
+        state, P = smooth(nodes)
+        served = nodes.output >= 0
+        x = np.full((len(forward), state.shape[1]), np.nan)
+        cov = np.full((len(forward), *P.shape[1:]), np.nan)
+        x[served], cov[served] = state[nodes.output[served]], P[nodes.output[served]]
+        variance = np.einsum("kii->ki", cov)[:, 9:]
+        return NavSolution(
+            t=forward.t,
+            lla=x[:, :3],
+            vel_n=x[:, 3:6],
+            q_nb=x[:, 6:10],
+            gyro_bias_b=x[:, 10:13],
+            accel_bias_b=x[:, 13:16],
+            cov=cov[:, :9, :9],
+            extra_names=forward.extra_names,
+            extra=x[:, 10:],
+            extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+            innovations=forward.innovations,
+            events=forward.events,
+        )
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Name the errors of these units that the state has no room for, in words."""
+        return self.filter.unmodelled(specs)
+
+
+def smooth(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
+    """Return the smoothed states (N, n + 1) and covariances (N, n, n) at the nodes of a forward run.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When a covariance of the forward run is singular.
+    """
+    state, P = nodes.state[:, 1].copy(), nodes.P[:, 1].copy()
+    gain = _gains(nodes)
+    for j in range(len(nodes.t) - 2, -1, -1):
+        correction = gain[j] @ _difference(state[j + 1], nodes.state[j + 1, 0])
+        state[j] = _moved(state[j], correction)
+        change = gain[j] @ (P[j + 1] - nodes.P[j + 1, 0]) @ gain[j].T
+        P[j] += 0.5 * (change + change.T)
+    return state, P
+
+
+def _gains(nodes: Nodes) -> FloatArray:
+    """Return C_j (N - 1, n, n), solved with each state scaled by its standard deviation.
+
+    A state without variance (a process that is switched off) has no gain.
+    """
+    after, before, Phi = nodes.P[:-1, 1], nodes.P[1:, 0], nodes.Phi[1:]
+    sd = np.sqrt(np.einsum("kii->ki", before))
+    live = sd > 0
+    scale = np.where(live, 1 / np.where(live, sd, 1.0), 0.0)
+    scaled = before * scale[:, :, None] * scale[:, None, :]
+    dead = np.einsum("kij,kj->kij", np.broadcast_to(np.eye(before.shape[1]), before.shape), ~live * 1.0)
+    transposed = np.linalg.solve(scaled + dead, (Phi @ after) * scale[:, :, None]) * scale[:, :, None]
+    return np.swapaxes(transposed, 1, 2)
+
+
+def _difference(state: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the error state (n,) by which one state differs from another."""
+    d = np.empty(len(state) - 1)
+    d[POS : POS + 3] = earth.difference_n(state[:3], other[:3])
+    d[VEL : VEL + 3] = state[3:6] - other[3:6]
+    turn = rotation.multiply(state[6:10], rotation.conjugate(other[6:10]))
+    d[PHI : PHI + 3] = rotation.to_rotvec(turn)
+    d[CORE - 6 :] = state[10:] - other[10:]
+    return d
+
+
+def _moved(state: FloatArray, d: FloatArray) -> FloatArray:
+    """Return a state with an error state added: the inverse of :func:`_difference`."""
+    moved = np.empty_like(state)
+    moved[:3] = earth.displace(state[:3], d[POS : POS + 3])
+    moved[3:6] = state[3:6] + d[VEL : VEL + 3]
+    moved[6:10] = rotation.multiply(rotation.from_rotvec(d[PHI : PHI + 3]), state[6:10])
+    moved[10:] = state[10:] + d[CORE - 6 :]
+    return moved
