@@ -45,7 +45,7 @@ class AircraftSpec:
     max_climb: float  # largest climb rate a leg may ask for [m/s]
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
-    mesh: str  # class of the simple shape in the recording: "uav"
+    mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
 
 
 @dataclass(frozen=True, slots=True)

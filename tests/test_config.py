@@ -344,10 +344,26 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         "kite/aircraft.toml: [limits]: unknown key 'min_sped_mps'. Did you mean 'min_speed_mps'?\n"
         "  known keys: max_bank_deg, max_climb_mps, max_descent_mps, max_speed_mps, min_speed_mps",
     ]
+    (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', '"jetliner"'))
+    assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [
+        "kite/aircraft.toml: mesh = 'jetliner' must be 'uav', 'light-single' or 'jet'"
+    ]
     (own / "aircraft.toml").write_text(shipped.read_text())
     assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == ["kite/kite.xml: no such file"]
     (own / "kite.xml").write_text("<fdm_config/>")
     assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.folder == own
+
+
+def test_every_mesh_class_a_file_may_ask_for_has_a_shape(tmp_path):
+    from bench.recording.meshes import MESHES
+
+    own = tmp_path / "aircraft" / "kite"
+    own.mkdir(parents=True)
+    shipped = config.load_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
+    (own / "kite.xml").write_text("<fdm_config/>")
+    for mesh in MESHES:
+        (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', f'"{mesh}"'))
+        assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.mesh == mesh
 
 
 def test_everything_wrong_is_said_at_once(tmp_path):

@@ -609,11 +609,12 @@ def test_limits_hold_all_values_and_waste_little(low, high):
     assert top - bottom <= max(3.0 * (high - low), 3.0 * abs(high), 3.0)
 
 
-def test_the_aircraft_is_a_closed_skin_with_red_on_the_left():
-    """Each edge belongs to two triangles in opposite directions; frame b: y to the right."""
-    from bench.recording.space import MESHES
+@pytest.mark.parametrize(("mesh", "nose_x"), [("uav", 0.36), ("light-single", 0.308), ("jet", 0.52)])
+def test_the_aircraft_is_a_closed_skin_with_red_on_the_left(mesh, nose_x):
+    """Each edge belongs to two triangles in opposite directions; frame b: y to the right, z down."""
+    from bench.recording.meshes import MESHES
 
-    vertices, triangles, colours = MESHES["uav"]()
+    vertices, triangles, colours = MESHES[mesh]()
     edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     forward, backward = {tuple(e) for e in edges}, {tuple(e[::-1]) for e in edges}
     assert len(forward) == len(edges)
@@ -622,7 +623,10 @@ def test_the_aircraft_is_a_closed_skin_with_red_on_the_left():
     red = (colours[:, 0] > 200) & (colours[:, 1] < 100)
     assert vertices[triangles[red].ravel(), 1].max() < 0
     nose = vertices[vertices[:, 0].argmax()]
-    assert nose[0] == pytest.approx(0.36)
+    assert nose[0] == pytest.approx(nose_x)
+    assert_allclose(np.sort(vertices[:, 1]), np.sort(-vertices[:, 1]), atol=1e-12)  # left as right
+    aft = vertices[vertices[:, 0] < -0.3]
+    assert -aft[:, 2].min() > 2 * aft[:, 2].max()  # the fin points up
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     six_volumes = np.sum(a * np.cross(b, c), axis=1)
     for part in np.unique(colours, axis=0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -35,7 +35,7 @@ class _Antenna(Table):
 
 class _AircraftTable(Table):
     title: str
-    mesh: str = "uav"
+    mesh: Literal["uav", "light-single", "jet"] = "uav"
     limits: _Limits
     antenna: _Antenna
     guidance: dict[str, float] = Field(default_factory=dict)

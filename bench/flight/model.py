@@ -27,6 +27,10 @@ from bench.specs import AircraftSpec
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _SETTLED = 1e-9  # largest acceleration left in a trimmed flight [m/s^2, rad/s^2]
+_TRIM_STARTS = [  # angle of attack, sideslip, roll [rad], aileron, elevator, throttle
+    np.array([alpha, 0.0, 0.0, 0.0, 0.0, throttle])
+    for alpha, throttle in ((0.05, 0.6), (0.0, 0.9), (0.0, 0.6), (0.1, 0.4), (0.1, 0.9))
+]
 _HISTORY = 5  # past derivatives the integrators of JSBSim keep
 _SETTLE = 10.0  # for the lags of guidance to arrive, against corners of 2 rad/s and more [s]
 _INTEGRATORS = {  # AB2, AB2, local linearization, AB4: five times finer than the default
@@ -144,10 +148,13 @@ def trim(fdm: Any, condition: Condition) -> Trim:
         place(fdm, condition, alpha, beta, roll, aileron, elevator, throttle)
         return _accelerations(fdm)
 
-    start = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.6]) / scale
-    solution = root(accelerations, start, method="hybr", options={"xtol": 1e-13, "maxfev": 400})
+    # a search that leaves the travel of a control gets lost where nothing changes any more: begin elsewhere
+    for start in _TRIM_STARTS:
+        solution = root(accelerations, start / scale, method="hybr", options={"xtol": 1e-13, "maxfev": 400})
+        residual = float(np.abs(accelerations(solution.x)).max())
+        if residual < _SETTLED:
+            break
     alpha, beta, roll, aileron, elevator, throttle = (float(v) for v in solution.x * scale)
-    residual = float(np.abs(accelerations(solution.x)).max())
     where = f"{fdm.get_model_name()} at {condition.speed:g} m/s, {condition.alt:g} m"
     if not (residual < _SETTLED and 0 <= throttle <= 1 and abs(aileron) <= 1 and abs(elevator) <= 1):
         raise FlightError(

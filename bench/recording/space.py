@@ -11,6 +11,7 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Sensed, Trajectory
+from bench.recording.meshes import MESHES
 from bench.recording.plots import (
     AXIS_COLOURS,
     FIX,
@@ -158,81 +159,3 @@ def _in_start_frame(q_nb: FloatArray, lla: FloatArray, origin: FloatArray) -> Fl
     C_es = earth.matrix_en(origin[0], origin[1])
     C_sn = C_es.T @ earth.matrix_en(lla[:, 0], lla[:, 1])
     return rotation.multiply(rotation.from_matrix(C_sn), q_nb)
-
-
-def _loft(*rings: Any) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.int64]]]:
-    """Return the skin over rings of equally many points (K, 3), closed at both ends, normals outward."""
-    points = np.array(rings, float)
-    n, k = points.shape[:2]
-    j = np.arange(k)
-    faces = []
-    for i in range(n - 1):
-        a, b = i * k + j, i * k + (j + 1) % k
-        faces += [np.column_stack([a, b, b + k]), np.column_stack([a, b + k, a + k])]
-    fan = np.column_stack([0 * j[1:-1], j[1:-1], j[2:]])
-    faces += [fan[:, ::-1], fan + (n - 1) * k]
-    vertices, triangles = points.reshape(-1, 3), np.vstack(faces)
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    inside_out = np.sum(a * np.cross(b, c)) < 0.0  # six times the volume
-    return vertices, triangles[:, ::-1] if inside_out else triangles
-
-
-def _uav() -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
-    """Return a small twin-boom pusher in body axes: vertices, triangles, a colour per triangle.
-
-    The wing spans 1. Its tips are red on the left and green on the right.
-    """
-    angle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
-    circle = np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
-
-    def ring(x: float, radius: float, z: float = 0.0) -> FloatArray:
-        return np.array([x, 0.0, z]) + radius * circle
-
-    def foil(x: float, y: float, z: float, chord: float) -> FloatArray:
-        outline = np.array([[0.5, 0, 0], [0.2, 0, -0.06], [-0.5, 0, 0], [0.2, 0, 0.04]])
-        return np.array([x, y, z]) + chord * outline
-
-    def boom(y: float) -> tuple[FloatArray, ...]:
-        offset = np.array([0.0, y, -0.03])
-        return tuple(offset + ring(x, 0.010) for x in (0.0, -0.38))
-
-    body, white, red, green, dark = (
-        [225, 228, 232],
-        [245, 245, 245],
-        [225, 50, 50],
-        [40, 190, 80],
-        [90, 95, 105],
-    )
-    parts = [
-        (
-            _loft(
-                ring(0.36, 0.006), ring(0.30, 0.04), ring(0.15, 0.06), ring(-0.10, 0.06), ring(-0.20, 0.03)
-            ),
-            body,
-        ),
-        (
-            _loft(foil(0.02, -0.40, -0.04, 0.13), foil(0.0, 0.0, -0.04, 0.17), foil(0.02, 0.40, -0.04, 0.13)),
-            white,
-        ),
-        (_loft(foil(0.03, -0.50, -0.05, 0.10), foil(0.02, -0.40, -0.04, 0.13)), red),
-        (_loft(foil(0.02, 0.40, -0.04, 0.13), foil(0.03, 0.50, -0.05, 0.10)), green),
-        (_loft(*boom(-0.14)), dark),
-        (_loft(*boom(0.14)), dark),
-        (
-            _loft(
-                foil(-0.38, -0.14, -0.03, 0.10), foil(-0.40, 0.0, -0.16, 0.09), foil(-0.38, 0.14, -0.03, 0.10)
-            ),
-            [255, 170, 60],
-        ),
-    ]
-    vertices, triangles, colours, start = [], [], [], 0
-    for (points, faces), colour in parts:
-        vertices.append(points)
-        triangles.append(faces + start)
-        colours.append(np.tile(colour, (len(faces), 1)))
-        start += len(points)
-    return np.vstack(vertices), np.vstack(triangles), np.vstack(colours)
-
-
-MESHES = {"uav": _uav}
-"""Shapes by ``AircraftSpec.mesh``."""

@@ -1,0 +1,157 @@
+"""Simple shapes of the aircraft classes, in body axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+
+Triangles = np.ndarray[Any, np.dtype[np.int64]]
+Mesh = tuple[FloatArray, Triangles, Triangles]
+"""Vertices (V, 3) in frame b with a wing span of 1, triangles (T, 3), a colour per triangle (T, 3)."""
+
+_ANGLE = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+_CIRCLE = np.column_stack([0 * _ANGLE, np.cos(_ANGLE), np.sin(_ANGLE)])
+_FOIL = np.array([[0.5, 0, 0], [0.2, 0, -0.06], [-0.5, 0, 0], [0.2, 0, 0.04]])  # of chord 1
+_FIN = np.array([[0.5, 0, 0], [0.2, 0.05, 0], [-0.5, 0, 0], [0.2, -0.05, 0]])
+
+_BODY, _WHITE, _DARK, _ORANGE = [225, 228, 232], [245, 245, 245], [90, 95, 105], [255, 170, 60]
+_RED, _GREEN = [225, 50, 50], [40, 190, 80]  # the tips, left and right
+
+
+def _loft(*rings: Any) -> tuple[FloatArray, Triangles]:
+    """Return the skin over rings of equally many points (K, 3), closed at both ends, normals outward."""
+    points = np.array(rings, float)
+    n, k = points.shape[:2]
+    j = np.arange(k)
+    faces = []
+    for i in range(n - 1):
+        a, b = i * k + j, i * k + (j + 1) % k
+        faces += [np.column_stack([a, b, b + k]), np.column_stack([a, b + k, a + k])]
+    fan = np.column_stack([0 * j[1:-1], j[1:-1], j[2:]])
+    faces += [fan[:, ::-1], fan + (n - 1) * k]
+    vertices, triangles = points.reshape(-1, 3), np.vstack(faces)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    inside_out = np.sum(a * np.cross(b, c)) < 0.0  # six times the volume
+    return vertices, triangles[:, ::-1] if inside_out else triangles
+
+
+def _ring(x: float, radius: float, z: float = 0.0, y: float = 0.0) -> FloatArray:
+    return np.array([x, y, z]) + radius * _CIRCLE
+
+
+def _foil(x: float, y: float, z: float, chord: float) -> FloatArray:
+    return np.array([x, y, z]) + chord * _FOIL
+
+
+def _fin(x: float, z: float, chord: float) -> FloatArray:
+    return np.array([x, 0.0, z]) + chord * _FIN
+
+
+def _mirrored(*sections: tuple[float, float, float, float]) -> tuple[FloatArray, ...]:
+    """Return foils from the left to the right: sections (x, y, z, chord) of the right half, y = 0 first."""
+    left = [(x, -y, z, chord) for x, y, z, chord in sections[:0:-1]]
+    return tuple(_foil(*section) for section in (*left, *sections))
+
+
+def _wing(*sections: tuple[float, float, float, float]) -> list[tuple[Sequence[FloatArray], list[int]]]:
+    """Return a wing from the sections (x, y, z, chord) of its right half; the last panels are the tips."""
+    foils = _mirrored(*sections)
+    return [(foils[1:-1], _WHITE), (foils[:2], _RED), (foils[-2:], _GREEN)]
+
+
+def _assembled(parts: Iterable[tuple[Sequence[FloatArray], list[int]]]) -> Mesh:
+    """Return the skins over the rings of all parts as one mesh."""
+    vertices, triangles, colours, start = [], [], [], 0
+    for rings, colour in parts:
+        points, faces = _loft(*rings)
+        vertices.append(points)
+        triangles.append(faces + start)
+        colours.append(np.tile(colour, (len(faces), 1)))
+        start += len(points)
+    return np.vstack(vertices), np.vstack(triangles), np.vstack(colours)
+
+
+def _uav() -> Mesh:
+    """Return a small twin-boom pusher."""
+
+    def boom(y: float) -> list[FloatArray]:
+        return [_ring(x, 0.010, -0.03, y) for x in (0.0, -0.38)]
+
+    body = [
+        _ring(x, radius)
+        for x, radius in ((0.36, 0.006), (0.30, 0.04), (0.15, 0.06), (-0.10, 0.06), (-0.20, 0.03))
+    ]
+    return _assembled(
+        [
+            (body, _BODY),
+            *_wing((0.0, 0.0, -0.04, 0.17), (0.02, 0.40, -0.04, 0.13), (0.03, 0.50, -0.05, 0.10)),
+            (boom(-0.14), _DARK),
+            (boom(0.14), _DARK),
+            (_mirrored((-0.40, 0.0, -0.16, 0.09), (-0.38, 0.14, -0.03, 0.10)), _ORANGE),
+        ]
+    )
+
+
+def _light_single() -> Mesh:
+    """Return a low-wing single with a canopy and a propeller disc."""
+    body = [
+        _ring(x, radius, z)
+        for x, radius, z in (
+            (0.30, 0.025, 0.01),
+            (0.27, 0.050, 0.01),
+            (0.10, 0.066, 0.0),
+            (-0.08, 0.064, 0.0),
+            (-0.50, 0.015, -0.02),
+        )
+    ]
+    canopy = [
+        _ring(x, radius, -0.05)
+        for x, radius in ((0.09, 0.008), (0.05, 0.045), (-0.06, 0.045), (-0.16, 0.008))
+    ]
+    return _assembled(
+        [
+            (body, _BODY),
+            (canopy, _DARK),
+            ([_ring(0.302, 0.115, 0.01), _ring(0.308, 0.115, 0.01)], _DARK),
+            *_wing((0.02, 0.0, 0.05, 0.21), (0.02, 0.40, 0.02, 0.15), (0.02, 0.50, 0.01, 0.12)),
+            (_mirrored((-0.46, 0.0, -0.03, 0.12), (-0.46, 0.20, -0.03, 0.08)), _ORANGE),
+            ([_fin(-0.44, -0.01, 0.16), _fin(-0.49, -0.17, 0.08)], _ORANGE),
+        ]
+    )
+
+
+def _jet() -> Mesh:
+    """Return a swept low-wing transport with four engines under the wing."""
+    body = [
+        _ring(x, radius, z)
+        for x, radius, z in (
+            (0.52, 0.008, 0.01),
+            (0.49, 0.030, 0.0),
+            (0.42, 0.050, 0.0),
+            (-0.25, 0.050, 0.0),
+            (-0.56, 0.010, -0.03),
+        )
+    ]
+
+    def engine(x: float, y: float) -> list[FloatArray]:
+        return [
+            _ring(x + dx, radius, 0.065, y) for dx, radius in ((0.05, 0.018), (0.02, 0.022), (-0.05, 0.012))
+        ]
+
+    return _assembled(
+        [
+            (body, _BODY),
+            *_wing((0.06, 0.0, 0.03, 0.26), (-0.15, 0.40, 0.0, 0.09), (-0.22, 0.50, -0.01, 0.06)),
+            *((engine(x, side * y), _DARK) for x, y in ((0.08, 0.20), (-0.03, 0.34)) for side in (-1, 1)),
+            (_mirrored((-0.44, 0.0, -0.03, 0.14), (-0.56, 0.19, -0.05, 0.05)), _ORANGE),
+            ([_fin(-0.42, -0.03, 0.18), _fin(-0.56, -0.21, 0.07)], _ORANGE),
+        ]
+    )
+
+
+MESHES = {"uav": _uav, "light-single": _light_single, "jet": _jet}
+"""Shapes by ``AircraftSpec.mesh``."""
