@@ -75,7 +75,8 @@ def _record(
     outages = [(start, end) for start, end, _ in sensed.events.of("gnss_outage")]
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
-        stream = rr.RecordingStream(f"bench {profile.name}")
+        # chunks are cut by content and not by the clock, so that the same run gives the same recording
+        stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()
         stream.send_blueprint(layout.blueprint(scene, tabs, next(iter(solutions), "")))
         stream.send_recording_name(f"{profile.name}, seed {profile.seed}")
