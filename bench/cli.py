@@ -177,11 +177,21 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
 
 
 @commands.command(name="list", epilog=_STATUS)
-def list_all() -> int:
-    """List the profiles, aircraft, sensors and estimators there are."""
+@click.argument(
+    "kind",
+    required=False,
+    type=click.Choice(["profiles", "aircraft", "sensors", "estimators"]),
+    metavar="[KIND]",
+)
+def list_all(kind: str | None) -> int:
+    """List the profiles, aircraft, sensors and estimators there are.
+
+    KIND is one of these words and lists only those; bench list sensors also says where
+    the figures of each sensor are from, and which of them no source states.
+    """
     from bench.workbench.show import choices
 
-    choices(_console())
+    choices(_console(), kind)
     return DONE
 
 
@@ -224,6 +234,45 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
         record_limits(baselines, profiles, console=_console(), runs=runs)
         return DONE
     return DONE if check_limits(baselines, profiles, console=_console(), runs=runs) else NEGATIVE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("unit", required=False, metavar="[UNIT]")
+@click.option(
+    "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of a unit at rest"
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="the picture, .png, .svg or .pdf  [default: allan-<unit>.png]",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, metavar="N", help="seed of the noise"
+)
+def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> int:
+    """Measure the Allan deviation of an IMU and compare it with its datasheet.
+
+    UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml: its
+    model is measured at rest, below 8 s at 200 Hz, from there on for 18 h at 1 Hz,
+    and each value is held against the analytic curve of all its terms. With --log a
+    log is measured; UNIT, when given, is what it is compared with.
+
+    FILE is CSV with a header: t_s, gyro_x_rad_s (or deg_s), gyro_y_..., gyro_z_...,
+    accel_x_m_s2 (or g), ...: rates of a unit at rest, a row per sample.
+
+    \b
+    Examples:
+      bench allan stim300
+      bench allan --log desk.csv
+      bench allan icm-42688-p --log desk.csv -o desk.png
+    """
+    if unit is None and log is None:
+        raise click.UsageError("give a UNIT of the catalog or --log FILE")
+    from bench.workbench.allan import allan_of
+
+    return DONE if allan_of(unit, log, out=out, seed=seed, console=_console()) else NEGATIVE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -124,11 +124,48 @@ class TriadSpec:
     scale_factor_sd: float = 0.0  # [1]
     misalignment_sd: float = 0.0  # each off-diagonal element [rad]
     quantization: float = 0.0  # least bit of an increment [unit]
+    rate_random_walk: float = 0.0  # walk of the rate, K [unit/s/sqrt(s)]
+    scale_asymmetry_sd: float = 0.0  # half of what the scale factors of both signs differ by [1]
+    nonlinearity_sd: float = 0.0  # largest departure from the best straight line, over the range [1]
+    quadratic_sd: float = 0.0  # of the squared rate [1/(unit/s)]
+    nonorthogonality_sd: float = 0.0  # of the angle between two sensing axes from 90 deg [rad]
+    alignment_sd: float = 0.0  # turn of the triad in its case, each axis [rad]
+    g_sensitivity_sd: float = 0.0  # gyros: each element, per specific force [unit/s/(m/s^2)]
+    g2_sensitivity_sd: float = 0.0  # gyros: each element, per squared specific force [unit/s/(m/s^2)^2]
+    temperature_sd: float = 0.0  # bias per kelvin from the reference temperature [unit/s/K]
+    dead_zone: float = 0.0  # a rate below it reads 0 [unit/s]
+    dead_zone_kind: str = "subtractive"  # or "hard": a rate above it is whole
+    range: float = 0.0  # largest rate, 0 none; beyond it the sample is clipped and flagged [unit/s]
+    bandwidth: float = 0.0  # -3 dB of a second-order Butterworth filter of the motion, 0 none [Hz]
+    delay: float = 0.0  # of the motion, beyond that of the filter [s]
 
     @property
     def instability_sd(self) -> float:
         """Standard deviation of the Gauss-Markov process whose Allan deviation peaks at bias_instability."""
         return self.bias_instability / GAUSS_MARKOV_PEAK
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalSpec:
+    """The temperature of an IMU: it follows that of the air and its own heat, from that of the air on."""
+
+    reference: float = 298.15  # temperature without temperature error [K]
+    self_heating: float = 0.0  # final excess over the air [K]
+    time_constant: float = 0.0  # 0: at once [s]
+
+
+@dataclass(frozen=True, slots=True)
+class VibrationSpec:
+    """Shaking at the IMU's place in the aircraft; rms of each axis. What there is not is 0."""
+
+    engine_gyro: float = 0.0  # at the reference engine speed; grows with its square [rad/s]
+    engine_accel: float = 0.0  # [m/s^2]
+    engine_reference: float = 0.0  # [rad/s]
+    engine_order: float = 1.0  # periods per turn of the engine [1]
+    gust_gyro: float = 0.0  # per m/s of gust rms, of the structural mode [rad/s/(m/s)]
+    gust_accel: float = 0.0  # [m/s^2/(m/s)]
+    mode_frequency: float = 0.0  # of the structural mode that gusts excite, damped [Hz]
+    mode_damping: float = 0.0  # ratio to critical damping [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +175,10 @@ class ImuSpec:
     name: str
     gyro: TriadSpec
     accel: TriadSpec
+    thermal: ThermalSpec = ThermalSpec()
+    vibration: VibrationSpec = VibrationSpec()
+    accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: along b
+    accel_arms: tuple[tuple[float, float, float], ...] = ()  # of the x, y, z accelerometer [m], b
 
 
 @dataclass(frozen=True, slots=True)

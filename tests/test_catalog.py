@@ -11,12 +11,15 @@ from numpy.testing import assert_allclose
 from synthetic import still
 
 import bench
+from bench.cli import main
+from bench.config import ConfigError
 from bench.config.datasheets import read_baro, read_gnss, read_imu
 from bench.sensors import imu
+from bench.specs import ThermalSpec
 
 CATALOG = Path(bench.__file__).parent / "catalog"
 FILES = sorted(CATALOG.glob("*/*.toml"))
-TABLES = {"imu": ("gyro", "accel"), "gnss": ("gnss",), "baro": ("baro",)}
+TABLES = {"imu": ("gyro", "accel", "thermal", "vibration", "layout"), "gnss": ("gnss",), "baro": ("baro",)}
 CLASSES = ("consumer", "industrial", "tactical", "navigation", "synthetic")
 DEG = np.pi / 180
 
@@ -31,10 +34,13 @@ def entry(kind, name, read):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_figure_has_a_source_or_is_marked_assumed(path):
-    """bias_model is a choice of model, not a figure."""
+    """bias_model and dead_zone_kind are choices of model, not figures."""
     entry = document(path)
     figures = {
-        f"{table}.{key}" for table in TABLES[path.parent.name] for key in entry[table] if key != "bias_model"
+        f"{table}.{key}"
+        for table in TABLES[path.parent.name]
+        for key in entry.get(table, {})
+        if key not in ("bias_model", "dead_zone_kind")
     }
     sourced, assumed = set(entry.get("sources", {})), set(entry.get("assumed", []))
     assert sourced | assumed == figures
@@ -51,9 +57,106 @@ def test_every_entry_becomes_a_spec_by_its_name(path):
     assert read(path, path.name).name == path.stem
 
 
-def test_three_real_imus_of_three_classes():
-    classes = {document(path)["class"] for path in FILES if path.parent.name == "imu"}
-    assert {"consumer", "industrial", "tactical"} <= classes
+def test_twelve_real_imus_and_more_over_four_classes_each_with_its_confidence():
+    units = {path.stem: document(path) for path in FILES if path.parent.name == "imu"}
+    real = {name: unit for name, unit in units.items() if unit.get("confidence") not in (None, "table")}
+    assert len(real) >= 12
+    assert {unit["class"] for unit in real.values()} == {"consumer", "industrial", "tactical", "navigation"}
+    assert all("confidence" in unit or unit["class"] == "synthetic" for unit in units.values())
+    for name in ("mpu-6050", "mpu-9250", "icm-20948", "bmi088", "lsm6dsl"):  # their datasheets print none
+        assert not any("bias_instability" in key for table in ("gyro", "accel") for key in real[name][table])
+
+
+@pytest.mark.parametrize(
+    ("number", "gyro", "accel"),
+    [
+        (1, [2.4241e-8, 2.5e-5, 9.6963e-5, 3.7078e-9, 1.4544e-7], [9.80665e-5, 1e-5, 4.8481e-5, 1.5e-4]),
+        (2, [4.8481e-8, 5e-5, 2.9089e-4, 7.4156e-9, 2.9089e-7], [4.90333e-4, 5e-5, 4.8481e-5, 1.6667e-4]),
+        (3, [4.8481e-7, 2e-4, 5.8178e-4, 7.4156e-8, 2.9089e-6], [9.80665e-4, 1e-4, 9.6963e-5, 3.3333e-4]),
+    ],
+)
+def test_the_grades_of_the_source_are_read_as_the_register_reads_them(number, gyro, accel):
+    """A-2.4.1, A-2.4.2 and #15 in SI, by hand: drift, scale factor, angle, g-drift, random walk."""
+    unit = entry("imu", f"grade-{number}", read_imu)
+    g, a = unit.gyro, unit.accel
+    found = [g.turn_on_bias_sd, g.scale_factor_sd, g.nonorthogonality_sd, g.g_sensitivity_sd, g.random_walk]
+    assert_allclose(found, gyro, rtol=1e-4)
+    found = [a.turn_on_bias_sd, a.scale_factor_sd, a.nonorthogonality_sd, a.random_walk]
+    assert_allclose(found, accel, rtol=1e-4)
+    for triad in (g, a):
+        assert triad.bias_instability == triad.dead_zone == triad.misalignment_sd == triad.quantization == 0
+
+
+def test_the_other_tables_of_an_imu_become_si(tmp_path):
+    (tmp_path / "odd.toml").write_text(
+        """
+        source = "by hand"
+        [gyro]
+        dead_zone_deg_h = 36.0
+        dead_zone_kind = "hard"
+        [thermal]
+        reference_degc = 20.0
+        self_heating_k = 12.0
+        time_constant_s = 300.0
+        [vibration]
+        engine_gyro_deg_s = 1.0
+        engine_accel_mg = 100.0
+        engine_reference_rpm = 6000.0
+        engine_order = 2.0
+        gust_gyro_deg_s_per_mps = 0.1
+        gust_accel_mg_per_mps = 10.0
+        mode_frequency_hz = 25.0
+        mode_damping = 0.03
+        [layout]
+        accel_cone_deg = 40.0
+        accel_x_m = [0.01, 0.0, 0.0]
+        accel_y_m = [0.0, 0.02, 0.0]
+        """
+    )
+    unit = read_imu(tmp_path / "odd.toml", "odd.toml")
+    assert (unit.gyro.dead_zone_kind, unit.accel.dead_zone_kind) == ("hard", "subtractive")
+    assert unit.thermal == ThermalSpec(293.15, 12.0, 300.0)
+    shaking = unit.vibration
+    assert_allclose([shaking.engine_gyro, shaking.engine_accel], [DEG, 0.980665])
+    assert_allclose([shaking.engine_reference, shaking.engine_order], [628.3185, 2.0], rtol=1e-6)
+    assert_allclose([shaking.gust_gyro, shaking.gust_accel], [0.1 * DEG, 0.0980665])
+    assert (shaking.mode_frequency, shaking.mode_damping) == (25.0, 0.03)
+    assert_allclose(unit.accel_cone, 40 * DEG)
+    assert unit.accel_arms == ((0.01, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[gyro]\nnonlinearity_sd_ppm = 50.0", "[gyro] nonlinearity_sd needs range_deg_s above 0"),
+        ("[accel]\nnonlinearity_sd_ppm = 50.0", "[accel] nonlinearity_sd needs range_g above 0"),
+        ("[accel]\ndead_zone_ug = 1.0\ndead_zone_mg = 1.0", "dead_zone_ug and dead_zone_mg are one figure"),
+        ('[gyro]\ndead_zone_kind = "soft"', "must be 'subtractive' or 'hard'"),
+        ("[accel]\ng_sensitivity_sd_deg_h_g = 1.0", "unknown key 'g_sensitivity_sd_deg_h_g'"),
+        ("[vibration]\nengine_accel_mg = 1.0", "[vibration] engine shaking needs engine_reference_rpm"),
+        ("[vibration]\ngust_accel_mg_per_mps = 1.0", "[vibration] shaking by gusts needs mode_frequency_hz"),
+        ("[layout]\naccel_cone_deg = 95.0", "accel_cone_deg = 95 deg is outside 0 to 89 deg"),
+        ("[layout]\naccel_x_m = [1.0, 2.0]", "accel_x_m"),
+        ('confidence = "hearsay"', "confidence = 'hearsay'"),
+    ],
+)
+def test_a_wrong_imu_sheet_says_what_would_be_right(tmp_path, text, message):
+    (tmp_path / "bad.toml").write_text(f'source = "by hand"\n{text}\n')
+    with pytest.raises(ConfigError) as caught:
+        read_imu(tmp_path / "bad.toml", "bad.toml")
+    assert message in str(caught.value)
+    assert all(line.startswith("bad.toml: ") for line in caught.value.messages)
+
+
+def test_the_list_of_sensors_shows_what_is_assumed(capsys):
+    assert main(["list", "sensors"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "stim300" in out
+    assert "tactical, quoted; assumed: gyro.bias_correlation_s, accel.bias_correlation_s" in out
+    assert "figure-eight" not in out
+    assert main(["list", "profiles"]) == 0
+    assert "figure-eight" in capsys.readouterr().out
+    assert main(["list", "cats"]) == 2
 
 
 def test_units_of_the_datasheets_become_si():

@@ -111,13 +111,67 @@ BY_HAND = [
     ("accel", "misalignment_sd_deg", 0.5, "misalignment_sd", 8.7266463e-3),
     ("accel", "quantization_m_s", 1e-5, "quantization", 1e-5),
     ("accel", "bias_correlation_s", 100.0, "bias_correlation", 100.0),
+    ("gyro", "bias_instability_deg_s", 0.01, "bias_instability", 1.7453293e-4),
+    ("gyro", "rate_random_walk_deg_h_sqrt_h", 1.0, "rate_random_walk", 8.0802280e-8),
+    ("gyro", "rate_random_walk_deg_s_sqrt_s", 1e-06, "rate_random_walk", 1.7453293e-8),
+    ("gyro", "g_sensitivity_sd_deg_h_g", 1.0, "g_sensitivity_sd", 4.9437237e-7),
+    ("gyro", "g_sensitivity_sd_deg_s_g", 0.1, "g_sensitivity_sd", 1.7797405e-4),
+    ("gyro", "g2_sensitivity_sd_deg_h_g2", 1.0, "g2_sensitivity_sd", 5.0411952e-8),
+    ("gyro", "g2_sensitivity_sd_deg_s_g2", 0.1, "g2_sensitivity_sd", 1.8148303e-5),
+    ("gyro", "temperature_sd_deg_h_k", 36.0, "temperature_sd", 1.7453293e-4),
+    ("gyro", "temperature_sd_deg_s_k", 0.01, "temperature_sd", 1.7453293e-4),
+    ("gyro", "dead_zone_deg_h", 36.0, "dead_zone", 1.7453293e-4),
+    ("gyro", "dead_zone_deg_s", 0.01, "dead_zone", 1.7453293e-4),
+    ("gyro", "range_deg_s", 450.0, "range", 7.8539816),
+    ("accel", "noise_mg_sqrt_hz", 0.14, "random_walk", 1.372931e-3),
+    ("accel", "turn_on_bias_sd_ug", 25.0, "turn_on_bias_sd", 2.4516625e-4),
+    ("accel", "rate_random_walk_ug_sqrt_h", 60.0, "rate_random_walk", 9.80665e-6),
+    ("accel", "quadratic_sd_ug_g2", 50.0, "quadratic_sd", 5.0985811e-6),
+    ("accel", "temperature_sd_ug_k", 100.0, "temperature_sd", 9.80665e-4),
+    ("accel", "temperature_sd_mg_k", 0.1, "temperature_sd", 9.80665e-4),
+    ("accel", "dead_zone_ug", 10.0, "dead_zone", 9.80665e-5),
+    ("accel", "dead_zone_mg", 0.01, "dead_zone", 9.80665e-5),
+    ("accel", "range_g", 8.0, "range", 78.4532),
+    ("gyro", "misalignment_sd_arcsec", 20.0, "misalignment_sd", 9.6962736e-5),
+    ("gyro", "misalignment_sd_percent", 2.0, "misalignment_sd", 0.02),
+    ("gyro", "nonorthogonality_sd_arcsec", 20.0, "nonorthogonality_sd", 9.6962736e-5),
+    ("gyro", "nonorthogonality_sd_deg", 0.1, "nonorthogonality_sd", 1.7453293e-3),
+    ("gyro", "nonorthogonality_sd_mrad", 0.75, "nonorthogonality_sd", 7.5e-4),
+    ("gyro", "nonorthogonality_sd_percent", 1.0, "nonorthogonality_sd", 0.01),
+    ("gyro", "alignment_sd_arcsec", 20.0, "alignment_sd", 9.6962736e-5),
+    ("gyro", "alignment_sd_deg", 0.1, "alignment_sd", 1.7453293e-3),
+    ("gyro", "alignment_sd_mrad", 0.75, "alignment_sd", 7.5e-4),
+    ("gyro", "alignment_sd_percent", 1.0, "alignment_sd", 0.01),
+    ("gyro", "scale_asymmetry_sd_ppm", 50.0, "scale_asymmetry_sd", 5e-5),
+    ("gyro", "scale_asymmetry_sd_percent", 0.1, "scale_asymmetry_sd", 1e-3),
+    ("gyro", "nonlinearity_sd_ppm", 50.0, "nonlinearity_sd", 5e-5),
+    ("gyro", "nonlinearity_sd_percent", 0.1, "nonlinearity_sd", 1e-3),
+    ("gyro", "bandwidth_hz", 50.0, "bandwidth", 50.0),
+    ("gyro", "delay_s", 0.002, "delay", 0.002),
+    ("accel", "misalignment_sd_arcsec", 20.0, "misalignment_sd", 9.6962736e-5),
+    ("accel", "misalignment_sd_percent", 2.0, "misalignment_sd", 0.02),
+    ("accel", "nonorthogonality_sd_arcsec", 20.0, "nonorthogonality_sd", 9.6962736e-5),
+    ("accel", "nonorthogonality_sd_deg", 0.1, "nonorthogonality_sd", 1.7453293e-3),
+    ("accel", "nonorthogonality_sd_mrad", 0.75, "nonorthogonality_sd", 7.5e-4),
+    ("accel", "nonorthogonality_sd_percent", 1.0, "nonorthogonality_sd", 0.01),
+    ("accel", "alignment_sd_arcsec", 20.0, "alignment_sd", 9.6962736e-5),
+    ("accel", "alignment_sd_deg", 0.1, "alignment_sd", 1.7453293e-3),
+    ("accel", "alignment_sd_mrad", 0.75, "alignment_sd", 7.5e-4),
+    ("accel", "alignment_sd_percent", 1.0, "alignment_sd", 0.01),
+    ("accel", "scale_asymmetry_sd_ppm", 50.0, "scale_asymmetry_sd", 5e-5),
+    ("accel", "scale_asymmetry_sd_percent", 0.1, "scale_asymmetry_sd", 1e-3),
+    ("accel", "nonlinearity_sd_ppm", 50.0, "nonlinearity_sd", 5e-5),
+    ("accel", "nonlinearity_sd_percent", 0.1, "nonlinearity_sd", 1e-3),
+    ("accel", "bandwidth_hz", 50.0, "bandwidth", 50.0),
+    ("accel", "delay_s", 0.002, "delay", 0.002),
 ]
 
 
 @pytest.mark.parametrize(("triad", "key", "value", "field", "si"), BY_HAND)
 def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
-    needs = "\nbias_correlation_s = 300.0" if field == "bias_instability" else ""
-    write(tmp_path, f'source = "by hand"\n[{triad}]\n{key} = {value}{needs}\n', "unit.toml")
+    whole_range = "range_deg_s" if triad == "gyro" else "range_g"
+    needs = {"bias_instability": "bias_correlation_s = 300.0", "nonlinearity_sd": f"{whole_range} = 8.0"}
+    write(tmp_path, f'source = "by hand"\n[{triad}]\n{key} = {value}\n{needs.get(field, "")}\n', "unit.toml")
     spec = read_imu(tmp_path / "unit.toml", "unit.toml")
     assert getattr(getattr(spec, triad), field) == pytest.approx(si, rel=1e-7)
     other = spec.accel if triad == "gyro" else spec.gyro
@@ -439,7 +493,7 @@ def test_an_override_that_leads_nowhere(tmp_path, key, message):
 
 
 def test_shipped_files_parse_and_have_titles():
-    shelves = [*config.list_profiles(), *config.list_aircraft(), *(row[1:] for row in config.list_sensors())]
+    shelves = [*config.list_profiles(), *config.list_aircraft(), *(row[1:3] for row in config.list_sensors())]
     assert all(name and title for name, title in shelves)
     for path in PACKAGE.glob("profiles/*.toml"):
         assert tomllib.loads(path.read_text())

@@ -327,11 +327,15 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
         rng.normal(size=(n, 3)),
         1e-3,
         1e-4,
+        rng.normal(scale=1e-3, size=(n, 3)),
+        20.0,
     )
     compiled, plain = np.empty((n, 3)), np.empty((n, 3))
-    imu._measure_kernel(*arguments, compiled)
-    imu._measure_kernel.py_func(*arguments, plain)
+    flags = np.ones((2, n), bool)
+    imu._measure_kernel(*arguments, compiled, flags[0])
+    imu._measure_kernel.py_func(*arguments, plain, flags[1])
     assert_allclose(compiled, plain, rtol=0, atol=1e-13)
+    assert_array_equal(flags[0], flags[1])
 
     decay, sd = np.exp(-rng.uniform(size=(49, 2))), np.array([1.0, 2.0])
     noise = rng.normal(size=(50, 2, 3))

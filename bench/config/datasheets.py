@@ -9,36 +9,90 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.tables import NOT_NEGATIVE, ConfigError, Table, between, checked, quantity, read
-from bench.specs import BaroSpec, GnssSpec, ImuSpec, TriadSpec
+from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, quantity, read
+from bench.specs import BaroSpec, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 _DEG = math.pi / 180
 _HOUR = 3600.0
 _G = 9.80665  # standard gravity, the unit of datasheets [m/s^2]
 
+_ARCSEC = _DEG / 3600
+
+
+def _angles(name: str) -> dict[str, float]:
+    return {f"{name}_mrad": 1e-3, f"{name}_deg": _DEG, f"{name}_arcsec": _ARCSEC, f"{name}_percent": 1e-2}
+
+
+def _shares(name: str) -> dict[str, float]:
+    return {f"{name}_ppm": 1e-6, f"{name}_percent": 1e-2}
+
+
+def _drift(name: str) -> dict[str, float]:
+    return {f"{name}_deg_h": _DEG / _HOUR, f"{name}_deg_s": _DEG}
+
+
+def _acceleration(name: str) -> dict[str, float]:
+    return {f"{name}_ug": 1e-6 * _G, f"{name}_mg": 1e-3 * _G}
+
+
 _COMMON = {
     "bias_correlation": {"bias_correlation_s": 1.0},
-    "scale_factor_sd": {"scale_factor_sd_ppm": 1e-6, "scale_factor_sd_percent": 1e-2},
-    "misalignment_sd": {"misalignment_sd_mrad": 1e-3, "misalignment_sd_deg": _DEG},
+    "scale_factor_sd": _shares("scale_factor_sd"),
+    "misalignment_sd": _angles("misalignment_sd"),
+    "scale_asymmetry_sd": _shares("scale_asymmetry_sd"),
+    "nonlinearity_sd": _shares("nonlinearity_sd"),
+    "nonorthogonality_sd": _angles("nonorthogonality_sd"),
+    "alignment_sd": _angles("alignment_sd"),
+    "bandwidth": {"bandwidth_hz": 1.0},
+    "delay": {"delay_s": 1.0},
 }
 GYRO: dict[str, dict[str, float]] = {
     "random_walk": {"noise_deg_sqrt_h": _DEG / math.sqrt(_HOUR), "noise_deg_s_sqrt_hz": _DEG},
-    "bias_instability": {"bias_instability_deg_h": _DEG / _HOUR},
-    "turn_on_bias_sd": {"turn_on_bias_sd_deg_h": _DEG / _HOUR, "turn_on_bias_sd_deg_s": _DEG},
+    "bias_instability": _drift("bias_instability"),
+    "turn_on_bias_sd": _drift("turn_on_bias_sd"),
     "quantization": {"quantization_rad": 1.0, "quantization_deg": _DEG},
+    "rate_random_walk": {
+        "rate_random_walk_deg_h_sqrt_h": _DEG / _HOUR / math.sqrt(_HOUR),
+        "rate_random_walk_deg_s_sqrt_s": _DEG,
+    },
+    "g_sensitivity_sd": {
+        "g_sensitivity_sd_deg_h_g": _DEG / _HOUR / _G,
+        "g_sensitivity_sd_deg_s_g": _DEG / _G,
+    },
+    "g2_sensitivity_sd": {
+        "g2_sensitivity_sd_deg_h_g2": _DEG / _HOUR / _G**2,
+        "g2_sensitivity_sd_deg_s_g2": _DEG / _G**2,
+    },
+    "temperature_sd": {"temperature_sd_deg_h_k": _DEG / _HOUR, "temperature_sd_deg_s_k": _DEG},
+    "dead_zone": _drift("dead_zone"),
+    "range": {"range_deg_s": _DEG},
     **_COMMON,
 }
 """Field of ``TriadSpec`` -> the keys a datasheet may give it by -> factor to SI."""
 ACCEL: dict[str, dict[str, float]] = {
-    "random_walk": {"noise_m_s_sqrt_h": 1 / math.sqrt(_HOUR), "noise_ug_sqrt_hz": 1e-6 * _G},
-    "bias_instability": {"bias_instability_ug": 1e-6 * _G, "bias_instability_mg": 1e-3 * _G},
-    "turn_on_bias_sd": {"turn_on_bias_sd_mg": 1e-3 * _G},
+    "random_walk": {
+        "noise_m_s_sqrt_h": 1 / math.sqrt(_HOUR),
+        "noise_ug_sqrt_hz": 1e-6 * _G,
+        "noise_mg_sqrt_hz": 1e-3 * _G,
+    },
+    "bias_instability": _acceleration("bias_instability"),
+    "turn_on_bias_sd": _acceleration("turn_on_bias_sd"),
     "quantization": {"quantization_m_s": 1.0},
+    "rate_random_walk": {"rate_random_walk_ug_sqrt_h": 1e-6 * _G / math.sqrt(_HOUR)},
+    "quadratic_sd": {"quadratic_sd_ug_g2": 1e-6 / _G},
+    "temperature_sd": {"temperature_sd_ug_k": 1e-6 * _G, "temperature_sd_mg_k": 1e-3 * _G},
+    "dead_zone": _acceleration("dead_zone"),
+    "range": {"range_g": _G},
     **_COMMON,
 }
 """The same for accelerometers."""
+_CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
+"""What a triad chooses instead of measuring, and what it chooses when it does not say."""
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
+Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]
+"""Where the figures were read: on the sheet, its front page, maker's pages, a quote, a table of grades."""
+
 Figure = Annotated[float, NOT_NEGATIVE]
 Rate = Annotated[float, between(0.01, 400)]
 
@@ -47,7 +101,8 @@ def _triad(name: str, units: Mapping[str, Mapping[str, float]]) -> type[Table]:
     """Build the model of a triad from its table of units: every figure may be absent."""
     keys = [key for spellings in units.values() for key in spellings]
     figures: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
-    figures["bias_model"] = (Literal["flicker", "gauss-markov"], "flicker")
+    figures["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
+    figures["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
     return create_model(name, __base__=Table, **figures)
 
 
@@ -56,9 +111,44 @@ class Sheet(Table):
 
     title: str | None = None
     grade: Grade | None = Field(default=None, alias="class")
+    confidence: Confidence | None = None
     source: str
     sources: dict[str, str] = Field(default_factory=dict)  # of single figures, by "table.key"
     assumed: list[str] = Field(default_factory=list)  # figures that no source states
+
+
+class ThermalTable(Table):
+    """How warm the unit is, and at which temperature it was calibrated."""
+
+    reference_degc: Annotated[float, between(-60, 150)] = 25.0
+    self_heating_k: Figure = 0.0
+    time_constant_s: Figure = 0.0
+
+
+class VibrationTable(Table):
+    """Shaking at the place of the unit, rms of each axis."""
+
+    engine_gyro_deg_s: Figure = 0.0
+    engine_accel_mg: Figure = 0.0
+    engine_reference_rpm: Figure = 0.0
+    engine_order: Figure = 1.0
+    gust_gyro_deg_s_per_mps: Figure = 0.0
+    gust_accel_mg_per_mps: Figure = 0.0
+    mode_frequency_hz: Figure = 0.0
+    mode_damping: Annotated[float, between(0, 1)] = 0.0
+
+
+_Metres = Annotated[float, between(-10, 10)]
+Place = Annotated[tuple[_Metres, _Metres, _Metres], ROWS]
+
+
+class LayoutTable(Table):
+    """Where the accelerometers sit, from the unit's reference point, and what they point along."""
+
+    accel_cone_deg: Annotated[float, between(0, 89)] = 0.0
+    accel_x_m: Place = (0.0, 0.0, 0.0)
+    accel_y_m: Place = (0.0, 0.0, 0.0)
+    accel_z_m: Place = (0.0, 0.0, 0.0)
 
 
 class ImuSheet(Sheet):
@@ -66,6 +156,9 @@ class ImuSheet(Sheet):
 
     gyro: _triad("Gyro", GYRO) = Field(default_factory=dict)  # type: ignore[valid-type]
     accel: _triad("Accel", ACCEL) = Field(default_factory=dict)  # type: ignore[valid-type]
+    thermal: ThermalTable = ThermalTable()
+    vibration: VibrationTable = VibrationTable()
+    layout: LayoutTable = LayoutTable()
 
 
 class GnssTable(Table):
@@ -131,12 +224,56 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
             for key, factor in spellings.items()
             if key in given
         }
-        triads[name] = TriadSpec(**values, bias_model=given.get("bias_model", "flicker"))
+        triads[name] = TriadSpec(**values, **{key: given.get(key, usual) for key, usual in _CHOICES.items()})
+        if triads[name].nonlinearity_sd > 0 and triads[name].range <= 0:
+            unit = "range_deg_s" if name == "gyro" else "range_g"
+            wrong.append(f"[{name}] nonlinearity_sd needs {unit} above 0: it is a share of the range")
         if triads[name].bias_instability > 0 and triads[name].bias_correlation <= 0:
             wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
+    wrong += _incomplete(sheet.vibration)
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return ImuSpec(path.stem, triads["gyro"], triads["accel"])
+    arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
+    return ImuSpec(
+        path.stem,
+        triads["gyro"],
+        triads["accel"],
+        thermal=ThermalSpec(
+            reference=sheet.thermal.reference_degc + 273.15,
+            self_heating=sheet.thermal.self_heating_k,
+            time_constant=sheet.thermal.time_constant_s,
+        ),
+        vibration=_vibration(sheet.vibration),
+        accel_cone=_DEG * sheet.layout.accel_cone_deg,
+        accel_arms=arms if any(map(any, arms)) else (),
+    )
+
+
+def _vibration(table: VibrationTable) -> VibrationSpec:
+    return VibrationSpec(
+        engine_gyro=_DEG * table.engine_gyro_deg_s,
+        engine_accel=1e-3 * _G * table.engine_accel_mg,
+        engine_reference=2 * math.pi / 60 * table.engine_reference_rpm,
+        engine_order=table.engine_order,
+        gust_gyro=_DEG * table.gust_gyro_deg_s_per_mps,
+        gust_accel=1e-3 * _G * table.gust_accel_mg_per_mps,
+        mode_frequency=table.mode_frequency_hz,
+        mode_damping=table.mode_damping,
+    )
+
+
+def _incomplete(table: VibrationTable) -> list[str]:
+    """Say which vibration lacks the figures it needs."""
+    wrong = []
+    engine = table.engine_gyro_deg_s or table.engine_accel_mg
+    if engine and not (table.engine_reference_rpm > 0 and table.engine_order > 0):
+        wrong.append("[vibration] engine shaking needs engine_reference_rpm and engine_order above 0")
+    if table.gust_gyro_deg_s_per_mps or table.gust_accel_mg_per_mps:
+        if table.mode_frequency_hz <= 0:
+            wrong.append("[vibration] shaking by gusts needs mode_frequency_hz above 0 Hz")
+        if not 0 < table.mode_damping < 1:
+            wrong.append("[vibration] shaking by gusts needs mode_damping above 0 and below 1")
+    return wrong
 
 
 def read_gnss(path: Path, shown: str) -> GnssSpec:

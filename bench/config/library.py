@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -165,10 +166,21 @@ def list_aircraft(beside: Path | None = None) -> list[tuple[str, str]]:
     return sorted(found.items())
 
 
-def list_sensors() -> list[tuple[str, str, str]]:
-    """Return kind, name and title of every sensor of the catalog."""
+def list_sensors() -> list[tuple[str, str, str, str]]:
+    """Return kind, name, title and provenance of every sensor of the catalog.
+
+    The provenance: class, where the figures were read, and which of them no source states.
+    """
     return [
-        (kind, path.stem, str(read(path, path.name).get("title", "")))
+        (kind, path.stem, str(sheet.get("title", "")), _provenance(sheet))
         for kind in SENSORS
         for path in sorted((_CATALOG / kind).glob("*.toml"))
+        for sheet in [read(path, path.name)]
     ]
+
+
+def _provenance(sheet: Mapping[str, Any]) -> str:
+    """Say in a line how far the figures of a datasheet can be trusted."""
+    known = ", ".join(str(sheet[key]) for key in ("class", "confidence") if key in sheet)
+    assumed = [str(name) for name in sheet.get("assumed", [])]
+    return f"{known}; assumed: {', '.join(assumed)}" if assumed else known

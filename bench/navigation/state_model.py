@@ -111,11 +111,25 @@ def unmodelled(specs: AssumedSpecs, *, gnss: bool, baro: bool, gnss_markov: bool
                 "scale factor": triad.scale_factor_sd,
                 "misalignment": triad.misalignment_sd,
                 "quantization": triad.quantization,
+                "rate random walk": triad.rate_random_walk,
+                "scale factor asymmetry": triad.scale_asymmetry_sd,
+                "nonlinearity": max(triad.nonlinearity_sd, triad.quadratic_sd),
+                "non-orthogonality": triad.nonorthogonality_sd,
+                "alignment": triad.alignment_sd,
+                "g-sensitivity": max(triad.g_sensitivity_sd, triad.g2_sensitivity_sd),
+                "temperature bias": triad.temperature_sd,
+                "dead zone": triad.dead_zone,
+                "bandwidth and delay": max(triad.bandwidth, triad.delay),
             }.items()
             if value > 0
         ]
         if triad.bias_instability > 0 and triad.bias_model == "flicker":
             found.append(f"{name} bias instability as flicker noise")
+    if specs.imu.accel_arms:
+        found.append("distance between the accelerometers")
+    shaking = specs.imu.vibration
+    if max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel) > 0:
+        found.append("vibration")
     if gnss and specs.gnss is not None:
         if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0 and not gnss_markov:
             found.append("time-correlated GNSS position error")

@@ -1,9 +1,10 @@
 """Exact increments in, what an IMU would have reported out.
 
-Per triad: ``(I + M)(true increment) + bias dt + white noise``, then quantization with the remainder
-carried to the next sample (A-5.1.8 without its g and rate-derivative terms). M holds scale factor
-errors on its diagonal and misalignments beside it. Every random term has its own stream,
-``imu.<triad>.<term>``; a term that is off draws nothing.
+Per triad: motion as it reaches the sensors and they answer to it (`imu_terms.response`), then
+``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.following` (A-5.1.8), clipped to
+the range, then quantization with the remainder carried to the next sample. M holds scale factor errors on
+its diagonal and misalignments beside it. Every random term has its own stream, ``imu.<triad>.<term>``; a
+term that is off draws nothing.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import ImuData, Trajectory
+from bench.sensors import imu_terms, vibration
+from bench.sensors.imu_terms import Draw
 from bench.sensors.processes import bias_stages, gauss_markov
 from bench.specs import ImuSpec, TriadSpec, stream
 
@@ -40,12 +43,16 @@ def _measure_kernel(
     white: FloatArray,
     random_walk: float,
     lsb: float,
+    following: FloatArray,
+    limit: float,
     out: FloatArray,
+    valid: BoolArray,
 ) -> None:
     """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
 
     ``white`` has no rows when the triad has no white noise. The bias is linear between knots, so
-    its value half way through a sample, times dt, is its integral.
+    its value half way through a sample, times dt, is its integral. ``following`` (N-1, 3) may have no
+    rows; beyond ``limit`` (0: none) a rate is clipped and the row of ``valid`` cleared.
     """
     j = 0
     rest0, rest1, rest2 = 0.0, 0.0, 0.0
@@ -64,7 +71,16 @@ def _measure_kernel(
             e0 += sd * white[k, 0]
             e1 += sd * white[k, 1]
             e2 += sd * white[k, 2]
+        if following.shape[0] > 0:
+            e0 += following[k, 0]
+            e1 += following[k, 1]
+            e2 += following[k, 2]
         x, y, z = x + e0, y + e1, z + e2
+        if limit > 0.0:
+            most = limit * dt
+            if abs(x) > most or abs(y) > most or abs(z) > most:
+                x, y, z = min(max(x, -most), most), min(max(y, -most), most), min(max(z, -most), most)
+                valid[k] = False
         if lsb > 0.0:
             want0, want1, want2 = x + rest0, y + rest1, z + rest2
             x, y, z = lsb * np.rint(want0 / lsb), lsb * np.rint(want1 / lsb), lsb * np.rint(want2 / lsb)
@@ -78,7 +94,7 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
     Parameters
     ----------
     truth : Trajectory
-        The motion, N instants.
+        The motion, N instants, and the air that heats and shakes the unit.
     spec : ImuSpec
         The unit; with all errors 0 the record equals the true increments.
     seed, run : int
@@ -87,48 +103,84 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
     Returns
     -------
     imu : ImuData
-        N - 1 samples.
+        N - 1 samples; one that a sensor is out of its range in is not valid.
     bias : ImuBias
-        Turn-on bias plus bias instability, at 20 Hz.
+        Turn-on bias, bias instability, walk and temperature bias, at 20 Hz.
 
     Raises
     ------
     ValueError
-        When a triad has a bias instability without correlation time, or an unknown bias model.
+        When a figure lacks the one it needs, or a model is unknown.
     """
+    imu_terms.check(spec)
+    vibration.check(spec.vibration)
+
+    def streams(part: str) -> Draw:
+        return lambda term: stream(seed, run, f"imu.{part}.{term}")
+
     t = truth.t
+    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, streams("vibration"))
+    felt, N = dvel_b, None
+    if spec.accel_cone > 0 or spec.accel_arms:
+        N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
+        arms = np.array(spec.accel_arms) if spec.accel_arms else None
+        felt = imu_terms.along_axes(dtheta_b, dvel_b, np.diff(t), arms, N)
     reported = _knots(t, _BIAS_STEP)
-    dtheta_b, gyro_bias = _triad("imu.gyro", t, truth.dtheta_b, spec.gyro, reported, seed, run)
-    dvel_b, accel_bias = _triad("imu.accel", t, truth.dvel_b, spec.accel, reported, seed, run)
-    imu = ImuData(t=t[1:], dt=np.diff(t), valid=np.ones(len(t) - 1, bool), dtheta_b=dtheta_b, dvel_b=dvel_b)
-    return imu, ImuBias(t[reported], gyro_bias, accel_bias)
+    warmth = np.empty(0)  # above the reference temperature [K]
+    if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
+        warmth = imu_terms.temperature(t[reported], truth.air, spec.thermal) - spec.thermal.reference
+    valid = np.ones(len(t) - 1, bool)
+    measured, biases = [], []
+    for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", felt, spec.accel)):
+        increment, bias = _triad(t, motion, dvel_b, triad, reported, warmth, streams(part), valid)
+        measured.append(increment)
+        biases.append(bias)
+    if N is not None and spec.accel_cone > 0:
+        back: FloatArray = np.linalg.inv(N).astype(float)
+        measured[1], biases[1] = imu_terms.turned(back, measured[1]), imu_terms.turned(back, biases[1])
+    imu = ImuData(t=t[1:], dt=np.diff(t), valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
+    return imu, ImuBias(t[reported], biases[0], biases[1])
 
 
 def _triad(
-    name: str, t: FloatArray, increment: FloatArray, spec: TriadSpec, reported: IntArray, seed: int, run: int
+    t: FloatArray,
+    motion: FloatArray,
+    dvel_b: FloatArray,
+    spec: TriadSpec,
+    reported: IntArray,
+    warmth: FloatArray,
+    draw: Draw,
+    valid: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the measured increments (N-1, 3) and the bias at the reported rows."""
+    """Return the measured increments (N-1, 3) and the bias at the reported rows; clear rows of valid."""
     M = np.zeros((3, 3))
     if spec.scale_factor_sd > 0:
-        np.fill_diagonal(
-            M, spec.scale_factor_sd * stream(seed, run, f"{name}.scale_factor").standard_normal(3)
-        )
+        np.fill_diagonal(M, spec.scale_factor_sd * draw("scale_factor").standard_normal(3))
     if spec.misalignment_sd > 0:
-        angles = spec.misalignment_sd * stream(seed, run, f"{name}.misalignment").standard_normal(6)
+        angles = spec.misalignment_sd * draw("misalignment").standard_normal(6)
         M[~np.eye(3, dtype=bool)] = angles
-    knots, bias = _bias(name, t, spec, reported, seed, run)
+    M += imu_terms.cross_axis(spec, draw)
+    knots, bias = _bias(t, spec, reported, warmth, draw)
+    increment = imu_terms.response(t, motion, spec)
+    following = imu_terms.following(t, increment, dvel_b, spec, draw)
     white = np.empty((0, 3))
     if spec.random_walk > 0:
-        white = stream(seed, run, f"{name}.white").standard_normal((len(t) - 1, 3))
+        white = draw("white").standard_normal((len(t) - 1, 3))
     out = np.empty_like(increment)
-    _measure_kernel(t, increment, M, knots, bias, white, spec.random_walk, spec.quantization, out)
+    _measure_kernel(
+        t, increment, M, knots, bias, white, spec.random_walk, spec.quantization,
+        following, spec.range, out, valid,
+    )  # fmt: skip
     return out, bias[np.searchsorted(knots, reported)]
 
 
 def _bias(
-    name: str, t: FloatArray, spec: TriadSpec, reported: IntArray, seed: int, run: int
+    t: FloatArray, spec: TriadSpec, reported: IntArray, warmth: FloatArray, draw: Draw
 ) -> tuple[IntArray, FloatArray]:
-    """Return rows of t that include the reported ones, and the bias (B, 3) there."""
+    """Return rows of t that include the reported ones, and the bias (B, 3) there.
+
+    Walk and temperature bias are known at the reported rows, whatever else is stepped faster.
+    """
     knots = reported
     bias = np.zeros((len(knots), 3))
     if spec.bias_instability > 0:
@@ -136,11 +188,28 @@ def _bias(
         if correlation.min() < _FAST:
             knots = np.arange(len(t))
         decay = np.exp(-np.diff(t[knots])[:, None] / correlation)
-        noise = stream(seed, run, f"{name}.instability").standard_normal((len(knots), len(sd), 3))
+        noise = draw("instability").standard_normal((len(knots), len(sd), 3))
         bias = gauss_markov(decay, sd, noise)
     if spec.turn_on_bias_sd > 0:
-        bias += spec.turn_on_bias_sd * stream(seed, run, f"{name}.turn_on").standard_normal(3)
+        bias += spec.turn_on_bias_sd * draw("turn_on").standard_normal(3)
+    slow = np.zeros((len(reported), 3))
+    if spec.rate_random_walk > 0:
+        steps = np.sqrt(np.diff(t[reported], prepend=t[0]))[:, None]
+        walk = draw("rate_walk").standard_normal((len(reported), 3))
+        slow += spec.rate_random_walk * np.cumsum(steps * walk, axis=0)
+    if spec.temperature_sd > 0:
+        slow += warmth[:, None] * (spec.temperature_sd * draw("temperature").standard_normal(3))
+    if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
+        if len(knots) > len(reported):
+            slow = np.column_stack([np.interp(t[knots], t[reported], column) for column in slow.T])
+        bias += slow
     return knots, bias
+
+
+def bias_step(spec: TriadSpec, interval: float) -> float:
+    """Return how far apart the instants are that the biases of a triad are lines between [s]."""
+    fast = spec.bias_instability > 0 and bias_stages(spec)[0].min() < _FAST
+    return interval if fast else max(1, round(_BIAS_STEP / interval)) * interval
 
 
 def _knots(t: FloatArray, step: float) -> IntArray:

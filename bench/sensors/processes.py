@@ -90,3 +90,31 @@ def bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
     if triad.bias_model == "gauss-markov":
         return np.array([triad.bias_correlation]), np.array([triad.instability_sd])
     raise ValueError(f"bias_model must be 'flicker' or 'gauss-markov'; got {triad.bias_model!r}")
+
+
+def noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
+    """Return the random processes of a triad at rest, by name; what it does not have is not there.
+
+    Parameters
+    ----------
+    triad : TriadSpec
+        Its figures.
+    step : float
+        Between the instants its biases are simulated at; 0 for the biases themselves [s].
+
+    Notes
+    -----
+    Constant biases have no Allan deviation. Temperature bias, vibration and what follows the motion are left
+    out: this is a unit at rest and at one temperature. Quantization is that of the integral.
+    """
+    terms: dict[str, allan.Covariance] = {}
+    if triad.quantization > 0:
+        terms["quantization"] = allan.quantization(triad.quantization)
+    if triad.random_walk > 0:
+        terms["white noise"] = allan.white(triad.random_walk)
+    if triad.bias_instability > 0:
+        stages = [allan.markov(s, c, step) for c, s in zip(*bias_stages(triad), strict=True)]
+        terms["bias instability"] = allan.total(*stages)
+    if triad.rate_random_walk > 0:
+        terms["rate random walk"] = allan.rate_walk(triad.rate_random_walk, step)
+    return terms

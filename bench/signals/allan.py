@@ -1,11 +1,185 @@
-"""Analytic Allan deviation of the processes sensor errors are made of."""
+"""Overlapping Allan deviation, its analytic curves, and how sure a measured one is.
+
+Every process a sensor error is made of has one function here, its generalised covariance ``k(h)``: that part
+of the covariance of the angle ``x`` (integral of the rate) at lag ``h`` which survives second differences. It
+gives the Allan variance, ``sum c_a c_b k((a - b) tau) / (2 tau^2)``, ``c = (1, -2, 1)``, and the covariance
+of any two second differences, hence the effective degrees of freedom of an estimate from a record.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
+
+Covariance = Callable[[FloatArray], FloatArray]
+"""Generalised covariance of an angle: lag h >= 0 [s] -> k [unit^2]."""
+
+_WEIGHTS = ((0, 6.0), (1, -8.0), (2, 2.0))  # c_a c_b gathered by |a - b|: their sum over second differences
+
+
+def white(random_walk: float) -> Covariance:
+    """Angle or velocity random walk N [unit/sqrt(s)]: white noise of the rate."""
+    return lambda h: -0.5 * random_walk**2 * h
+
+
+def markov(sd: float, correlation: float, step: float = 0.0) -> Covariance:
+    """First-order Gauss-Markov rate of a standard deviation [unit/s] and a correlation time [s].
+
+    With a ``step`` [s] well below the correlation time the rate is a line between instants a step apart, as
+    in `rate_walk`.
+    """
+    walk = np.sqrt(2 / correlation) * sd  # what it is at short times
+
+    def covariance(h: FloatArray) -> FloatArray:
+        x = h / correlation  # h^2 has no second differences: without it the rest keeps its digits
+        series = -(x**3) / 6 * (1 - x / 4 * (1 - x / 5 * (1 - x / 6 * (1 - x / 7))))
+        shape = np.where(x < 0.05, series, x + np.expm1(-x) - x**2 / 2)
+        return -((sd * correlation) ** 2) * shape + _lines(walk, step, h)
+
+    return covariance
+
+
+def rate_walk(rate_random_walk: float, step: float = 0.0) -> Covariance:
+    """Rate random walk K [unit/s/sqrt(s)].
+
+    With a ``step`` [s] the rate is a line between instants a step apart, and its Allan variance K^2 tau / 3
+    falls by K^2 step^2 / (12 tau) where tau is not below the step.
+    """
+    return lambda h: rate_random_walk**2 * h**3 / 12 + _lines(rate_random_walk, step, h)
+
+
+def _lines(rate_random_walk: float, step: float, h: FloatArray) -> FloatArray:
+    """Return what lines between instants change of a random walk of the rate.
+
+    Lines smooth the covariance of the rate, ``-K^2 |h| / 2`` but for a constant, with a cubic B-spline. This
+    is the difference, ``-K^2 step (1 - u)^3 / 6`` with u = |h| / step < 1, integrated twice, smooth at 0.
+    """
+    if step <= 0:
+        return np.zeros_like(h)
+    u = h / step
+    return 0.5 * rate_random_walk**2 * step**3 * (np.maximum(1 - u, 0.0) ** 5 / 60 + u / 12)
+
+
+def quantization(lsb: float) -> Covariance:
+    """Rounding of the angle to a least bit [unit], uniform and independent from sample to sample."""
+    return lambda h: np.where(h == 0, lsb**2 / 12, 0.0)
+
+
+def total(*terms: Covariance) -> Covariance:
+    """Sum of independent processes."""
+    return lambda h: np.sum([term(h) for term in terms], axis=0) if terms else np.zeros_like(h)
+
+
+def deviation(term: Covariance, tau: ArrayLike) -> FloatArray:
+    """Return the analytic Allan deviation at averaging times tau [s].
+
+    Examples
+    --------
+    >>> print(deviation(white(2.0), [1.0, 4.0]), deviation(rate_walk(1.0), [3.0]))
+    [2. 1.] [1.]
+    """
+    h = np.asarray(tau, float)
+    variance = sum(weight * term(lag * h) for lag, weight in _WEIGHTS) / (2 * h**2)
+    adev: FloatArray = np.sqrt(np.maximum(variance, 0.0))
+    return adev
+
+
+def overlapping(increments: FloatArray, interval: float, spans: Sequence[int] | IntArray) -> FloatArray:
+    """Return the overlapping Allan deviation of a record.
+
+    Parameters
+    ----------
+    increments : (N,) or (N, k) array
+        Integral of the rate over each sample [unit].
+    interval : float
+        Length of a sample [s].
+    spans : sequence of int
+        Samples to average over, each at most N / 2.
+
+    Returns
+    -------
+    adev : (len(spans),) or (len(spans), k) array
+        Allan deviation of the rate [unit/s], as in IEEE Std 952-1997, annex C, all overlaps taken.
+
+    Examples
+    --------
+    >>> print(overlapping(np.array([0.0, 1.0, 0.0, 1.0]), 1.0, [1]).round(3))
+    [0.707]
+    """
+    columns = increments.reshape(len(increments), -1)
+    columns = columns - columns.mean(axis=0)  # no second difference sees the mean, and rounding does
+    x = np.vstack([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
+    variance = []
+    for m in spans:
+        if not 1 <= 2 * m <= len(x) - 1:
+            raise ValueError(f"spans must be 1 to {(len(x) - 1) // 2} for {len(x) - 1} samples; got {m}")
+        second = x[2 * m :] - 2 * x[m:-m] + x[: -2 * m]
+        variance.append(np.mean(second**2, axis=0) / (2 * (m * interval) ** 2))
+    adev: FloatArray = np.sqrt(np.array(variance)).reshape(len(variance), *increments.shape[1:])
+    return adev
+
+
+def octaves(samples: int, fewest: int = 8) -> IntArray:
+    """Return the spans 1, 2, 4, ... of which ``fewest`` independent ones fit the record.
+
+    Examples
+    --------
+    >>> octaves(100)
+    array([1, 2, 4, 8])
+    """
+    return 2 ** np.arange(max(1, int(np.log2(max(samples // fewest, 1))) + 1))
+
+
+def degrees_of_freedom(term: Covariance, samples: int, interval: float, span: int) -> float:
+    """Return the effective degrees of freedom of an overlapping Allan variance.
+
+    Parameters
+    ----------
+    term : Covariance
+        The Gaussian process that is measured.
+    samples : int
+        Length of the record.
+    interval : float
+        Length of a sample [s].
+    span : int
+        Samples averaged over.
+
+    Returns
+    -------
+    edf : float
+        Of the chi-square variable with the mean and variance of the estimate.
+
+    Notes
+    -----
+    With ``R(l)`` the covariance of second differences ``l`` samples apart and ``M`` of them, the variance of
+    their mean square is ``2 / M sum (1 - |l| / M) R(l)^2`` (Isserlis), l of both signs, so that ``edf = M
+    R(0)^2 / sum (1 - |l| / M) R(l)^2``. White noise: the closed form of NIST SP 1065 (2008), table 5.
+
+    Examples
+    --------
+    >>> print(f"{degrees_of_freedom(white(1.0), 4096, 1.0, 1):.0f}")
+    2730
+    """
+    M = samples + 1 - 2 * span
+    near = np.arange(min(M, 4 * span + 2))  # every kink of R lies within two spans
+    far = np.unique(np.geomspace(near[-1], max(M, near[-1]), 200).astype(np.int64))  # smooth beyond
+    tau = span * interval
+
+    def squared(lags: IntArray) -> FloatArray:
+        h = lags * interval
+        parts = [w * 0.5 * (term(np.abs(h + a * tau)) + term(np.abs(h - a * tau))) for a, w in _WEIGHTS]
+        R = np.sum(parts, axis=0)
+        R[np.abs(R) < 1e-14 * np.abs(parts).sum(axis=0)] = 0.0  # nothing but rounding
+        share: FloatArray = (1 - lags / M) * R**2
+        return share
+
+    first = squared(near)
+    tail = np.trapezoid(squared(far), far) - 0.5 * first[-1] if len(far) > 1 else 0.0
+    return float(M * first[0] / (2 * (first.sum() + tail) - first[0]))
 
 
 def gauss_markov(tau: ArrayLike, sd: float, correlation: ArrayLike) -> FloatArray:

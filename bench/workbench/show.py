@@ -93,18 +93,28 @@ def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
     console.print(f"{held} of {len(rows)} limits hold.")
 
 
-def choices(console: Console) -> None:
-    """Print the profiles, aircraft, sensors and estimators there are."""
+def choices(console: Console, kind: str | None = None) -> None:
+    """Print the profiles, aircraft, sensors and estimators there are, or those of one kind.
+
+    Of the sensors alone also where their figures are from, and which of them are assumed.
+    """
+    sensors = list_sensors()
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": list_profiles(),
         "Aircraft (aircraft = NAME)": list_aircraft(),
-        "Sensors ([sensors] imu, gnss, baro = NAME)": list_sensors(),
+        "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
+        if kind is None
+        else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
         "Estimators (use = NAME, or 'module:Class' of your own)": [
             (name, what) for name, (what, _, _) in BUILT_IN.items()
         ],
     }
     for title, rows in shelves.items():
+        if kind is not None and not title.lower().startswith(kind):
+            continue
         table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2))
+        for _ in rows[0] if rows else ():
+            table.add_column(overflow="fold")
         for row in rows:
             table.add_row(*row)
         console.print(table)

@@ -25,7 +25,7 @@ from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
 from bench.navigation.fusion import Loose
 from bench.navigation.mechanization import propagate
-from bench.specs import Profile
+from bench.specs import ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
 
 ROUNDS = 7
 
@@ -103,7 +103,30 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
         draw.standard_normal((n, 6))
 
     cost = ratio(lambda: imu.measure(truth, profile.sensors.imu, 1, 0), unit, 31)
-    return [Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units")]
+    whole = ratio(lambda: imu.measure(truth, every_imu_term(), 1, 0), unit, 31)
+    return [
+        Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units"),
+        Figure("IMU record with every error term / the same", whole, 6.0, "units"),
+    ]
+
+
+def every_imu_term() -> ImuSpec:
+    """Return a unit that has every error term there is, all of a plausible size."""
+    triad = TriadSpec(
+        random_walk=4e-5, bias_instability=1e-5, bias_correlation=300.0, turn_on_bias_sd=1e-4,
+        scale_factor_sd=1e-3, misalignment_sd=1e-3, quantization=1e-9, rate_random_walk=1e-7,
+        scale_asymmetry_sd=1e-4, nonlinearity_sd=1e-4, quadratic_sd=1e-5, nonorthogonality_sd=1e-3,
+        alignment_sd=1e-3, temperature_sd=1e-6, dead_zone=1e-6, range=100.0, bandwidth=60.0, delay=0.003,
+    )  # fmt: skip
+    return ImuSpec(
+        "every term",
+        gyro=replace(triad, g_sensitivity_sd=1e-6, g2_sensitivity_sd=1e-8),
+        accel=triad,
+        thermal=ThermalSpec(self_heating=10.0, time_constant=300.0),
+        vibration=VibrationSpec(0.01, 1.0, 500.0, 2.0, 0.01, 0.1, 40.0, 0.05),
+        accel_cone=0.9,
+        accel_arms=((0.02, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.02)),
+    )
 
 
 def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:

@@ -1,0 +1,337 @@
+"""Allan deviation: our code against allantools, the curves against sums, every unit against its own figures.
+
+For every unit of the catalog the overlapping Allan deviation of its model, three axes pooled, equals the
+analytic curve of all its terms at octave averaging times. Each value is held to its own two-sided 99.9 %
+band, from the effective degrees of freedom of the very process: about 40 strongly correlated values a unit,
+false alarm below 4 % a unit at fixed seeds. Seen in a unit that has all terms: 2 % of the white noise, 5 %
+of the quantization, 10 % of the bias instability, 70 % of the walk (its longest times have 40 degrees of
+freedom).
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import gammaincinv
+
+import bench
+from bench.cli import main
+from bench.config import ConfigError
+from bench.config.datasheets import read_imu
+from bench.sensors import processes
+from bench.signals import allan
+from bench.specs import ImuSpec, TriadSpec
+from bench.workbench import allan as workbench
+
+UNITS = sorted((Path(bench.__file__).parent / "catalog/imu").glob("*.toml"))
+OFF = TriadSpec()
+
+
+# --- the measuring code and the curves ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [1000, 4097])
+def test_our_overlapping_deviation_is_that_of_allantools(samples):
+    import allantools
+
+    rate = 50.0
+    values = np.random.default_rng(4).normal(size=(samples, 3)).cumsum(axis=0) + 5.0
+    spans = allan.octaves(samples, 4)
+    ours = allan.overlapping(values / rate, 1 / rate, spans)
+    for axis in range(3):
+        theirs = allantools.oadev(values[:, axis], rate, "freq", spans / rate)[1]
+        assert_allclose(ours[:, axis], theirs, rtol=1e-9)
+    assert_allclose(allan.overlapping(values[:, 0] / rate, 1 / rate, spans), ours[:, 0], rtol=1e-12)
+
+
+def test_too_long_an_average_is_refused():
+    with pytest.raises(ValueError, match="1 to 5 for 10 samples; got 6"):
+        allan.overlapping(np.zeros(10), 1.0, [6])
+
+
+def test_the_curves_are_those_of_the_standard():
+    """IEEE Std 952-1997, annex C: N / sqrt(tau), K sqrt(tau / 3), sqrt(3) Q / tau with Q = lsb / sqrt(12)."""
+    tau = np.geomspace(0.01, 1000.0, 30)
+    assert_allclose(allan.deviation(allan.white(3.0), tau), 3.0 / np.sqrt(tau), rtol=1e-9)
+    assert_allclose(allan.deviation(allan.rate_walk(3.0), tau), 3.0 * np.sqrt(tau / 3), rtol=1e-9)
+    assert_allclose(allan.deviation(allan.quantization(3.0), tau), 3.0 / np.sqrt(4.0) / tau, rtol=1e-9)
+    near = tau > 1.0  # where the closed form still has its digits
+    curve = allan.deviation(allan.markov(2.0, 20.0), tau[near])
+    assert_allclose(curve, allan.gauss_markov(tau[near], 2.0, 20.0), rtol=1e-6)
+    short = allan.deviation(allan.markov(2.0, 1e5), tau[~near])  # a walk of K = sd sqrt(2 / T)
+    assert_allclose(short, 2.0 * np.sqrt(2e-5) * np.sqrt(tau[~near] / 3), rtol=1e-4)
+    both = allan.deviation(allan.total(allan.white(3.0), allan.rate_walk(2.0)), tau)
+    assert_allclose(both**2, 9.0 / tau + 4.0 * tau / 3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("tau", [0.1, 0.3, 1.0, 1.7, 5.0])
+def test_lines_between_instants_have_the_allan_deviation_of_their_curve(tau):
+    """A walk with unit steps a second apart, lines in between, 100 samples a step; summed over all phases.
+
+    The average over a span starting at any phase is a weighted sum of the steps: no noise is drawn.
+    """
+    fine, n = 100, 40
+    m = round(tau * fine)
+    walks = np.tril(np.ones((n, n)))  # row: knot, column: which steps it holds
+    lines = np.array([np.interp(np.arange(n * fine - fine) / fine, np.arange(n), w) for w in walks.T]).T
+    angle = np.vstack([np.zeros(n), np.cumsum(0.5 * (lines[1:] + lines[:-1]), axis=0)]) / fine
+    start = np.arange(10 * fine, 11 * fine)
+    second = angle[start + 2 * m] - 2 * angle[start + m] + angle[start]
+    variance = np.mean(np.sum(second**2, axis=1)) / (2 * tau**2)
+    assert_allclose(allan.deviation(allan.rate_walk(1.0, 1.0), tau), np.sqrt(variance), rtol=2e-3)
+    slow = allan.deviation(allan.markov(50.0, 5000.0, 1.0), tau)  # K = 1 over these times
+    assert_allclose(slow, np.sqrt(variance), rtol=5e-3)
+    if tau <= 1.0:
+        assert abs(allan.deviation(allan.rate_walk(1.0), tau) / np.sqrt(variance) - 1) > 0.1
+
+
+def test_degrees_of_freedom_of_white_noise_are_those_of_sp_1065():
+    """NIST SP 1065 (2008), table 5, an approximation good to a few percent."""
+    for samples in (1024, 8192):
+        for m in (1, 4, 32, samples // 16):
+            n = samples + 1
+            closed = (1.5 * (n - 1) / m - 2 * (n - 2) / n) * 4 * m**2 / (4 * m**2 + 5)
+            assert_allclose(allan.degrees_of_freedom(allan.white(2.0), samples, 0.1, m), closed, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    "process",
+    [allan.white(1.0), allan.markov(1.0, 20.0), allan.rate_walk(1.0), allan.quantization(1.0)],
+    ids=["white", "markov", "walk", "quantization"],
+)
+def test_degrees_of_freedom_are_those_of_the_whole_double_sum(process):
+    """2 E^2 / Var of the mean square, its variance summed over every pair of second differences."""
+    samples, m = 300, 16
+    M = samples + 1 - 2 * m
+    lag = np.subtract.outer(np.arange(M), np.arange(M)).astype(float)
+    R = sum(
+        a * b * process(np.abs(lag + (i - j) * m))
+        for i, a in enumerate((1, -2, 1))
+        for j, b in enumerate((1, -2, 1))
+    )
+    edf = 2 * (M * R[0, 0]) ** 2 / (2 * np.sum(R**2))
+    assert_allclose(allan.degrees_of_freedom(process, samples, 1.0, m), edf, rtol=0.01)
+
+
+def test_the_spread_of_the_estimate_is_that_of_its_degrees_of_freedom():
+    """400 records of a Gauss-Markov rate: the relative variance of its Allan variance is 2 / edf."""
+    rng = np.random.default_rng(8)
+    n, m, count = 2000, 64, 400
+    decay = np.exp(-np.full((n, 1), 1.0) / 30.0)
+    values = []
+    for _ in range(count // 3 + 1):
+        rate = processes.gauss_markov(decay, np.ones(1), rng.normal(size=(n + 1, 1, 3)))
+        angle = 0.5 * (rate[1:] + rate[:-1])
+        values += list(allan.overlapping(angle, 1.0, [m])[0] ** 2)
+    edf = allan.degrees_of_freedom(allan.markov(1.0, 30.0), n, 1.0, m)
+    ratio = np.var(values, ddof=1) / np.mean(values) ** 2 * edf / 2
+    spread = 3.29 * np.sqrt((2 + 12 / edf) / len(values))  # the kurtosis of chi-square is 3 + 12 / edf
+    assert abs(ratio - 1) < spread
+    assert abs(ratio * 1.6 - 1) > spread
+
+
+# --- every unit of the catalog ------------------------------------------------------------------------
+
+
+def seed_of(name):
+    return zlib.crc32(name.encode()) % 1000  # independent noise for every unit
+
+
+@pytest.mark.parametrize("path", UNITS, ids=lambda path: path.stem)
+def test_every_unit_has_the_allan_deviation_of_its_figures(path):
+    spec = read_imu(path, path.name)
+    curves = workbench.of_unit(spec, seed_of(path.stem))
+    assert curves
+    for curve in curves:
+        total = np.sqrt(sum(term**2 for term in curve.terms.values()))
+        assert_allclose(curve.expected, total, rtol=1e-12)
+        assert curve.tau[0] == 1 / 200
+        assert curve.tau[-1] == 4096
+        assert_allclose(curve.tau[1:] / curve.tau[:-1], 2.0, rtol=0.25)
+        assert curve.edf.min() > 30
+        assert curve.outside == 0, curve.measured / curve.expected
+
+
+FULL = ImuSpec(
+    "full",
+    TriadSpec(
+        random_walk=2e-5,
+        bias_instability=2e-6,
+        bias_correlation=100.0,
+        rate_random_walk=1e-7,
+        quantization=2.8e-6,
+    ),
+    TriadSpec(
+        random_walk=1e-3,
+        bias_instability=1e-4,
+        bias_correlation=300.0,
+        bias_model="gauss-markov",
+        rate_random_walk=3e-6,
+        quantization=1.4e-4,
+    ),
+)
+
+
+def test_all_four_terms_at_once():
+    """Quantization is as large as the white noise at 5 ms; then that rules, the instability, the walk."""
+    for curve in workbench.of_unit(FULL, 3):
+        assert curve.outside == 0, curve.measured / curve.expected
+        bits, white, instability, walk = curve.terms.values()
+        assert bits[0] > 0.95 * white[0]
+        assert set(np.argmax([white, instability, walk], axis=0)) == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("figure", "factor"),
+    [("random_walk", 1.02), ("quantization", 1.05), ("bias_instability", 1.1), ("rate_random_walk", 1.7)],
+)
+def test_a_wrong_figure_is_seen(figure, factor):
+    """The same records held against a datasheet that is off in one figure."""
+    for name in ("gyro", "accel"):
+        triad = getattr(FULL, name)
+        claimed = replace(FULL, **{name: replace(triad, **{figure: factor * getattr(triad, figure)})})
+        measured = next(curve for curve in workbench.of_unit(FULL, 3) if curve.triad == name)
+        terms = processes.noise_terms(getattr(claimed, name))
+        expected = allan.deviation(allan.total(*terms.values()), measured.tau)
+        low, high = (
+            expected * np.sqrt(2 * gammaincinv(measured.edf / 2, tail) / measured.edf)
+            for tail in (0.0005, 0.9995)
+        )
+        assert ((measured.measured < low) | (measured.measured > high)).any(), name
+
+
+def test_a_skewed_warm_shaken_unit_is_measured_at_rest_along_its_axes():
+    from bench.specs import ThermalSpec, VibrationSpec
+
+    odd = replace(
+        FULL,
+        gyro=replace(FULL.gyro, temperature_sd=1e-5),
+        thermal=ThermalSpec(290.0, 30.0, 1000.0),
+        vibration=VibrationSpec(engine_accel=1.0, engine_reference=100.0),
+        accel_cone=0.6,
+        accel_arms=((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)),
+    )
+    for plain, with_rest in zip(workbench.of_unit(FULL, 3), workbench.of_unit(odd, 3), strict=True):
+        assert_allclose(plain.measured, with_rest.measured, rtol=1e-6)
+
+
+# --- the verb -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def desk_log(
+    path, rate=50.0, seconds=2000.0, N=1e-3, K=2e-4, head="t_s,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s"
+):
+    """A log of a gyro with white noise N [rad/sqrt(s)] and rate random walk K [rad/s/sqrt(s)], in deg/s."""
+    rng = np.random.default_rng(6)
+    n = round(rate * seconds)
+    walk = np.cumsum(K / np.sqrt(rate) * rng.normal(size=(n, 3)), axis=0)
+    values = np.rad2deg(N * np.sqrt(rate) * rng.normal(size=(n, 3)) + walk + 0.01)
+    np.savetxt(
+        path,
+        np.column_stack([np.arange(n) / rate, values]),
+        delimiter=",",
+        header=head,
+        comments="",
+        fmt="%.9g",
+    )
+
+
+def test_allan_of_a_unit_prints_the_table_and_draws_the_picture(here, capsys):
+    assert main(["allan", "stim300", "-o", "a.png"]) == 0
+    out = capsys.readouterr().out
+    assert "gyro, Allan deviation in deg/h" in out
+    assert "accel, Allan deviation in ug" in out
+    assert "0 of 42 values lie outside their 99.9 % band." in out
+    assert (here / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert (here / "a.png").stat().st_size > 20_000
+
+
+def test_allan_of_a_log_finds_its_figures(here, capsys):
+    """N within 1 %, K within 10 %: 20 s, where the walk begins to rule, have 300 degrees of freedom."""
+    desk_log(here / "desk.csv")
+    t, triads = workbench.read_log(here / "desk.csv")
+    assert list(triads) == ["gyro"]
+    assert len(t) == 100_000
+    (curve,) = workbench.of_log(here / "desk.csv", None)
+    found = workbench.fit(curve)
+    assert_allclose(found["N"], 1e-3, rtol=0.01)
+    assert_allclose(found["K"], 2e-4, rtol=0.1)
+    assert main(["allan", "--log", "desk.csv"]) == 0
+    assert "white noise 3.4" in capsys.readouterr().out  # 1e-3 rad/sqrt(s) is 3.44 deg/sqrt(h)
+    assert (here / "allan-desk.png").is_file()
+    assert main(["allan", "icm-42688-p", "--log", "desk.csv", "-o", "b.svg"]) == 0
+    assert "datasheet" in capsys.readouterr().out
+    assert "<svg" in (here / "b.svg").read_text()[:1000]
+
+
+def test_a_log_in_other_units_gives_the_same(here):
+    desk_log(here / "deg.csv", seconds=100.0)
+    rows = np.loadtxt(here / "deg.csv", delimiter=",", skiprows=1)
+    rows[:, 1:] = np.deg2rad(rows[:, 1:])
+    head = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s"
+    np.savetxt(here / "rad.csv", rows, delimiter=",", header=head, comments="", fmt="%.12g")
+    in_deg, in_rad = (workbench.of_log(here / name, None)[0] for name in ("deg.csv", "rad.csv"))
+    assert_allclose(in_deg.measured, in_rad.measured, rtol=1e-6)
+    g = "t_s,accel_x_g,accel_y_g,accel_z_g"
+    si = "t_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2"
+    for name, header, factor in (("g.csv", g, 1.0), ("si.csv", si, 9.80665)):
+        table = np.column_stack([rows[:, 0], factor * rows[:, 1:]])
+        np.savetxt(here / name, table, delimiter=",", header=header, comments="", fmt="%.12g")
+    in_g, in_si = (workbench.of_log(here / name, None)[0] for name in ("g.csv", "si.csv"))
+    assert_allclose(in_g.measured, in_si.measured, rtol=1e-9)
+    assert in_g.triad == "accel"
+
+
+HEAD = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s\n"
+GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: no column 't_s'"),
+        ("a,b\n1,2\n", "line 1: no column 't_s'; the header is 'a, b'"),
+        ("t_s,wx\n1,2\n", "line 1: no column 'gyro_x_rad_s' or 'accel_x_m_s2'"),
+        ("t_s,gyro_x_rad_s,gyro_y_rad_s\n1,2,3\n", "line 1: no column 'gyro_z_rad_s'"),
+        (HEAD.replace("\n", ",gyro_x_deg_s\n"), "line 1: gyro is there in two units"),
+        (HEAD + GOOD + "4.0,0.1,oops,0.3\n", "line 42: needs a number"),
+        (HEAD + GOOD + "4.0,0.1\n", "line 42: needs a number"),
+        (HEAD + GOOD + "4.0,0.1,nan,0.3\n", "line 42: a value is not finite"),
+        (HEAD + GOOD + "3.9,0.1,0.2,0.3\n", "line 42: t_s must increase by about 0.1 s"),
+        (HEAD + GOOD + "9.0,0.1,0.2,0.3\n", "line 42: t_s must increase by about 0.1 s"),
+        (HEAD + "0,1,2,3\n", "1 samples; at least 32 are needed"),
+    ],
+)
+def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
+    (here / "bad.csv").write_text(text)
+    with pytest.raises(ConfigError, match=r"bad\.csv") as caught:
+        workbench.of_log(here / "bad.csv", None)
+    assert message in str(caught.value)
+    assert len(caught.value.messages) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["allan"], "give a UNIT of the catalog or --log FILE"),
+        (["allan", "stim30"], "Did you mean 'stim300'?"),
+        (["allan", "--log", "nowhere.csv"], "nowhere.csv: no such file"),
+        (["allan", "stim300", "-o", "picture.txt"], "ends in .png, .svg or .pdf"),
+        (["allan", "silent.toml"], "silent: it has no random error to measure"),
+    ],
+)
+def test_a_wrong_command_is_status_2(here, capsys, arguments, message):
+    (here / "silent.toml").write_text('source = "by hand"\n[gyro]\nturn_on_bias_sd_deg_h = 1.0\n')
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
