@@ -433,7 +433,7 @@ DATASHEET = [
     ),
     (
         'source = "a"\n[gyro]\nnoise_deg_sqrt_h = -1',
-        "[gyro] noise_deg_sqrt_h = -1 deg/sqrt(h) must not be negative",
+        "[gyro] noise_deg_sqrt_h = -1 deg/sqrt(h) is outside 0 to 1e+06 deg/sqrt(h)",
     ),
     (
         'source = "a"\n[accel]\nbias_instability_ug = 50\nbias_instability_mg = 0.05\nbias_correlation_s = 9',

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, quantity, read
+from bench.config.tables import ROWS, ConfigError, Table, between, checked, quantity, read
 from bench.specs import BaroSpec, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 _DEG = math.pi / 180
@@ -93,7 +93,7 @@ Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
 Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]
 """Where the figures were read: on the sheet, its front page, maker's pages, a quote, a table of grades."""
 
-Figure = Annotated[float, NOT_NEGATIVE]
+Figure = Annotated[float, between(0, 1e6)]  # no unit has a figure beyond, in any of its units
 Rate = Annotated[float, between(0.01, 400)]
 
 
