@@ -168,7 +168,8 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
     """Fly only the truth of a profile and say what was flown.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). The
-    truth is kept in the cache, where bench run finds it.
+    truth is kept in the cache, where bench run finds it. The last line says how
+    far an error-free strapdown strays from it.
     """
     from bench.workbench.run import fly as fly_profile
 

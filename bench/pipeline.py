@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -34,13 +34,33 @@ def fly(
     bench.flight.FlightError
         When the aircraft cannot be loaded, trimmed or flown.
     """
+    if cache:
+        return store.truth_cached(profile.flight, lambda: _in_jsbsim(profile, progress))
+    from bench import flight
 
-    def in_jsbsim() -> Trajectory:
-        from bench import flight
+    return flight.fly(profile.flight, progress)
 
-        return flight.fly(profile.flight, progress)
 
-    return store.truth_cached(profile.flight, in_jsbsim) if cache else in_jsbsim()
+def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
+    """Fly a profile, keep its truth in the cache, and return what `bench.flight.Summary` says of it.
+
+    With the replay of `bench.evaluation.replay`. The truth is in memory a piece at a time. Errors as
+    for :func:`fly`.
+    """
+    from bench.evaluation.replay import Replay
+    from bench.flight.summary import Summary
+
+    summary, replay = Summary(), Replay()
+    for piece in store.truth_pieces(profile.flight, lambda: _in_jsbsim(profile, progress)):
+        summary.add(piece)
+        replay.add(piece)
+    return summary.result() | replay.result()
+
+
+def _in_jsbsim(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
+    from bench import flight
+
+    return flight.fly_pieces(profile.flight, progress)
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:

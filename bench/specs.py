@@ -33,7 +33,10 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True, slots=True)
 class AircraftSpec:
-    """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it."""
+    """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it.
+
+    aircraft.toml gives positions relative to the centre of gravity; here the antenna is relative to the IMU.
+    """
 
     name: str
     folder: Path  # holds <name>.xml
@@ -46,6 +49,7 @@ class AircraftSpec:
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
+    imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from math import radians
 from typing import Any
 
 from bench.config import load_profile
-from bench.specs import FlightSpec, Leg
+from bench.specs import Climb, FlightSpec, Leg, Straight, Turn
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft
@@ -30,3 +30,9 @@ CALM = replace(
 def plan(*legs: Leg, **changes: Any) -> FlightSpec:
     """Legs from 47.26 N 11.34 E, 1200 m, heading 85 deg at 25 m/s in calm air, unless changed."""
     return replace(CALM, legs=legs, **changes)
+
+
+def short_plan() -> FlightSpec:
+    """A minute at 100 Hz in a west wind of 5 m/s: straight, a 120 deg right turn, a climb, straight."""
+    legs = (Straight(10.0), Turn(radians(120.0), radians(30.0)), Climb(1220.0, 2.0), Straight(5.0))
+    return plan(*legs, wind_from=radians(270.0), wind_speed=5.0, duration=60.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -83,6 +84,30 @@ def test_a_profile_becomes_si(tmp_path):
     assert sensors.baro is None
     assert sensors.assumed.imu == sensors.imu
     assert sensors.antenna_b == flight.aircraft.antenna_b
+
+
+def test_the_antenna_is_handed_on_relative_to_the_imu(tmp_path):
+    """aircraft.toml has both relative to the centre of gravity."""
+    folder = config.load_profile(write(tmp_path)).flight.aircraft.folder
+    own = tmp_path / "aircraft" / "kite"
+    shutil.copytree(folder, own)
+    (own / "aerosonde.xml").rename(own / "kite.xml")
+    shipped = (own / "aircraft.toml").read_text()
+    profile = write(tmp_path, PROFILE.replace('"aerosonde"', '"kite"'))
+    at_cg = config.load_profile(profile)
+    assert at_cg.flight.aircraft.imu_b == (0.0, 0.0, 0.0)
+    imu = "\n[imu]\nforward_m = 0.5\nright_m = -0.25\ndown_m = 0.125\n"
+    (own / "aircraft.toml").write_text(shipped + imu)
+    off_cg = config.load_profile(profile)
+    assert off_cg.flight.aircraft.imu_b == (0.5, -0.25, 0.125)
+    moved = [a - b for a, b in zip(at_cg.sensors.antenna_b, off_cg.sensors.antenna_b, strict=True)]
+    assert moved == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
+    (own / "aircraft.toml").write_text(shipped + imu.replace("right_m = -0.25", "rigth_m = 200"))
+    assert errors(profile) == [
+        "kite/aircraft.toml: [imu] right_m is missing",
+        "kite/aircraft.toml: [imu]: unknown key 'rigth_m'. Did you mean 'right_m'?\n"
+        "  known keys: down_m, forward_m, right_m",
+    ]
 
 
 # By hand: 1 deg = 0.0174532925 rad, 1 h = 3600 s, 1 g = 9.80665 m/s^2. The first row is the gyro of grade 3

@@ -6,8 +6,11 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import math
 import os
 import shutil
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +34,7 @@ from bench.data import (
     SensorData,
     SensorTruth,
     Trajectory,
+    no_events,
     no_innovations,
 )
 from bench.specs import FlightSpec
@@ -269,14 +273,32 @@ def cache(tmp_path, monkeypatch) -> Path:
 
 
 class Flights:
-    """Counts how often the truth is flown."""
+    """Counts how often the truth is flown; gives it in pieces."""
 
-    def __init__(self, truth: Trajectory) -> None:
-        self.truth, self.count = truth, 0
+    def __init__(self, *pieces: Trajectory) -> None:
+        self.pieces, self.count = pieces, 0
 
-    def __call__(self) -> Trajectory:
+    def __call__(self) -> Iterator[Trajectory]:
         self.count += 1
-        return self.truth
+        return iter(self.pieces)
+
+
+def cut(truth: Trajectory, *rows: int) -> list[Trajectory]:
+    """A truth in pieces that end at these rows; air and controls follow by time, events come last."""
+    pieces = []
+    for start, stop in pairwise((0, *rows, len(truth) - 1)):
+        after = truth.t[start] if start else -np.inf
+        parts = {}
+        for name in ("air", "controls"):
+            part = getattr(truth, name)
+            taken = (part.t > after) & (part.t <= truth.t[stop])
+            columns = {f.name: getattr(part, f.name)[taken] for f in dataclasses.fields(part)}
+            parts[name] = dataclasses.replace(part, **columns)
+        points = {name: getattr(truth, name)[start : stop + 1] for name in ("t", "lla", "vel_n", "q_nb")}
+        between = {name: getattr(truth, name)[start:stop] for name in ("dtheta_b", "dvel_b")}
+        events = truth.events if stop == len(truth) - 1 else no_events()
+        pieces.append(Trajectory(**points, **between, **parts, events=events))
+    return pieces
 
 
 def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
@@ -292,6 +314,41 @@ def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
     assert not cached.lla.flags.writeable
     (entry,) = cache.iterdir()
     assert len(entry.name) == 32
+
+
+def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
+    store.truth_cached(spec, Flights(truth))
+    (entry,) = cache.iterdir()
+    whole = {path.name: path.read_bytes() for path in entry.iterdir()}
+    for name, array in truth_cache._arrays(truth).items():
+        np.save(cache / "column.npy", array)
+        assert whole[f"{name}.npy"] == (cache / "column.npy").read_bytes(), name
+    (cache / "column.npy").unlink()
+    shutil.rmtree(entry)
+    flights = Flights(*cut(truth, 1, 150, 151, 399))
+    equal(store.truth_cached(spec, flights), truth)
+    assert {path.name: path.read_bytes() for path in entry.iterdir()} == whole
+
+
+@pytest.mark.parametrize("size", [7, 100, 400, 6000])
+def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
+    monkeypatch.setattr(truth_cache, "_PIECE", size)
+    flights = Flights(*cut(truth, 250))
+    for _ in range(2):
+        pieces = list(store.truth_pieces(spec, flights))
+        assert len(pieces) == math.ceil(400 / size)
+        assert all(len(piece) == size + 1 for piece in pieces[:-1])
+        assert not any(len(piece.events) for piece in pieces[:-1])
+        equal(truth_cache._joined(pieces), truth)
+    assert flights.count == 1
+
+
+def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
+    cache.parent.write_text("no folder")
+    flights = Flights(*cut(truth, 100, 200))
+    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    equal(store.truth_cached(spec, flights), truth)
+    assert "is not cached" in caplog.text
 
 
 def test_a_truth_without_events_is_cached_too(cache, spec, truth):
@@ -323,6 +380,9 @@ def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
     assert flights.count == 2
     equal(store.truth_cached(spec, flights), truth)
     assert flights.count == 2
+    damage(entry / name)
+    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    assert flights.count == 3
     assert list(cache.iterdir()) == [entry]
 
 
@@ -349,8 +409,18 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
     def full(*args, **keywords):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(np, "save", full)
-    equal(store.truth_cached(spec, Flights(truth)), truth)
+    def crash_later():
+        yield from cut(truth, 100)[:1]
+        raise RuntimeError("ground")
+
+    for fly in (crash, crash_later):
+        with pytest.raises(RuntimeError):
+            list(store.truth_pieces(spec, fly))
+    with pytest.raises(RuntimeError):
+        store.truth_cached(spec, crash_later)
+    assert list(cache.iterdir()) == []
+    monkeypatch.setattr(truth_cache._Column, "append", full)
+    equal(store.truth_cached(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text
 
@@ -383,6 +453,7 @@ def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch
         assert moved(dataclasses.replace(here, **{name: value})), name
     gains = dict(own.gains) | {"bank-gain": 4.0}
     assert moved(dataclasses.replace(here, aircraft=dataclasses.replace(own, gains=gains)))
+    assert moved(dataclasses.replace(here, aircraft=dataclasses.replace(own, imu_b=(0.0, 0.1, 0.0))))
     for path in (own.folder / f"{own.name}.xml", own.systems / "guidance.xml"):
         path.write_text(path.read_text() + "\n")
         assert moved(), path.name

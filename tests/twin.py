@@ -131,7 +131,8 @@ def strapdown(lla, vel, C, dt, dtheta, dvel, before):
     dvel_n = C @ dvel_start
     lla_middle = lla + 0.5 * dt * vel / metres(lla)
     g = gravity(lla_middle[0], lla_middle[2])
-    vel_middle = vel + 0.5 * (dvel_n + g * dt)
+    earth, transport = frame_rates(lla_middle[0], lla_middle[2], vel)
+    vel_middle = vel + 0.5 * (dvel_n + (g - cross(2 * earth + transport, vel)) * dt)
     earth, transport = frame_rates(lla_middle[0], lla_middle[2], vel_middle)
     turn_n = (earth + transport) * dt
     vel_end = vel + dvel_n - 0.5 * cross(turn_n, dvel_n) + dt * (g - cross(2 * earth + transport, vel_middle))

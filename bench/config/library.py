@@ -28,17 +28,23 @@ class _Limits(Table):
     max_descent_mps: Annotated[float, between(0.1, 100)]
 
 
-class _Antenna(Table):
+class _Position(Table):
+    """A place on board, relative to the centre of gravity."""
+
     forward_m: Annotated[float, between(-100, 100)]
     right_m: Annotated[float, between(-100, 100)]
     down_m: Annotated[float, between(-100, 100)]
+
+
+_AT_CG = _Position(forward_m=0.0, right_m=0.0, down_m=0.0)
 
 
 class _AircraftTable(Table):
     title: str
     mesh: Literal["uav", "light-single", "jet"] = "uav"
     limits: _Limits
-    antenna: _Antenna
+    imu: _Position = _AT_CG
+    antenna: _Position
     guidance: dict[str, float] = Field(default_factory=dict)
 
 
@@ -95,7 +101,7 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
     table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
     if not (folder / f"{name}.xml").is_file():
         raise ConfigError(f"{name}/{name}.xml: no such file")
-    limits, antenna = table.limits, table.antenna
+    limits, imu, antenna = table.limits, table.imu, table.antenna
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
     systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]
@@ -112,8 +118,13 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
         max_bank=math.radians(limits.max_bank_deg),
         max_climb=limits.max_climb_mps,
         max_descent=limits.max_descent_mps,
-        antenna_b=(antenna.forward_m, antenna.right_m, antenna.down_m),
+        antenna_b=(
+            antenna.forward_m - imu.forward_m,
+            antenna.right_m - imu.right_m,
+            antenna.down_m - imu.down_m,
+        ),
         mesh=table.mesh,
+        imu_b=(imu.forward_m, imu.right_m, imu.down_m),
     )
 
 

@@ -9,6 +9,11 @@ an accelerometer integrate over a smooth motion through the same states is
 
     alpha_k = th_k - (th_{k-1} x th_k + th_k x th_{k+1}) / 24
     beta_k  = be_k - (th_{k-1} x be_k + be_{k-1} x th_k + th_k x be_{k+1} + be_k x th_{k+1}) / 24
+
+An IMU at l off the centre of gravity is at r + C l. Its velocity is that of the centre of
+gravity plus the derivative of C l, taken from the recorded attitudes by a central difference
+of fourth order: position, velocity and attitude stay one motion, which reported rates would
+break. The sum of such differences is the difference of positions, so nothing accumulates.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from bench.rotation import conjugate, continuous, from_euler, multiply, rotate, 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Motion of the IMU, one row per step of the simulation, at equal intervals."""
+    """Motion of a point of the body, one row per step of the simulation, at equal intervals."""
 
     dt: float  # [s]
     epa: FloatArray  # (K,) angle the Earth has turned since t = 0 [rad]
@@ -39,13 +44,46 @@ def from_states(
 ) -> Motion:
     """Build a motion from attitude as roll, pitch, heading (K, 3) at geodetic lat, lon (K, 2) [rad]."""
     q_nb = from_euler(euler[:, 0], euler[:, 1], euler[:, 2])
-    half_lon = 0.5 * (lat_lon[:, 1] + epa)
-    half_lat = -0.5 * (lat_lon[:, 0] + 0.5 * np.pi)
+    q_ib = multiply(_level(lat_lon[:, 0], lat_lon[:, 1] + epa), q_nb)
+    return Motion(dt, epa, pos_i, vel_i, continuous(q_nb), continuous(q_ib))
+
+
+def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
+    """Return the motion of a point fixed in the body, at point_b [m] from that of ``motion``, b.
+
+    The last two rows are missing, because the velocity of a row needs two neighbours on either
+    side. The first two have one-sided differences of the same order. A point that is not
+    off at all has the rows of ``motion``, bit for bit.
+    """
+    epa, pos_i, vel_i, q_nb, q_ib = (
+        column[:-2] for column in (motion.epa, motion.pos_i, motion.vel_i, motion.q_nb, motion.q_ib)
+    )
+    if any(point_b):
+        arm_i = rotate(motion.q_ib, point_b)
+        pos_i, vel_i = pos_i + arm_i[:-2], vel_i + _derivative(arm_i, motion.dt)
+        lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
+        q_nb = continuous(multiply(conjugate(_level(lat, lon)), q_ib))
+    return Motion(motion.dt, epa, pos_i, vel_i, q_nb, q_ib)
+
+
+def _derivative(u: FloatArray, dt: float) -> FloatArray:
+    """Return the derivative (K-2, 3) of u (K, 3), K >= 5, at all rows but the last two, to order dt^4."""
+    rate = np.empty_like(u[:-2])
+    rate[0] = -25 * u[0] + 48 * u[1] - 36 * u[2] + 16 * u[3] - 3 * u[4]
+    rate[1] = -3 * u[0] - 10 * u[1] + 18 * u[2] - 6 * u[3] + u[4]
+    rate[2:] = 8 * (u[3:-1] - u[1:-3]) - (u[4:] - u[:-4])
+    rate /= 12 * dt
+    return rate
+
+
+def _level(lat: FloatArray, lon: FloatArray) -> FloatArray:
+    """Return q_in (K, 4) at geodetic latitude and longitude from the axis x of i [rad]."""
+    half_lon = 0.5 * lon
+    half_lat = -0.5 * (lat + 0.5 * np.pi)
     zero = np.zeros_like(half_lon)
     about_z = np.stack([np.cos(half_lon), zero, zero, np.sin(half_lon)], axis=-1)
     about_y = np.stack([np.cos(half_lat), zero, np.sin(half_lat), zero], axis=-1)
-    q_ib = multiply(multiply(about_z, about_y), q_nb)
-    return Motion(dt, epa, pos_i, vel_i, continuous(q_nb), continuous(q_ib))
+    return multiply(about_z, about_y)
 
 
 def gravitation_i(pos_i: FloatArray) -> FloatArray:

@@ -2,15 +2,15 @@
 
 JSBSim steps at the smallest multiple of the truth rate that is at least 400 Hz. Each
 step gives position, velocity and attitude, nothing else: the rates and accelerations
-JSBSim reports lag or lead them and are not used. Air data, controls and the
-sequencer run at 20 Hz.
+JSBSim reports lag or lead them and are not used. Truth is the motion of the IMU; JSBSim
+moves the centre of gravity. Air data, controls and the sequencer run at 20 Hz.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,14 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import AirData, Controls, Events, Trajectory
-from bench.flight.increments import Motion, earth_relative, from_states, step_increments, true_integrals
+from bench.flight.increments import (
+    Motion,
+    at_point,
+    earth_relative,
+    from_states,
+    step_increments,
+    true_integrals,
+)
 from bench.flight.model import Condition, FlightError, load, node, settle, trim
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
@@ -26,7 +33,11 @@ from bench.flight.units import FT, KT, PSF, RANKINE
 from bench.flight.wind import air_velocity, start_turbulence
 from bench.specs import FlightSpec
 
+PIECE = 30.0
+"""How much of a flight is kept in memory at a time [s]."""
+
 _LEAST_RATE = 400.0  # of JSBSim [Hz]
+_NEIGHBOURS = 3  # steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments
 _MOTION = (  # what truth is made of, per step
     "position/eci-x-ft",
     "position/eci-y-ft",
@@ -72,71 +83,139 @@ def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Tr
     Returns
     -------
     Trajectory
-        Truth at spec.rate from t = 0, the flown legs as events of kind "leg".
+        Truth at spec.rate from t = 0, of the IMU; air data and controls of the aircraft; the flown
+        legs as events of kind "leg".
 
     Raises
     ------
     FlightError
         When the aircraft cannot be loaded, trimmed, or flown as planned.
     """
-    return to_trajectory(record(spec, progress))
+    (whole,) = record(spec, progress, seconds=math.inf)
+    return to_trajectory(whole)
+
+
+def fly_pieces(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Iterator[Trajectory]:
+    """Fly a plan and yield the truth in pieces, so that a long flight needs no more memory than a short one.
+
+    A piece begins with the instant at which the one before ends; air data and controls of that
+    instant are in the earlier one, the legs in the last. Put together the pieces are what
+    :func:`fly` returns, bit for bit. Parameters and errors as there.
+    """
+    return map(to_trajectory, record(spec, progress))
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What JSBSim did: motion at every step and one step beyond, air data and controls at 20 Hz."""
+    """What JSBSim did, a stretch of it: motion at every step, air data and controls at 20 Hz."""
 
     rate: float  # of truth [Hz]
-    motion: Motion
     substeps: int  # steps per truth sample
-    slow: FloatArray  # (A, 14) air data and controls, SI
-    legs: tuple[FlownLeg, ...]
+    first: int  # the tick of 20 Hz at which the stretch begins
+    motion: Motion  # of the IMU, one step beyond the stretch, and from one before it on (unless first is 0)
+    slow: FloatArray  # (A, 14) air data and controls, SI; the first instant only of the first stretch
+    legs: tuple[FlownLeg, ...]  # of the whole flight, with its last stretch
 
 
-def record(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Recording:
-    """Fly a plan and keep the states of every step; parameters and errors as for :func:`fly`."""
+def record(
+    spec: FlightSpec, progress: Callable[[float], None] | None = None, *, seconds: float = PIECE
+) -> Iterator[Recording]:
+    """Fly a plan and yield the states of every step, in stretches of so many seconds.
+
+    Parameters and errors as for :func:`fly`.
+    """
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)
     read_motion = [node(fdm, name).get_double_value for name in _MOTION]
     read_slow = [node(fdm, name).get_double_value for name, _ in _SLOW]
-    steps, run = range(round(1.0 / (TICK_RATE * dt))), fdm.run
+    per_tick, run = round(1.0 / (TICK_RATE * dt)), fdm.run
+    steps = range(per_tick)
+    stretch = seconds * TICK_RATE
     flown: list[FlownLeg] = []
-    states, slow = array("d"), array("d")
+    states, slow = array("d"), array("d")  # not yet handed out
     keep = states.extend
+    begun = tick = 0  # where the present stretch begins, and the present instant [1 / 20 Hz]
+    q_nb = None  # at the end of the last stretch
+
+    def cut(end: int) -> Recording:
+        """Take the stretch from ``begun`` to the tick ``end`` out of ``states`` and ``slow``."""
+        nonlocal begun, q_nb
+        first, before = begun, _NEIGHBOURS if begun else 0
+        rows = before + (end - first) * per_tick + 1 + _NEIGHBOURS
+        slow_rows = end - first if first else end + 1
+        motion = _motion(spec.aircraft.imu_b, dt, _table(states, rows, _MOTION), before, q_nb)
+        si = _table(slow, slow_rows, _SLOW) * [unit for _, unit in _SLOW]
+        del states[: (rows - 2 * _NEIGHBOURS - 1) * len(_MOTION)]
+        del slow[: slow_rows * len(_SLOW)]
+        begun, q_nb = end, motion.q_nb[-2]
+        return Recording(spec.rate, substeps, first, motion, si, tuple(flown) if end == tick else ())
+
     keep([read() for read in read_motion])
     for t in fly_legs(cockpit, spec, flown):
         slow.extend([read() for read in read_slow])
         for _ in steps:
             run()
             keep([read() for read in read_motion])
+        tick += 1
+        if tick - begun > stretch:  # one more than it takes: its last steps need their neighbours
+            yield cut(tick - 1)
         if progress is not None and t % 1.0 == 0.0:
             progress(t)
     slow.extend([read() for read in read_slow])
-    run()  # one more: the last increment needs its neighbour
-    keep([read() for read in read_motion])
-    columns = np.array(states).reshape(-1, len(_MOTION))
-    motion = from_states(
+    for _ in range(_NEIGHBOURS):
+        run()
+        keep([read() for read in read_motion])
+    yield cut(tick)
+
+
+def _table(values: array[float], rows: int, names: Sequence[object]) -> FloatArray:
+    columns = len(names)
+    return np.array(values[: rows * columns]).reshape(rows, columns)
+
+
+def _motion(
+    imu_b: tuple[float, float, float], dt: float, states: FloatArray, before: int, q_nb: FloatArray | None
+) -> Motion:
+    """Return the motion of the IMU of states (K, 12) that begin so many steps before the stretch.
+
+    The stretch itself and one step on either side; its attitude goes on from q_nb (4,) without a change
+    of sign.
+    """
+    at_cg = from_states(
         dt,
-        epa=columns[:, 11],
-        pos_i=FT * columns[:, 0:3],
-        vel_i=FT * columns[:, 3:6],
-        euler=columns[:, 6:9],
-        lat_lon=columns[:, 9:11],
+        epa=states[:, 11],
+        pos_i=FT * states[:, 0:3],
+        vel_i=FT * states[:, 3:6],
+        euler=states[:, 6:9],
+        lat_lon=states[:, 9:11],
     )
-    si = np.array(slow).reshape(-1, len(_SLOW)) * [unit for _, unit in _SLOW]
-    return Recording(spec.rate, motion, substeps, si, tuple(flown))
+    motion = at_point(at_cg, imu_b)
+    if q_nb is None:
+        return motion
+    kept = slice(before - 1, None)
+    sign = np.copysign(1.0, motion.q_nb[before] @ q_nb)
+    return Motion(
+        dt,
+        motion.epa[kept],
+        motion.pos_i[kept],
+        motion.vel_i[kept],
+        sign * motion.q_nb[kept],
+        motion.q_ib[kept],
+    )
 
 
 def to_trajectory(recording: Recording) -> Trajectory:
     """Return truth with the exact increments of a recording, summed to the truth rate."""
     motion, substeps, slow = recording.motion, recording.substeps, recording.slow
-    alpha, beta = true_integrals(*step_increments(motion))
-    at = slice(0, len(alpha) + 1, substeps)
+    before = 1 if recording.first else 0
+    alpha, beta = (column[before:] for column in true_integrals(*step_increments(motion)))
+    at = slice(before, before + len(alpha) + 1, substeps)
     lla, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
-    t_slow = np.arange(len(slow)) / TICK_RATE
+    row = round(recording.first * recording.rate / TICK_RATE)
+    t_slow = (recording.first + before + np.arange(len(slow))) / TICK_RATE
     pressure, temperature, true, calibrated, attack, slip = slow[:, :6].T
     return Trajectory(
-        t=np.arange(len(lla)) / recording.rate,
+        t=np.arange(row, row + len(lla)) / recording.rate,
         lla=lla,
         vel_n=vel_n,
         q_nb=motion.q_nb[at],

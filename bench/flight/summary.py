@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.earth import difference_n
 from bench.rotation import to_euler
@@ -14,36 +15,74 @@ _STANDARD_G = 9.80665  # [m/s^2]
 
 
 def summarise(truth: Trajectory) -> dict[str, Any]:
-    """Return the extremes of a flight, the unit in each key, and its legs as (start, end, text).
+    """Return the extremes of a flight; see `Summary`."""
+    summary = Summary()
+    summary.add(truth)
+    return summary.result()
 
-    The load factor is the specific force along -z of the body over 9.80665 m/s^2; rates are those
-    of the body relative to i; both are means over one sample.
+
+class Summary:
+    """The extremes of a flight and its legs, collected from the pieces of its truth.
+
+    All of the IMU, the airspeed of the aircraft. The load factor is the specific force along -z of
+    the body over 9.80665 m/s^2; rates are those of the body relative to i, the largest of either
+    sign; both are means over one sample.
     """
-    roll, pitch, _ = to_euler(truth.q_nb)
-    alt = truth.lla[:, 2]
-    over_ground = np.hypot(*difference_n(truth.lla[1:], truth.lla[:-1])[:, :2].T)
-    dt = np.diff(truth.t)
-    load = -truth.dvel_b[:, 2] / dt / _STANDARD_G
-    rates = np.abs(truth.dtheta_b / dt[:, None]).max(axis=0)
-    speed = truth.air.airspeed_true
-    return {
-        "duration_s": float(truth.t[-1] - truth.t[0]),
-        "samples": len(truth),
-        "rate_hz": float(1 / dt.mean()),
-        "path_over_ground_m": float(over_ground.sum()),
-        "alt_min_m": float(alt.min()),
-        "alt_max_m": float(alt.max()),
-        "airspeed_min_mps": float(speed.min()),
-        "airspeed_max_mps": float(speed.max()),
-        "ground_speed_min_mps": float(np.hypot(*truth.vel_n[:, :2].T).min()),
-        "ground_speed_max_mps": float(np.hypot(*truth.vel_n[:, :2].T).max()),
-        "bank_max_rad": float(np.abs(roll).max()),
-        "pitch_min_rad": float(pitch.min()),
-        "pitch_max_rad": float(pitch.max()),
-        "load_factor_min": float(load.min()),
-        "load_factor_max": float(load.max()),
-        "roll_rate_max_rad_s": float(rates[0]),
-        "pitch_rate_max_rad_s": float(rates[1]),
-        "yaw_rate_max_rad_s": float(rates[2]),
-        "legs": truth.events.of("leg"),
-    }
+
+    def __init__(self) -> None:
+        self._samples, self._distance = 0, 0.0
+        self._least: dict[str, float] = {}
+        self._most: dict[str, float] = {}
+        self._legs: list[tuple[float, float, str]] = []
+
+    def add(self, piece: Trajectory) -> None:
+        """Take in the next piece, which begins with the instant at which the last one ended."""
+        over_ground = np.hypot(*difference_n(piece.lla[1:], piece.lla[:-1])[:, :2].T)
+        self._distance += float(over_ground.sum())
+        self._samples += len(over_ground) + (not self._samples)
+        dt = np.diff(piece.t)
+        roll, pitch, _ = to_euler(piece.q_nb)
+        w_b = np.abs(piece.dtheta_b / dt[:, None])
+        self._take("t", piece.t)
+        self._take("alt", piece.lla[:, 2])
+        self._take("airspeed", piece.air.airspeed_true)
+        self._take("ground_speed", np.hypot(piece.vel_n[:, 0], piece.vel_n[:, 1]))
+        self._take("climb", -piece.vel_n[:, 2])
+        self._take("bank", np.abs(roll))
+        self._take("pitch", pitch)
+        self._take("load_factor", -piece.dvel_b[:, 2] / dt / _STANDARD_G)
+        for axis, name in enumerate(("roll", "pitch", "yaw")):
+            self._take(f"{name}_rate", w_b[:, axis])
+        self._legs += piece.events.of("leg")
+
+    def _take(self, name: str, values: FloatArray) -> None:
+        if len(values):
+            least, most = float(values.min()), float(values.max())
+            self._least[name] = min(least, self._least.get(name, least))
+            self._most[name] = max(most, self._most.get(name, most))
+
+    def result(self) -> dict[str, Any]:
+        """Return the figures so far, the unit in each key, and the legs as (start, end, text)."""
+        least, most = self._least, self._most
+        duration = most["t"] - least["t"]
+        both = {"alt": "_m", "airspeed": "_mps", "ground_speed": "_mps", "climb": "_mps", "load_factor": ""}
+        extremes = {
+            f"{name}_{end}{unit}": values[name]
+            for name, unit in both.items()
+            for end, values in (("min", least), ("max", most))
+            if name in values
+        }
+        return {
+            "duration_s": duration,
+            "samples": self._samples,
+            "rate_hz": (self._samples - 1) / duration,
+            "path_over_ground_m": self._distance,
+            **extremes,
+            "bank_max_rad": most["bank"],
+            "pitch_min_rad": least["pitch"],
+            "pitch_max_rad": most["pitch"],
+            "roll_rate_max_rad_s": most["roll_rate"],
+            "pitch_rate_max_rad_s": most["pitch_rate"],
+            "yaw_rate_max_rad_s": most["yaw_rate"],
+            "legs": self._legs,
+        }

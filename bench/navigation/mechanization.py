@@ -127,8 +127,12 @@ def step_kernel(
     meridian, prime = radii_kernel(s)
     r_m, r_p = meridian + mid_alt, prime + mid_alt
     g_n, g_d = gravity_kernel(s, c, mid_alt)
-    m_n, m_e, m_d = v_n + 0.5 * f_n, v_e + 0.5 * f_e, v_d + 0.5 * (f_d + g_d * dt)
     tan = s / c
+    k_n, k_d = 2.0 * RATE * c + v_e / r_p, -2.0 * RATE * s - v_e / r_p * tan
+    k_e = -v_n / r_m
+    m_n = v_n + 0.5 * (f_n - dt * (k_e * v_d - k_d * v_e))
+    m_e = v_e + 0.5 * (f_e - dt * (k_d * v_n - k_n * v_d))
+    m_d = v_d + 0.5 * (f_d + dt * (g_d - (k_n * v_e - k_e * v_n)))
     e_n, e_e = m_e / r_p, -m_n / r_m  # w_en_n
     e_d = -e_n * tan
     i_n, i_d = RATE * c, -RATE * s  # w_ie_n
@@ -166,7 +170,13 @@ def _propagate_kernel(
 
 
 def propagate(
-    lla: ArrayLike, vel_n: ArrayLike, q_nb: ArrayLike, dt: ArrayLike, dtheta_b: ArrayLike, dvel_b: ArrayLike
+    lla: ArrayLike,
+    vel_n: ArrayLike,
+    q_nb: ArrayLike,
+    dt: ArrayLike,
+    dtheta_b: ArrayLike,
+    dvel_b: ArrayLike,
+    before: FloatArray | None = None,
 ) -> FloatArray:
     """Return the states (N + 1, 10) of a free inertial navigator, the start first.
 
@@ -178,6 +188,9 @@ def propagate(
         Length of each interval [s].
     dtheta_b, dvel_b : (N, 3) arrays
         Increments over each interval [rad], [m/s], frame b.
+    before : (7,) array or None
+        dtheta_b, dvel_b and length of the interval before the first, zero where there is none;
+        overwritten by the last, so that a record can be given in pieces.
 
     Raises
     ------
@@ -197,7 +210,7 @@ def propagate(
     out[0] = start
     _propagate_kernel(
         start.copy(),
-        np.zeros(7),
+        np.zeros(7) if before is None else before,
         steps,
         as_float("dtheta_b", dtheta_b, (n, 3)),
         as_float("dvel_b", dvel_b, (n, 3)),

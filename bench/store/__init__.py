@@ -13,7 +13,7 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.truth_cache import truth_cached
+from bench.store.truth_cache import truth_cached, truth_pieces
 
 __all__ = [
     "RESULT",
@@ -25,5 +25,6 @@ __all__ = [
     "save",
     "to_json",
     "truth_cached",
+    "truth_pieces",
     "write_json",
 ]

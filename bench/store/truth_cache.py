@@ -1,4 +1,9 @@
-"""Truth is flown once: by content hash, written atomically, read memory-mapped, nothing unpickled."""
+"""Truth is flown once: by content hash, written atomically, read memory-mapped, nothing unpickled.
+
+A flight comes in pieces and goes to the files in pieces, so that a long one needs no more
+memory than a short one. A piece is a `Trajectory` that begins with the instant at which the
+one before ends; in all but `SHARED` it holds only what is later than that instant.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +33,16 @@ _LOG = logging.getLogger(__name__)
 _INDEX = "index.json"  # SHA-256 of every other file of an entry
 _TEXTS = "texts.json"
 _PARTS = ("air", "controls", "events")
+_PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
+_Array = np.ndarray[Any, Any]
+SHARED = ("t", "lla", "vel_n", "q_nb")
+"""Columns in which a piece repeats the last row of the one before."""
+
 _SOURCES = ("flight", "rotation.py", "earth.py", "arrays.py", "data.py", "specs.py")
 """Files of the package that truth depends on."""
 
 
-def truth_cached(spec: FlightSpec, fly: Callable[[], Trajectory]) -> Trajectory:
+def truth_cached(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
     """Return the truth of a flight: from the cache, or flown and kept there.
 
     Parameters
@@ -40,24 +50,28 @@ def truth_cached(spec: FlightSpec, fly: Callable[[], Trajectory]) -> Trajectory:
     spec : FlightSpec
         All that the truth depends on, besides the aircraft's files and the software.
     fly : callable
-        Flies it. Called when the cache has no such truth, or a damaged one.
+        Flies it and returns its pieces; one is enough. Called when the cache has no such truth, or a
+        damaged one; and again when what it flew could not be kept.
 
     Returns
     -------
     truth : Trajectory
-        Bit-identical to what ``fly`` returns; its columns are mapped from the cache's files.
+        Bit-identical to the pieces of ``fly`` put together; its columns are mapped from the cache's files.
     """
     entry = cache_folder("truth") / truth_key(spec)
-    truth = _read(entry)
-    if truth is not None:
-        return truth
-    truth = fly()
-    try:
-        _write(entry, truth)
-        _remove_unused(entry.parent)
-    except OSError as error:  # no room, no right to write: the truth is as good without
-        _LOG.warning("truth is not cached in %s: %s", entry.parent, error.strerror or error)
-    return truth
+    truth = _mapped(entry) if _sound(entry) else None
+    if truth is None and _kept(entry, fly):
+        truth = _mapped(entry)
+    return _joined(fly()) if truth is None else truth
+
+
+def truth_pieces(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
+    """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `truth_cached`.
+
+    What is not in the cache is flown and kept there first.
+    """
+    entry = cache_folder("truth") / truth_key(spec)
+    yield from _pieces(entry) if _sound(entry) or _kept(entry, fly) else fly()
 
 
 def truth_key(spec: FlightSpec) -> str:
@@ -81,7 +95,7 @@ def _files(root: Path) -> list[Path]:
     return sorted(p for p in root.rglob("*") if p.is_file() and p.suffix not in (".pyc", ".md"))
 
 
-def _arrays(truth: Trajectory) -> dict[str, np.ndarray[Any, Any]]:
+def _arrays(truth: Trajectory) -> dict[str, _Array]:
     """Return every numeric column of a trajectory by its name: ``lla``, ``air.t`` ..."""
     parts: dict[str, Any] = {"": truth} | {part: getattr(truth, part) for part in _PARTS}
     return {
@@ -92,13 +106,56 @@ def _arrays(truth: Trajectory) -> dict[str, np.ndarray[Any, Any]]:
     }
 
 
-def _write(entry: Path, truth: Trajectory) -> None:
+def _trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]) -> Trajectory:
+    """Return the trajectory of the columns that `_arrays` names."""
+    rows: dict[str, dict[str, Any]] = {part: {} for part in ("", *_PARTS)}
+    for label, array in arrays.items():
+        part, _, name = label.rpartition(".")
+        rows[part][name] = array
+    events = Events(**rows["events"], kind=tuple(texts["kind"]), text=tuple(texts["text"]))
+    air, controls = AirData(**rows["air"]), Controls(**rows["controls"])
+    return Trajectory(**rows[""], air=air, controls=controls, events=events)
+
+
+def _joined(pieces: Iterable[Trajectory]) -> Trajectory:
+    """Return the truth that pieces make up."""
+    first, *rest = pieces
+    if not rest:
+        return first
+    arrays = {name: [array] for name, array in _arrays(first).items()}
+    for piece in rest:
+        for name, array in _arrays(piece).items():
+            arrays[name].append(array[name in SHARED :])
+    events = [piece.events for piece in (first, *rest)]
+    texts = {part: [text for e in events for text in getattr(e, part)] for part in ("kind", "text")}
+    return _trajectory({name: np.concatenate(parts) for name, parts in arrays.items()}, texts)
+
+
+def _kept(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
+    """Fly a truth into the cache and say whether it could be kept."""
+    try:
+        _write(entry, fly)
+        _remove_unused(entry.parent)
+    except OSError as error:  # no room, no right to write
+        _LOG.warning("truth is not cached in %s: %s", entry.parent, error.strerror or error)
+        return False
+    return True
+
+
+def _write(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     entry.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=entry.parent))
     try:
-        for name, array in _arrays(truth).items():
-            np.save(scratch / f"{name}.npy", array, allow_pickle=False)
-        texts = {"kind": truth.events.kind, "text": truth.events.text}
+        columns: dict[str, _Column] = {}
+        texts: dict[str, list[str]] = {"kind": [], "text": []}
+        with contextlib.ExitStack() as files:
+            for number, piece in enumerate(fly()):
+                for name, array in _arrays(piece).items():
+                    if not number:
+                        columns[name] = files.enter_context(_Column(scratch / f"{name}.npy", array))
+                    columns[name].append(array[number > 0 and name in SHARED :])
+                texts["kind"] += piece.events.kind
+                texts["text"] += piece.events.text
         (scratch / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
         hashes = {path.name: _sha256(path) for path in scratch.iterdir()}
         (scratch / _INDEX).write_text(json.dumps(hashes), encoding="utf-8")
@@ -109,25 +166,91 @@ def _write(entry: Path, truth: Trajectory) -> None:
         raise
 
 
-def _read(entry: Path) -> Trajectory | None:
-    """Return the truth of a cache entry, or None when it is absent or damaged."""
+class _Column:
+    """A .npy file that grows by rows; their number comes last, into the room numpy leaves for it."""
+
+    def __init__(self, path: Path, like: _Array) -> None:
+        self._file = path.open("wb")
+        self._header = np.lib.format.header_data_from_array_1_0(like[:0])
+        self._rows = 0
+        self._write_header()
+
+    def append(self, rows: _Array) -> None:
+        self._file.write(rows.tobytes())
+        self._rows += len(rows)
+
+    def _write_header(self) -> None:
+        shape = (self._rows, *self._header["shape"][1:])
+        np.lib.format.write_array_header_1_0(self._file, self._header | {"shape": shape})
+
+    def __enter__(self) -> _Column:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self._file:
+            self._file.seek(0)
+            self._write_header()
+
+
+def _sound(entry: Path) -> bool:
+    """Say whether an entry is there, its files are those that were written, and none is a pickle."""
     try:
         hashes = json.loads((entry / _INDEX).read_text(encoding="utf-8"))
-        if any(_sha256(entry / name) != wanted for name, wanted in hashes.items()):
-            return None
-        rows: dict[str, dict[str, Any]] = {part: {} for part in ("", *_PARTS)}
-        for file in hashes.keys() - {_TEXTS}:
-            part, _, name = file.removesuffix(".npy").rpartition(".")
-            rows[part][name] = np.load(entry / file, mmap_mode="r", allow_pickle=False)
-        texts = json.loads((entry / _TEXTS).read_text(encoding="utf-8"))
-        events = Events(**rows["events"], kind=tuple(texts["kind"]), text=tuple(texts["text"]))
-        air, controls = AirData(**rows["air"]), Controls(**rows["controls"])
-        truth = Trajectory(**rows[""], air=air, controls=controls, events=events)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
+        if not hashes or any(_sha256(entry / name) != wanted for name, wanted in hashes.items()):
+            return False
+        for name in _columns(entry):
+            _rows(entry, name)
+    except (OSError, ValueError, AttributeError):
+        return False
     with contextlib.suppress(OSError):  # a cache shared read-only still serves
         os.utime(entry)
-    return truth
+    return True
+
+
+def _columns(entry: Path) -> list[str]:
+    return [path.stem for path in entry.glob("*.npy")]
+
+
+def _rows(entry: Path, name: str) -> _Array:
+    """Return a column of an entry, mapped: what is not looked at is not in memory."""
+    rows: _Array = np.load(entry / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+    return rows
+
+
+def _texts(entry: Path) -> dict[str, list[str]]:
+    texts: dict[str, list[str]] = json.loads((entry / _TEXTS).read_text(encoding="utf-8"))
+    return texts
+
+
+def _mapped(entry: Path) -> Trajectory | None:
+    """Return the truth of an entry, mapped from its files, or None when they do not hold one."""
+    try:
+        return _trajectory({name: _rows(entry, name) for name in _columns(entry)}, _texts(entry))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _pieces(entry: Path) -> Iterator[Trajectory]:
+    """Yield the truth of an entry in pieces, the events with the last one.
+
+    The files are mapped anew for each piece: a page that was looked at is memory of the
+    process for as long as its map lives.
+    """
+    names, texts = _columns(entry), _texts(entry)
+    end = len(_rows(entry, "t")) - 1
+    taken = dict.fromkeys(_PARTS, 0)
+    for start in range(0, max(end, 1), _PIECE):
+        stop = min(start + _PIECE, end)
+        until = np.inf if stop == end else _rows(entry, "t")[stop]
+        ready = {part: int(np.searchsorted(_rows(entry, f"{part}.t"), until, "right")) for part in _PARTS}
+        ready["events"] = len(texts["kind"]) if stop == end else 0
+        arrays = {}
+        for name in names:
+            part = name.rpartition(".")[0]
+            rows = slice(taken[part], ready[part]) if part else slice(start, stop + (name in SHARED))
+            arrays[name] = np.array(_rows(entry, name)[rows])
+        taken = ready
+        yield _trajectory(arrays, texts if stop == end else {"kind": [], "text": []})
 
 
 def _sha256(path: Path) -> str:

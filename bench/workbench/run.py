@@ -92,8 +92,8 @@ def fly(
     """Fly the truth of one profile, keep it in the cache, and print what was flown."""
     profile = load_profile(name, overrides, seed)
     with _progress(profile) as progress:
-        truth = pipeline.fly(profile, progress=progress)
-    show.flight(console, profile, truth)
+        flown = pipeline.fly_over(profile, progress)
+    show.flight(console, profile, flown)
     console.print(f"Next: bench run {name}")
 
 

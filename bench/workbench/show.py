@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from bench.baselines import Verdict
 from bench.config import list_aircraft, list_profiles, list_sensors
-from bench.data import RunResult, Trajectory
+from bench.data import RunResult
 from bench.evaluation.metrics import metric_of
-from bench.flight import summarise
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
 
+_DEG = 180 / math.pi
 _SUMMARY = (
     "pos_rmse_h_m",
     "pos_rmse_d_m",
@@ -64,18 +64,45 @@ def _band(name: str, metrics: Mapping[str, Any]) -> str:
     return f" ({low:.3g} to {high:.3g})" if sensor != name and low is not None else ""
 
 
-def flight(console: Console, profile: Profile, truth: Trajectory) -> None:
-    """Print what was flown, leg by leg, and its extremes."""
-    flown = summarise(truth)
+def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
+    """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.aircraft.name}")
-    table = _table("flown", "")
-    for start, end, text in flown.pop("legs"):
-        table.add_row(f"{start:.1f} to {end:.1f} s", text)
-    for name, value in flown.items():
-        in_deg = "_rad" in name
-        shown = np.rad2deg(value) if in_deg else value
-        table.add_row(name.replace("_rad", "_deg"), f"{shown:.6g}")
+    table = _table("from", "to", "leg")
+    for start, end, text in flown["legs"]:
+        table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)
+    figures = Table.grid(padding=(0, 2))
+    for what, shown in _figures(flown).items():
+        figures.add_row(what, shown)
+    console.print(figures)
+
+
+def _figures(flown: Mapping[str, Any]) -> dict[str, str]:
+    """Return the lines below the legs."""
+
+    def least_to_most(name: str, unit: str, digits: int, scale: float = 1.0) -> str:
+        ends = [flown.get(f"{name}_{end}{unit}") for end in ("min", "max")]
+        return " to ".join("-" if end is None else f"{scale * end:.{digits}f}" for end in ends)
+
+    def largest(name: str) -> str:
+        return f"{_DEG * flown[name]:.1f}"
+
+    rates = ", ".join(largest(f"{axis}_rate_max_rad_s") for axis in ("roll", "pitch", "yaw"))
+    return {
+        "duration": f"{flown['duration_s']:g} s, {flown['samples']} samples at {flown['rate_hz']:g} Hz",
+        "distance over ground": f"{flown['path_over_ground_m'] / 1000:.2f} km",
+        "altitude": f"{least_to_most('alt', '_m', 1)} m",
+        "true airspeed": f"{least_to_most('airspeed', '_mps', 1)} m/s",
+        "ground speed": f"{least_to_most('ground_speed', '_mps', 1)} m/s",
+        "climb": f"{least_to_most('climb', '_mps', 1)} m/s",
+        "bank": f"up to {largest('bank_max_rad')} deg",
+        "pitch": f"{least_to_most('pitch', '_rad', 1, _DEG)} deg",
+        "load factor": least_to_most("load_factor", "", 2),
+        "roll, pitch, yaw rate": f"up to {rates} deg/s",
+        "replay": f"{1e3 * flown['replay_position_m']:.2g} mm, "
+        f"{1e6 * flown['replay_attitude_rad']:.2g} microradian: the most that an error-free two-sample "
+        "strapdown is off within 10 minutes",
+    }
 
 
 def verdicts(console: Console, rows: Sequence[Verdict]) -> None:

@@ -76,7 +76,8 @@ def flying(profile: Profile) -> list[Figure]:
     from bench.flight import recorder
 
     def record() -> None:
-        recorder.record(profile.flight)
+        for _ in recorder.record(profile.flight):
+            pass
 
     def step() -> None:
         _, dt = recorder.simulation_step(profile.flight.rate)
@@ -260,9 +261,11 @@ def commands() -> list[Figure]:
             command_cpu("run", "figure-eight", "-o", f"again-{k}", cwd=there, cache=cache) for k in range(3)
         ]
         help_ = [command_cpu("--help", cwd=there, cache=cache) for _ in range(3)]
+        fly = [command_cpu("fly", "figure-eight", cwd=there, cache=cache) for _ in range(3)]
     return [
         Figure("bench run figure-eight, truth cached, kernels warm", float(np.median(flown)), 3.5, "s CPU"),
         Figure("bench run figure-eight, first ever, compiling", first, 25.0, "s CPU"),
+        Figure("bench fly figure-eight, truth cached, kernels warm", float(np.median(fly)), 1.5, "s CPU"),
         Figure("bench --help", float(np.median(help_)), 0.5, "s CPU"),
     ]
 
