@@ -248,10 +248,12 @@ def test_it_stands_on_its_wheels_and_the_nose_wheel_steers():
     assert_allclose(fdm["velocities/vg-fps"] * FT, 2 * 1000 / 2750 * 9.81, rtol=0.1)
     fdm["guidance/throttle-cmd-norm"] = 0.05
     before = fdm["attitude/psi-rad"]
-    fdm["fcs/steer-cmd-norm"] = 0.2
+    fdm["guidance/heading-setpoint-rad"] = before + radians(20.0)
+    fdm["guidance/steer-share"], fdm["guidance/steer-gain"] = 1.0, 1.0
     run(1.0)
+    assert fdm["fcs/steer-cmd-norm"] > 0.05
     assert fdm["attitude/psi-rad"] - before > radians(4.0)
-    fdm["fcs/steer-cmd-norm"] = 0.0
+    fdm["guidance/steer-share"] = 0.0
     fdm["fcs/left-brake-cmd-norm"] = fdm["fcs/right-brake-cmd-norm"] = 1.0
     run(6.0)
     assert fdm["velocities/vg-fps"] < 0.01

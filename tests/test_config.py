@@ -330,7 +330,7 @@ def test_the_messages_of_the_conventions(tmp_path):
     assert errors(write(tmp_path, text, "survey.toml")) == [
         "survey.toml: [start] lat_deg = 95 deg is outside -90 to 90 deg",
         "survey.toml: [[leg]] 1 (climb): unknown key 'climb_rate_mps'. Did you mean 'rate_mps'?\n"
-        "  known keys: kind, rate_mps, to_alt_m",
+        "  known keys: kind, rate_mps, speed_mps, to_alt_m",
     ]
 
 
@@ -356,7 +356,7 @@ ONE_THING_WRONG = [
     ({"leg.0": {"kind": "straight"}}, "[[leg]] 1 (straight): duration_s is missing"),
     (
         {"leg.0.kind": "lop"},
-        "[[leg]] 1: kind = 'lop' is unknown\n  known kinds: climb, descend, figure-eight,",
+        "[[leg]] 1: kind = 'lop' is unknown\n  known kinds: aileron-roll, approach, climb,",
     ),
     ({"leg.2.by_deg": 0}, "[[leg]] 3 (turn): by_deg = 0 deg must not be 0; positive turns right"),
     ({"leg.2.bank_deg": 60}, "[[leg]] 3 (turn): bank_deg = 60 deg is above the 45 deg of the aerosonde"),

@@ -8,47 +8,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.config.profile_tables import (
-    ClimbTable,
-    DescendTable,
-    FigureEightTable,
-    ProfileTable,
-    TurnTable,
-)
+from bench.config.profile_tables import ProfileTable
 from bench.config.tables import quantity, suggest
 from bench.navigation.estimator import BUILT_IN
-from bench.specs import AircraftSpec, EstimatorChoice
+from bench.specs import EstimatorChoice
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
-
-
-def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
-    """Check what the aircraft can do, and that climbs go up and descents down."""
-    wrong = []
-    start = table.start
-    if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:
-        limits = f"{aircraft.min_speed:g} to {aircraft.max_speed:g} m/s of the {aircraft.name}"
-        wrong.append(f"[start] {quantity('speed_mps', start.speed_mps)} is outside {limits}")
-    max_bank_deg = math.degrees(aircraft.max_bank)
-    alt = start.alt_m
-    for number, leg in enumerate(table.leg, 1):
-        place = f"[[leg]] {number} ({leg.kind}): "
-        if isinstance(leg, ClimbTable | DescendTable):
-            up = isinstance(leg, ClimbTable)
-            limit = aircraft.max_climb if up else aircraft.max_descent
-            if leg.rate_mps > limit:
-                what = quantity("rate_mps", leg.rate_mps)
-                wrong.append(f"{place}{what} is above the {limit:g} m/s of the {aircraft.name}")
-            if leg.to_alt_m == alt or (leg.to_alt_m > alt) != up:
-                what = quantity("to_alt_m", leg.to_alt_m)
-                wrong.append(f"{place}{what} is not {'above' if up else 'below'} the {alt:g} m before it")
-            alt = leg.to_alt_m
-        if isinstance(leg, TurnTable | FigureEightTable) and leg.bank_deg > max_bank_deg * (1 + 1e-9):
-            what = quantity("bank_deg", leg.bank_deg)
-            wrong.append(f"{place}{what} is above the {max_bank_deg:g} deg of the {aircraft.name}")
-        if isinstance(leg, TurnTable) and leg.by_deg == 0:
-            wrong.append(f"{place}by_deg = 0 deg must not be 0; positive turns right")
-    return wrong
 
 
 def rates(table: ProfileTable, sensors: Mapping[str, Any]) -> list[str]:

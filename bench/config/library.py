@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from bench.config.datasheets import SENSORS
-from bench.config.tables import ConfigError, Table, between, checked, read, suggest
+from bench.config.tables import ROWS, ConfigError, Table, between, checked, read, suggest
 from bench.places import PACKAGE
-from bench.specs import AircraftSpec
+from bench.specs import AircraftSpec, RunwaySpec
 
 _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
@@ -39,12 +39,23 @@ class _Position(Table):
 _AT_CG = _Position(forward_m=0.0, right_m=0.0, down_m=0.0)
 
 
+class _Runway(Table):
+    height_m: Annotated[float, between(0.01, 20)]
+    rotate_mps: Annotated[float, between(1, 200)]
+    take_off_pitch_deg: Annotated[float, between(0.5, 25)]
+    approach_mps: Annotated[float, between(1, 200)]
+    flare_m: Annotated[float, between(3.5, 100)]
+    touch_down_mps: Annotated[float, between(0.05, 3)]
+
+
 class _AircraftTable(Table):
     title: str
     mesh: Literal["uav", "light-single", "jet"] = "uav"
     limits: _Limits
     imu: _Position = _AT_CG
     antenna: _Position
+    runway: _Runway | None = None
+    configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     guidance: dict[str, float] = Field(default_factory=dict)
 
 
@@ -125,6 +136,19 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
         ),
         mesh=table.mesh,
         imu_b=(imu.forward_m, imu.right_m, imu.down_m),
+        runway=_runway(table.runway) if table.runway else None,
+        configuration=table.configuration,
+    )
+
+
+def _runway(table: _Runway) -> RunwaySpec:
+    return RunwaySpec(
+        height=table.height_m,
+        rotate_speed=table.rotate_mps,
+        take_off_pitch=math.radians(table.take_off_pitch_deg),
+        approach_speed=table.approach_mps,
+        flare_height=table.flare_m,
+        touch_down_sink=table.touch_down_mps,
     )
 
 

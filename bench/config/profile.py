@@ -9,33 +9,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.config import checks
+from bench.config import checks, leg_checks
 from bench.config.datasheets import SENSORS
+from bench.config.leg_tables import to_leg
 from bench.config.library import aircraft_folder, profile_file, read_aircraft, sensor_file
-from bench.config.profile_tables import (
-    SEVERITY,
-    ClimbTable,
-    DescendTable,
-    FigureEightTable,
-    LegTable,
-    ProfileTable,
-    StraightTable,
-    TurnTable,
-)
+from bench.config.profile_tables import SEVERITY, ProfileTable, RunwayTable, StartTable
 from bench.config.tables import ConfigError, checked, noting, read
 from bench.specs import (
     AircraftSpec,
     AssumedSpecs,
-    Climb,
-    Descend,
     EstimatorChoice,
-    FigureEight,
     FlightSpec,
-    Leg,
+    Gust,
     Profile,
+    Runway,
     SensorsSpec,
-    Straight,
-    Turn,
+    WindLayer,
 )
 
 
@@ -83,7 +72,8 @@ def load_profile(
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     choices = tuple(_choice(row.use, row.label, row.options) for row in table.estimator)
-    across = checks.legs(table, aircraft) if aircraft else []
+    across = leg_checks.legs(table, aircraft) if aircraft else []
+    across += leg_checks.air(table)
     across += checks.rates(table, on_board) + checks.outages(table)
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
@@ -156,36 +146,46 @@ def _choice(use: str, label: str | None = None, options: Mapping[str, Any] | Non
 
 
 def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
-    wind = table.wind
+    wind, start = table.wind, table.start
+    start_lla = (math.radians(start.lat_deg), math.radians(start.lon_deg), float(start.alt_m))
+    runway = table.runway or (table.start if start.on_ground else None)
     return FlightSpec(
         aircraft=aircraft,
         rate=float(table.rate_hz),
-        lat=math.radians(table.start.lat_deg),
-        lon=math.radians(table.start.lon_deg),
-        alt=float(table.start.alt_m),
-        heading=math.radians(table.start.heading_deg),
-        speed=float(table.start.speed_mps),
+        lat=start_lla[0],
+        lon=start_lla[1],
+        alt=start_lla[2],
+        heading=math.radians(start.heading_deg),
+        speed=leg_checks.first_speed(table, aircraft),
         wind_from=math.radians(wind.from_deg),
         wind_speed=float(wind.speed_mps),
         severity=SEVERITY.get(wind.turbulence, wind.turbulence),
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
-        legs=tuple(_leg(leg) for leg in table.leg),
+        legs=tuple(to_leg(leg, start_lla) for leg in table.leg),
         duration=None if table.duration_s is None else float(table.duration_s),
+        on_ground=start.on_ground,
+        runway=_runway(runway) if runway else None,
+        wind_layers=tuple(
+            WindLayer(float(row.alt_m), math.radians(row.from_deg), float(row.speed_mps))
+            for row in sorted(wind.layers, key=lambda row: row.alt_m)
+        ),
+        gusts=tuple(
+            Gust(
+                start=float(row.start_s),
+                rise=float(row.rise_s),
+                hold=float(row.hold_s),
+                fall=float(row.fall_s),
+                air_n=(float(row.north_mps), float(row.east_mps), -float(row.up_mps)),
+            )
+            for row in sorted(table.gust, key=lambda row: row.start_s)
+        ),
+        turbulence_model=wind.turbulence_model,
     )
 
 
-def _leg(row: LegTable) -> Leg:
-    match row:
-        case StraightTable():
-            return Straight(float(row.duration_s))
-        case ClimbTable():
-            return Climb(float(row.to_alt_m), float(row.rate_mps))
-        case DescendTable():
-            return Descend(float(row.to_alt_m), float(row.rate_mps))
-        case TurnTable():
-            return Turn(math.radians(row.by_deg), math.radians(row.bank_deg))
-        case FigureEightTable():
-            return FigureEight(math.radians(row.bank_deg), row.laps)
+def _runway(row: RunwayTable | StartTable) -> Runway:
+    lat, lon, heading = (math.radians(value) for value in (row.lat_deg, row.lon_deg, row.heading_deg))
+    return Runway(lat, lon, float(row.alt_m), heading)
 
 
 def _sensors(

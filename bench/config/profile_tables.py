@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
+from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
 from bench.config.tables import ROWS, Table, between
 
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
@@ -49,72 +50,60 @@ Metres3 = Annotated[
     ],
     ROWS,
 ]
-Seconds = Annotated[float, between(0.1, 86400)]
-Bank = Annotated[float, between(1, 80)]
-Altitude = Annotated[float, between(-500, 20000)]
 Seed = Annotated[int, between(0, 2**53)]
 
 
 class StartTable(Table):
-    """Where the flight begins: ellipsoidal height, heading of the nose, true airspeed."""
+    """Where the flight begins: ellipsoidal height, heading of the nose, true airspeed.
+
+    On the ground it stands on a runway whose threshold and heading these are, and has no airspeed.
+    """
 
     lat_deg: Annotated[float, between(-90, 90)]
     lon_deg: Annotated[float, between(-180, 180)]
     alt_m: Altitude
-    heading_deg: Annotated[float, between(0, 360)]
-    speed_mps: Annotated[float, between(1, 400)]
+    heading_deg: Heading
+    speed_mps: Speed | None = None
+    on_ground: bool = False
+
+
+class LayerTable(Table):
+    """The wind at an altitude."""
+
+    alt_m: Altitude
+    from_deg: Heading
+    speed_mps: Annotated[float, between(0, 100)]
 
 
 class WindTable(Table):
-    """Steady wind, by the direction it blows from, and turbulence by name or Milspec severity."""
+    """Wind, by the direction it blows from, steady or in layers; turbulence by name or Milspec severity."""
 
     from_deg: Annotated[float, between(0, 360)] = 0.0
     speed_mps: Annotated[float, between(0, 40)] = 0.0
+    layers: Annotated[tuple[LayerTable, ...], ROWS] = ()
     turbulence: Annotated[Any, AfterValidator(_turbulence)] = "none"
+    turbulence_model: Literal["milspec", "tustin"] = "milspec"
 
 
-class StraightTable(Table):
-    """Hold heading, altitude and airspeed."""
+class GustTable(Table):
+    """A 1 - cosine gust: the velocity it adds to the air at its peak, and how long it rises, stays, falls."""
 
-    kind: Literal["straight"]
-    duration_s: Seconds
-
-
-class ClimbTable(Table):
-    """Climb to an altitude."""
-
-    kind: Literal["climb"]
-    to_alt_m: Altitude
-    rate_mps: Annotated[float, between(0.1, 100)]
+    start_s: Annotated[float, between(0, 86400)]
+    north_mps: Annotated[float, between(-40, 40)] = 0.0
+    east_mps: Annotated[float, between(-40, 40)] = 0.0
+    up_mps: Annotated[float, between(-40, 40)] = 0.0
+    rise_s: Seconds = 1.0
+    hold_s: Annotated[float, between(0, 600)] = 0.0
+    fall_s: Seconds = 1.0
 
 
-class DescendTable(Table):
-    """Descend to an altitude."""
+class RunwayTable(Table):
+    """The threshold and the direction of the runway; the ground all around is as high as it is."""
 
-    kind: Literal["descend"]
-    to_alt_m: Altitude
-    rate_mps: Annotated[float, between(0.1, 100)]
-
-
-class TurnTable(Table):
-    """Turn by an angle, positive to the right."""
-
-    kind: Literal["turn"]
-    by_deg: Annotated[float, between(-3600, 3600)]
-    bank_deg: Bank
-
-
-class FigureEightTable(Table):
-    """Full circles, right then left."""
-
-    kind: Literal["figure-eight"]
-    bank_deg: Bank
-    laps: Annotated[int, between(1, 1000)]
-
-
-LegTable = Annotated[
-    StraightTable | ClimbTable | DescendTable | TurnTable | FigureEightTable, Field(discriminator="kind")
-]
+    lat_deg: Annotated[float, between(-90, 90)]
+    lon_deg: Annotated[float, between(-180, 180)]
+    alt_m: Altitude
+    heading_deg: Heading
 
 
 class AssumedTable(Table):
@@ -175,7 +164,9 @@ class ProfileTable(Table):
     turbulence_seed: Seed | None = None
     duration_s: Seconds | None = None
     start: StartTable
+    runway: RunwayTable | None = None
     wind: WindTable = WindTable()
+    gust: Annotated[tuple[GustTable, ...], ROWS] = ()
     leg: Annotated[tuple[Annotated[LegTable, Field(discriminator="kind")], ...], ROWS, Field(min_length=1)]
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()

@@ -131,6 +131,8 @@ def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
     if kind == "union_tag_not_found":
         return f"{_table(loc)}: kind is missing"
     place, key = _place(loc)
+    if kind == "whole":
+        return f"{_table(loc)}: {detail['msg']}"
     if kind == "extra_forbidden":
         place = f"{place}: " if place else ""
         return f"{place}unknown key {key!r}{suggest(key, _known_keys(model, loc[:-1]), 'keys')}"
@@ -180,9 +182,10 @@ def _place(loc: Sequence[int | str]) -> tuple[str, str]:
 
 
 def _table(loc: Sequence[int | str]) -> str:
-    """Name a table: ``[start]``, ``[sensors.assumed]``, ``[[leg]] 1 (climb)``."""
+    """Name a table: ``[start]``, ``[sensors.assumed]``, ``[[leg]] 1 (climb)``, ``... points[0]``."""
     if len(loc) > 1 and isinstance(loc[1], int):
-        return f"[[{loc[0]}]] {loc[1] + 1}{''.join(f' ({tag})' for tag in loc[2:])}"
+        inner = "".join(f"[{part}]" if isinstance(part, int) else f" {part}" for part in loc[3:])
+        return f"[[{loc[0]}]] {loc[1] + 1}{''.join(f' ({tag})' for tag in loc[2:3])}{inner}"
     return f"[{'.'.join(str(part) for part in loc)}]" if loc else ""
 
 

@@ -33,12 +33,14 @@ _TRIM_STARTS = [  # angle of attack, sideslip, roll [rad], aileron, elevator, th
 ]
 _HISTORY = 5  # past derivatives the integrators of JSBSim keep
 _SETTLE = 10.0  # for the lags of guidance to arrive, against corners of 2 rad/s and more [s]
-_INTEGRATORS = {  # AB2, AB2, local linearization, AB4: five times finer than the default
+INTEGRATORS = {  # AB2, AB2, local linearization, AB4: five times finer than the default
     "rate/rotational": 3,
     "rate/translational": 3,
     "position/rotational": 8,
     "position/translational": 4,
 }
+ON_WHEELS = 1
+"""Integrator of the velocity on the ground, Euler: JSBSim's friction expects it; wheels creep with others."""
 _ACCELERATIONS = (
     ("accelerations/udot-ft_sec2", FT),
     ("accelerations/vdot-ft_sec2", FT),
@@ -201,7 +203,7 @@ def place(
     fdm["fcs/rudder-cmd-norm"] = 0.0
     fdm["guidance/throttle-cmd-norm"] = throttle
     fdm.run_ic()
-    for name, number in _INTEGRATORS.items():  # run_ic resets them
+    for name, number in INTEGRATORS.items():  # run_ic resets them
         fdm[f"simulation/integrator/{name}"] = number
     set_wind(fdm, np.asarray(condition.wind_n))
     _wait(fdm, 1)

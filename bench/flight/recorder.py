@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,9 @@ from bench.flight.increments import (
 from bench.flight.model import Condition, FlightError, load, node, settle, trim
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
+from bench.flight.standing import stand
 from bench.flight.units import FT, KT, PSF, RANKINE
-from bench.flight.wind import air_velocity, start_turbulence
+from bench.flight.wind import Weather, start_turbulence
 from bench.specs import FlightSpec
 
 PIECE = 30.0
@@ -38,6 +39,7 @@ PIECE = 30.0
 
 _LEAST_RATE = 400.0  # of JSBSim [Hz]
 _NEIGHBOURS = 3  # steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments
+_CLEAR = 50.0  # wheels off the ground for the trim of a flight that starts on it [m]
 _MOTION = (  # what truth is made of, per step
     "position/eci-x-ft",
     "position/eci-y-ft",
@@ -151,7 +153,7 @@ def record(
         return Recording(spec.rate, substeps, first, motion, si, tuple(flown) if end == tick else ())
 
     keep([read() for read in read_motion])
-    for t in fly_legs(cockpit, spec, flown):
+    for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
         slow.extend([read() for read in read_slow])
         for _ in steps:
             run()
@@ -257,12 +259,18 @@ def simulation_step(rate: float) -> tuple[int, float]:
 
 
 def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
-    """Return the model, trimmed at the start of the plan in its wind, and its engaged guidance."""
+    """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     fdm = load(spec.aircraft, dt)
-    north, east, down = (float(v) for v in air_velocity(spec.wind_from, spec.wind_speed))
+    if spec.runway is not None:
+        fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
+    north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
-    trimmed = trim(fdm, condition)
-    settle(fdm)
+    if spec.on_ground:
+        trimmed = trim(fdm, replace(condition, alt=spec.alt + _CLEAR))  # of the climb to come
+        stand(fdm, condition)
+    else:
+        trimmed = trim(fdm, condition)
+        settle(fdm)
     cockpit = engage(fdm, spec, trimmed)
-    start_turbulence(fdm, spec.severity, spec.turbulence_seed)
+    start_turbulence(fdm, spec.severity, spec.turbulence_seed, spec.turbulence_model)
     return fdm, cockpit

@@ -1,4 +1,4 @@
-"""Steady wind and Milspec turbulence in JSBSim, the turbulence from a seed."""
+"""Wind by altitude, discrete gusts and Milspec turbulence in JSBSim, the turbulence from a seed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.flight.units import FT
-from bench.specs import stream
+from bench.specs import FlightSpec, Gust, stream
 
 # Wind 20 ft above ground of MIL-F-8785C for light, moderate and severe turbulence (15, 30, 45 kt), at the
 # probability-of-exceedance index JSBSim takes for each; a straight line between and beyond.
 _SEVERITY = (0.0, 3.0, 4.0, 6.0, 7.0)
 _WIND_20FT_FPS = (0.0, 25.3, 50.6, 76.0, 88.7)
-_MILSPEC = 3
+_MODELS = {"milspec": 3, "tustin": 4}
+_LOCAL_FRAME = 3  # of a cosine gust: north, east, down
 _LEAST_NORTH = 0.01 * FT  # [m/s]
 
 
@@ -41,13 +42,59 @@ def set_wind(fdm: Any, wind_n: FloatArray) -> None:
         fdm[f"atmosphere/wind-{axis}-fps"] = float(speed) / FT
 
 
-def start_turbulence(fdm: Any, severity: int, seed: int) -> None:
+class Weather:
+    """What the air does over the flight, besides turbulence."""
+
+    def __init__(self, fdm: Any, spec: FlightSpec) -> None:
+        self._fdm = fdm
+        layers = sorted(spec.wind_layers, key=lambda layer: layer.alt)
+        self._alts = np.array([layer.alt for layer in layers])
+        self._winds = np.array([air_velocity(layer.wind_from, layer.speed) for layer in layers])
+        self._steady = air_velocity(spec.wind_from, spec.wind_speed)
+        self._gusts = list(spec.gusts)
+
+    def wind_at(self, alt: float) -> FloatArray:
+        """Return the wind at an ellipsoidal height [m], (3,) velocity of the air mass [m/s], frame n."""
+        if not len(self._alts):
+            return self._steady
+        wind_n = np.array([np.interp(alt, self._alts, column) for column in self._winds.T])
+        if wind_n.any() and abs(wind_n[0]) < _LEAST_NORTH:
+            wind_n[0] = _LEAST_NORTH
+        return wind_n
+
+    def blow(self, t: float, alt: float) -> None:
+        """Write the wind of this instant [s] and height [m], and begin the gust that is due."""
+        if len(self._alts):
+            set_wind(self._fdm, self.wind_at(alt))
+        if self._gusts and t >= self._gusts[0].start - 1e-6:
+            _start_gust(self._fdm, self._gusts.pop(0))
+
+
+def _start_gust(fdm: Any, gust: Gust) -> None:
+    strength = float(np.linalg.norm(gust.air_n))
+    values = {
+        "startup-duration-sec": gust.rise,
+        "steady-duration-sec": gust.hold,
+        "end-duration-sec": gust.fall,
+        "magnitude-ft_sec": strength / FT,
+        "frame": _LOCAL_FRAME,
+        "X-velocity-ft_sec": gust.air_n[0] / strength,  # a direction
+        "Y-velocity-ft_sec": gust.air_n[1] / strength,
+        "Z-velocity-ft_sec": gust.air_n[2] / strength,
+        "start": 1,
+    }
+    for name, value in values.items():
+        fdm[f"atmosphere/cosine-gust/{name}"] = value
+
+
+def start_turbulence(fdm: Any, severity: int, seed: int, model: str = "milspec") -> None:
     """Start Milspec turbulence of a probability-of-exceedance index (0 none to 7) from a seed.
 
-    JSBSim draws once per step: the same seed at another step gives another history.
+    ``tustin`` is the same spectra by another discretization. JSBSim draws once per
+    step: the same seed at another step gives another history.
     """
     fdm["simulation/randomseed"] = int(stream(seed, 0, "turbulence").integers(1, 2**31 - 1))
-    fdm["atmosphere/turb-type"] = _MILSPEC if severity else 0
+    fdm["atmosphere/turb-type"] = _MODELS[model] if severity else 0
     fdm["atmosphere/turbulence/milspec/severity"] = severity
     fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = float(
         np.interp(severity, _SEVERITY, _WIND_20FT_FPS)

@@ -1,0 +1,197 @@
+"""What the legs read from the model and write to its guidance system, in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from bench.earth import matrix_en, to_ecef
+from bench.flight.model import INTEGRATORS, ON_WHEELS, FlightError, node
+from bench.flight.shaping import RATE, smoothstep
+from bench.flight.units import FT
+from bench.specs import AircraftSpec, Runway
+
+SURFACES = ("aileron", "elevator", "rudder")
+
+_SPEED_CHANGE = (
+    0.5  # fastest change of an airspeed set-point [m/s^2], below what full power gives each aircraft
+)
+
+
+class Cockpit:
+    """The controls and instruments of one flight."""
+
+    def __init__(self, fdm: Any, aircraft: AircraftSpec, runway: Runway | None = None) -> None:
+        def reader(name: str) -> Callable[[], float]:
+            read: Callable[[], float] = node(fdm, name).get_double_value
+            return read
+
+        def switch(name: str) -> Callable[[float], None]:
+            write: Callable[[float], None] = node(fdm, name).set_double_value
+            return write
+
+        def writer(name: str) -> Callable[[float], None]:
+            return switch(f"guidance/{name}")
+
+        def gain(name: str) -> float:
+            value = reader(f"guidance/{name}")()
+            if not value > 0:
+                raise FlightError(f"aircraft {aircraft.name}: gain {name} must be above 0; it is {value:g}")
+            return value
+
+        self.reader, self.switch, self.gain = reader, switch, gain
+        self._alt_ft, self._agl_ft = reader("position/geod-alt-ft"), reader("position/h-agl-ft")
+        self._down_fps, self._speed_fps = reader("velocities/v-down-fps"), reader("velocities/vt-fps")
+        self._wheels = reader("gear/wow")
+        self.heading, self.roll = reader("attitude/psi-rad"), reader("attitude/phi-rad")
+        self.pitch, self.roll_rate = reader("attitude/theta-rad"), reader("velocities/p-rad_sec")
+        self.load_factor = reader("accelerations/Nz")  # one step late, which control does not mind
+        self.bank_wanted = reader("guidance/bank-wanted-rad")
+        self.pitch_wanted = reader("guidance/pitch-wanted-rad")
+        self.lat_mode, self.lon_mode, self.thr_mode = (writer(f"{k}-mode") for k in ("lat", "lon", "thr"))
+        self.set_bank, self.set_heading = writer("bank-setpoint-rad"), writer("heading-setpoint-rad")
+        self.set_pitch = writer("pitch-setpoint-rad")
+        self.set_climb, self.set_alt = writer("climb-setpoint-mps"), writer("altitude-setpoint-m")
+        self.set_speed, self.set_throttle = writer("airspeed-setpoint-mps"), writer("throttle-cmd-norm")
+        self.throttle = reader("guidance/throttle-cmd-norm")
+        self.set_bank_limit = writer("bank-limit-rad")
+        self.set_steering = writer("steer-share")
+        self.direct = {name: writer(f"{name}-direct-norm") for name in SURFACES}
+        self.direct_share = {name: writer(f"{name}-direct-share") for name in SURFACES}
+        self.surface = {name: reader(f"fcs/{name}-cmd-norm") for name in SURFACES}
+        self._integrator = switch("simulation/integrator/rate/translational")
+        self._brakes = [switch(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right")]
+        self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
+        self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
+        self.aircraft, self.runway = aircraft, runway
+        self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
+        # what the loops lag behind a moving set-point
+        self.bank_lag = 2 / gain("bank-lag-rad_sec")
+        self.pitch_lag = 1 / gain("pitch-lag-rad_sec")
+        self.climb_lag = self.pitch_lag + 1 / gain("climb-gain")
+        self._plan: tuple[float, float, int, int] | None = None  # an airspeed change on its way
+        self.speed_wanted = 0.0  # the airspeed set-point [m/s]
+        self.alt_wanted = self.alt()  # the altitude set-point [m]
+
+    def alt(self) -> float:
+        """Ellipsoidal height [m]."""
+        return self._alt_ft() * FT
+
+    def alt_agl(self) -> float:
+        """Height above ground [m]."""
+        return self._agl_ft() * FT
+
+    def climb(self) -> float:
+        """Vertical speed, up [m/s]."""
+        return -self._down_fps() * FT
+
+    def speed(self) -> float:
+        """True airspeed [m/s]."""
+        return self._speed_fps() * FT
+
+    def on_wheels(self) -> bool:
+        """Whether a wheel touches the ground."""
+        return self._wheels() > 0
+
+    def wind_speed(self) -> float:
+        """Horizontal wind without gusts and turbulence [m/s]."""
+        return math.hypot(*(read() * FT for read in self._wind_fps))
+
+    def state(self) -> str:
+        """Return the flight in words."""
+        return (
+            f"at {self.alt():.0f} m, climbing {self.climb():.1f} m/s, "
+            f"heading {math.degrees(self.heading()):.0f} deg, airspeed {self.speed():.1f} m/s"
+        )
+
+    def hold_heading(self) -> None:
+        """Hold the heading of this instant from here on."""
+        self.course = self.heading()
+        self.set_heading(self.course)
+        self.lat_mode(2)
+
+    def hold_alt(self, alt: float) -> None:
+        """Hold an ellipsoidal height [m]."""
+        self.alt_wanted = alt
+        self.set_alt(alt)
+        self.lon_mode(3)
+
+    def brake(self, share: float) -> None:
+        """Set the wheel brakes, 0 to 1."""
+        for write in self._brakes:
+            write(share)
+
+    def on_ground(self, standing: bool) -> None:
+        """Integrate the velocity as wheels on the ground need it, or as flight does."""
+        self._integrator(ON_WHEELS if standing else INTEGRATORS["rate/translational"])
+
+    def start_speed(self, speed: float) -> None:
+        """Begin to hold an airspeed [m/s] without a jump of the throttle."""
+        self.speed_wanted, self._plan = speed, None
+        self.set_speed(speed)
+        self._throttle_trim(self.throttle() - self._speed_gain() * (speed - self.speed()))
+        self.thr_mode(1)
+
+    def change_speed(self, speed: float) -> None:
+        """Begin to move the airspeed set-point to another airspeed [m/s]; :meth:`tick` goes on with it."""
+        change = abs(speed - self.speed_wanted)
+        if change > 0:
+            n = max(1, math.ceil(1.5 * change / _SPEED_CHANGE * RATE))
+            self._plan = (self.speed_wanted, speed, 0, n)
+
+    def tick(self) -> None:
+        """Go on with what moves by itself; once per instant."""
+        if self._plan is not None:
+            begun, end, k, n = self._plan
+            self.speed_wanted = begun + smoothstep((k + 1) / n) * (end - begun)
+            self.set_speed(self.speed_wanted)
+            self._plan = (begun, end, k + 1, n) if k + 1 < n else None
+
+    def fastest(self) -> float:
+        """Highest airspeed wanted from here on [m/s]."""
+        return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
+
+    def speed_settled(self) -> bool:
+        """Whether no airspeed change is on its way."""
+        return self._plan is None
+
+    def plane_here(self) -> Plane:
+        """Return the plane that is level at the present position."""
+        lat, lon = (self.reader(f"position/{name}-rad")() for name in ("lat-geod", "long-gc"))
+        return Plane(self, lat, lon, self.alt())
+
+
+class Plane:
+    """North and east of an origin, in the plane tangent to the Earth there: no meridian bends in it."""
+
+    def __init__(self, cockpit: Cockpit, lat: float, lon: float, alt: float) -> None:
+        C_en, origin = matrix_en(lat, lon), to_ecef([lat, lon, alt])
+        self._north, self._east = (tuple(float(v) for v in C_en[:, k]) for k in (0, 1))
+        self._origin = tuple(float(v) for v in origin)
+        self._pos = [cockpit.reader(f"position/ecef-{axis}-ft") for axis in "xyz"]
+        self._vel = [cockpit.reader(f"velocities/ecef-{axis}-fps") for axis in "xyz"]
+
+    def _project(self, x: float, y: float, z: float) -> tuple[float, float]:
+        n, e = self._north, self._east
+        return n[0] * x + n[1] * y + n[2] * z, e[0] * x + e[1] * y + e[2] * z
+
+    def position(self) -> tuple[float, float]:
+        """Return where the aircraft is: north, east [m]."""
+        x, y, z = (read() * FT - o for read, o in zip(self._pos, self._origin, strict=True))
+        return self._project(x, y, z)
+
+    def velocity(self) -> tuple[float, float]:
+        """Return its velocity over ground: north, east [m/s]."""
+        x, y, z = (read() * FT for read in self._vel)
+        return self._project(x, y, z)
+
+    def track(self) -> tuple[float, float]:
+        """Return its course [rad] and speed [m/s] over ground."""
+        north, east = self.velocity()
+        return math.atan2(east, north), math.hypot(north, east)
+
+    def point(self, lat: float, lon: float, alt: float) -> tuple[float, float]:
+        """Return a place [rad, rad, m]: north, east [m]."""
+        x, y, z = (float(v) - o for v, o in zip(to_ecef([lat, lon, alt]), self._origin, strict=True))
+        return self._project(x, y, z)

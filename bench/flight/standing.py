@@ -1,0 +1,57 @@
+"""Stand on the wheels with brakes set, before anything moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.flight.cockpit import SURFACES
+from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, FlightError, node, place
+from bench.flight.units import FT
+from bench.flight.wind import set_wind
+
+_DROP = 0.02  # from which it is let down on its wheels [m]
+_SETTLE = 30.0  # until gear and friction are at rest [s]
+_AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
+
+
+def stand(fdm: Any, condition: Condition) -> None:
+    """Put the aircraft on the ground of a condition's place, heading and wind, at rest.
+
+    Raises
+    ------
+    FlightError
+        When it does not come to rest.
+    """
+    place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for name in ("u-fps", "v-fps", "w-fps", "phi-rad", "theta-rad"):
+        fdm[f"ic/{name}"] = 0.0
+    fdm["ic/h-agl-ft"] = 10.0
+    wheels = [node(fdm, f"gear/unit[{k}]/AGL-ft") for k in range(int(fdm["gear/num-units"]))]
+    _evaluate(fdm)
+    fdm["ic/h-agl-ft"] = 10.0 - min(wheel.get_double_value() for wheel in wheels) + _DROP / FT
+    _evaluate(fdm)
+    for name, number in {**INTEGRATORS, "rate/translational": ON_WHEELS}.items():  # run_ic resets them
+        fdm[f"simulation/integrator/{name}"] = number
+    set_wind(fdm, np.asarray(condition.wind_n))
+    for surface in SURFACES:
+        fdm[f"fcs/{surface}-cmd-norm"] = 0.0
+        fdm[f"guidance/{surface}-direct-share"] = 1.0
+    fdm["guidance/throttle-cmd-norm"] = 0.0
+    for side in ("left", "right"):
+        fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
+    for _ in range(round(_SETTLE / fdm.get_delta_t())):
+        fdm.run()
+    moves = FT * max(abs(fdm[f"velocities/v-{axis}-fps"]) for axis in ("north", "east", "down"))
+    if not moves < _AT_REST:
+        raise FlightError(
+            f"aircraft {fdm.get_model_name()} does not stand: it moves at {moves:.2g} m/s on its wheels"
+        )
+
+
+def _evaluate(fdm: Any) -> None:
+    fdm.run_ic()
+    fdm.suspend_integration()
+    fdm.run()
+    fdm.resume_integration()

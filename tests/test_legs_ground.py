@@ -1,0 +1,135 @@
+"""On the ground the aircraft stands still; it takes off and lands softly, along the middle of its runway."""
+
+from dataclasses import replace
+from math import cos, radians, sin
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import earth, rotation
+from bench.config import load_profile
+from bench.flight import FlightError, fly
+from bench.specs import Approach, Flare, LandingRoll, Runway, Static, Straight, TakeOff
+from tests.plans import AEROSONDE, plan
+
+LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)
+RUNWAY = Runway(LAT, LON, GROUND, ALONG)
+
+
+def standing(*legs, **changes):
+    return plan(*legs, on_ground=True, runway=RUNWAY, alt=GROUND, speed=24.0, **changes)
+
+
+def runway_frame(truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Way along the runway, distance off its centreline to the right, height above the ground [m]."""
+    ned = earth.local_ned(truth.lla, [LAT, LON, GROUND])[:, :2]
+    c, s = cos(ALONG), sin(ALONG)
+    return ned @ [c, s], ned @ [-s, c], truth.lla[:, 2] - GROUND
+
+
+@pytest.mark.parametrize("wind_speed", [0.0, 5.0])
+def test_what_stands_does_not_move(wind_speed):
+    """In wind across too: brakes hold, the gear has given way before the first instant."""
+    truth = fly(standing(Static(20.0), wind_from=radians(175.0), wind_speed=wind_speed))
+    moved = np.linalg.norm(earth.difference_n(truth.lla, truth.lla[0]), axis=1)
+    assert moved.max() < 1e-6
+    assert np.abs(truth.vel_n).max() < 1e-6
+    turned = rotation.to_rotvec(rotation.multiply(rotation.conjugate(truth.q_nb[0]), truth.q_nb))
+    assert np.abs(turned).max() < 1e-6
+
+
+def test_a_resting_imu_reads_minus_gravity_and_the_rate_of_the_earth():
+    truth = fly(standing(Static(5.0)))
+    f_n = rotation.rotate(truth.q_nb[:-1], truth.dvel_b) / truth.t[1]
+    assert_allclose(f_n, -np.broadcast_to(earth.gravity_n(LAT, GROUND), f_n.shape), atol=2e-5)
+    w_n = rotation.rotate(truth.q_nb[:-1], truth.dtheta_b) / truth.t[1]
+    expected = earth.RATE * np.array([cos(LAT), 0.0, -sin(LAT)])
+    assert_allclose(w_n, np.broadcast_to(expected, w_n.shape), atol=5e-8)  # 0.01 deg/h
+
+
+def test_the_height_of_the_imu_on_its_wheels_is_the_one_of_the_aircraft_file():
+    truth = fly(standing(Static(1.0)))
+    assert_allclose(truth.lla[:, 2] - GROUND, AEROSONDE.runway.height, atol=2e-3)
+    assert_allclose(truth.lla[0, :2], [LAT, LON], atol=1e-8)
+    assert_allclose(rotation.to_euler(truth.q_nb)[2], ALONG, atol=1e-4)
+
+
+@pytest.mark.parametrize("across", [0.0, -4.0, 4.0])
+def test_take_off_and_landing_keep_to_the_runway(across):
+    """Sink at touch-down below 1.5 m/s, less than 5 m off the centreline, in up to 4 m/s across it."""
+    wind = {"wind_from": ALONG + radians(90.0), "wind_speed": abs(across)}
+    if across < 0:
+        wind["wind_from"] = ALONG - radians(90.0)
+    up = fly(standing(Static(2.0), TakeOff(40.0, 2.5, 24.0), Straight(2.0), **wind))
+    along, off, height = runway_frame(up)
+    on_wheels = height < 0.35
+    assert np.abs(off[on_wheels]).max() < 5.0
+    assert along[on_wheels].max() < 200.0
+    assert_allclose(height[-1], 40.0, atol=2.5)
+    assert np.diff(height)[~on_wheels[1:]].min() > -0.02  # it does not come down again
+
+    before = 1800.0
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
+    down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(3.0), runway=RUNWAY, **start, **wind))
+    along, off, height = runway_frame(down)
+    touch = round(down.events.of("leg")[1][1] / down.t[1])
+    sink = down.vel_n[touch - 30 : touch, 2]  # the last 0.3 s; wheels may touch 0.05 s before the leg ends
+    assert height[touch] < AEROSONDE.runway.height + 0.05
+    assert sink.max() < 1.5
+    assert sink.max() > 0.1
+    assert np.abs(off[touch:]).max() < 5.0
+    assert 0.0 < along[touch] < 250.0
+    assert np.linalg.norm(down.vel_n[-1]) < 1e-4
+    assert "touch-down at" in down.events.of("leg")[1][2]
+
+
+def test_the_glide_path_is_flown():
+    before = 1800.0
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
+    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), runway=RUNWAY, **start))
+    along, _, height = runway_frame(truth)
+    final = (along > -900) & (along < -150)
+    path = AEROSONDE.runway.height + (60.0 - along) * np.tan(radians(3.5))
+    assert_allclose(height[final], path[final], atol=1.5)
+
+
+def test_the_shipped_circuit_lands_as_it_should():
+    truth = fly(load_profile("circuit").flight)
+    _, off, height = runway_frame(truth)
+    low = height < 0.35
+    assert np.abs(off[low]).max() < 5.0
+    assert height.max() > 75.0
+    assert np.linalg.norm(truth.vel_n[[0, -1]], axis=1).max() < 1e-4
+    texts = [text for _, _, text in truth.events.of("leg")]
+    assert float(texts[6].split("touch-down at ")[1].split()[0]) < 1.5
+
+
+# --- what cannot be flown -----------------------------------------------------------------------------
+
+
+def approach_from(north: float, alt: float, heading: float):
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [north, -1500.0, 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": alt, "heading": heading, "speed": 24.0}
+    return plan(Approach(radians(3.5), 60.0), Flare(), runway=RUNWAY, **start)
+
+
+def test_an_approach_that_begins_wrong_says_how():
+    with pytest.raises(FlightError, match=r"leg 1 approach: .* this is \d+ m above it"):
+        fly(approach_from(-130.0, GROUND + 300.0, ALONG))
+    with pytest.raises(FlightError, match=r"leg 1 approach: .* within 60 deg of its heading; .* \d+ deg off"):
+        fly(approach_from(-130.0, GROUND + 60.0, radians(200.0)))
+
+
+def test_an_aircraft_too_weak_to_take_off_is_named():
+    heavy = replace(AEROSONDE, runway=replace(AEROSONDE.runway, rotate_speed=60.0))
+    with pytest.raises(FlightError, match=r"leg 1 take-off: .* outside the envelope|60 m/s not reached"):
+        fly(standing(TakeOff(40.0, 2.5, 24.0), aircraft=heavy))
+
+
+def test_steering_that_turns_the_wrong_way_leaves_the_runway():
+    wrong = replace(AEROSONDE, gains={**AEROSONDE.gains, "steer-gain": -0.8, "steer-rudder-gain": -3.0})
+    with pytest.raises(FlightError, match=r"leg 1 take-off: .* (ran off the runway|a wing hit the ground)"):
+        fly(standing(TakeOff(40.0, 2.5, 24.0), aircraft=wrong, wind_from=ALONG + 1.5, wind_speed=3.0))
