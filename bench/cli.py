@@ -238,6 +238,104 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
 
 
 @commands.command(epilog=_STATUS)
+@click.option(
+    "--observations",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE.obs",
+    help="RINEX 2 or 3 observation file",
+)
+@click.option(
+    "--navigation",
+    required=True,
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE.nav",
+    help="RINEX 2 or 3 navigation file; repeat for more",
+)
+@click.option(
+    "--systems",
+    type=click.Choice(["gps", "glonass", "both", "auto"]),
+    default="both",
+    show_default=True,
+    help="satellites to use; auto takes the least PDOP times sd at every epoch",
+)
+@click.option(
+    "--ionosphere",
+    type=click.Choice(["klobuchar", "free"]),
+    default="klobuchar",
+    show_default=True,
+    help="broadcast model on the first carrier, or the combination of two",
+)
+@click.option(
+    "--troposphere",
+    type=click.Choice(["saastamoinen", "b-10"]),
+    default="saastamoinen",
+    show_default=True,
+    help="vertical delay",
+)
+@click.option(
+    "--mask-deg", type=click.FloatRange(0, 60), default=10.0, show_default=True, help="lowest elevation used"
+)
+@click.option(
+    "--without",
+    multiple=True,
+    type=click.Choice(["sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks"]),
+    help="leave a correction out; clocks: one clock for both systems; repeat for more",
+)
+@click.option(
+    "--datum",
+    type=click.Choice(["WGS-84", "PZ-90.11", "SK-42"]),
+    default="WGS-84",
+    show_default=True,
+    help="of the positions in --out",
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE.csv", help="write the fixes")
+@click.option(
+    "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
+)
+def navigate(
+    observations: Path,
+    navigation: tuple[Path, ...],
+    systems: Any,
+    ionosphere: Any,
+    troposphere: Any,
+    mask_deg: float,
+    without: tuple[str, ...],
+    datum: str,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Solve the observations of a real GNSS receiver.
+
+    Position from the code, velocity from the Doppler where there is one, GPS
+    and GLONASS. Errors are against the position in the header of the file.
+
+    \b
+    Example:
+      bench navigate --observations site.rnx --navigation brdc.rnx -o fixes.csv
+    """
+    from math import radians
+
+    from bench.signals.receiver import Processing
+    from bench.store import to_json
+    from bench.workbench.fixes import navigate as navigate_files
+
+    processing = Processing(
+        systems=systems,
+        ionosphere=ionosphere,
+        troposphere=troposphere,
+        mask=radians(mask_deg),
+        without=frozenset(without),
+    )
+    console = _console(stderr=as_json)
+    figures = navigate_files(console, observations, navigation, processing, datum, out)
+    if as_json:
+        click.echo(to_json(figures), nl=False)
+    return DONE if figures["fixes"] else NEGATIVE
+
+
+@commands.command(epilog=_STATUS)
 @click.argument("unit", required=False, metavar="[UNIT]")
 @click.option(
     "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of a unit at rest"

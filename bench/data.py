@@ -213,6 +213,56 @@ class GnssFixes:
     __reduce__ = _rebuild
 
 
+GPS, GLONASS = 0, 1
+"""Codes of ``GnssObservations.system``."""
+
+
+@dataclass(frozen=True, slots=True)
+class GnssObservations:
+    """What a receiver measures and computes of each satellite, a row per satellite and epoch."""
+
+    t: FloatArray  # (K,) validity of the epoch [s]
+    t_arrival: FloatArray  # (K,) [s]
+    sat: IntArray  # (K,) number within its system
+    system: IntArray  # (K,) GPS or GLONASS
+    frequency: FloatArray  # (K, bands) carrier [Hz]
+    pseudorange: FloatArray  # (K, bands) [m]; NaN where a band is missing
+    range_rate: FloatArray  # (K, bands) [m/s]
+    cn0: FloatArray  # (K, bands) [dB-Hz]
+    sat_pos_e: FloatArray  # (K, 3) at transmission, by the broadcast ephemeris [m], e at transmission
+    sat_vel_e: FloatArray  # (K, 3) [m/s], e at transmission
+    sat_clock: FloatArray  # (K,) with relativity; to be added to a pseudorange [m]
+    sat_clock_rate: FloatArray  # (K,) to be added to a range rate [m/s]
+    group_delay: FloatArray  # (K,) of the first band, to be taken off its pseudorange [m]
+    sd_pseudorange: FloatArray  # (K,) claimed, of the corrected pseudorange [m]
+    sd_range_rate: FloatArray  # (K,) claimed [m/s]
+    epoch_start: IntArray  # (M + 1,) first row of each epoch, then K
+    klobuchar: FloatArray  # (8,) broadcast alpha 0-3, beta 0-3
+    gps_t0: float  # GPS time of t = 0, seconds since a GPS midnight [s]
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.int64, sat=(None,), system=(None,), epoch_start=(None,))
+        bands = np.shape(self.pseudorange)[-1]
+        rows = ("t", "t_arrival", "sat_clock", "sat_clock_rate", "group_delay")
+        wide = ("frequency", "pseudorange", "range_rate", "cn0")
+        shapes: dict[str, Any] = {**dict.fromkeys(rows, (None,)), **dict.fromkeys(wide, (None, bands))}
+        _freeze(self, **shapes, sat_pos_e=(None, 3), sat_vel_e=(None, 3))
+        _freeze(self, sd_pseudorange=(None,), sd_range_rate=(None,))
+        _freeze(self, klobuchar=(8,))
+        _equal_lengths(self, dict.fromkeys(("t", "sat", "system", "sd_pseudorange")))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def epoch(self) -> IntArray:
+        """Epoch (K,) of each row."""
+        count: IntArray = np.repeat(np.arange(len(self.epoch_start) - 1), np.diff(self.epoch_start))
+        return count
+
+    __reduce__ = _rebuild
+
+
 @dataclass(frozen=True, slots=True)
 class BaroData:
     """Barometric altitude as the instrument reports it."""
@@ -244,6 +294,7 @@ class SensorData:
     antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
     specs: AssumedSpecs
     output_t: FloatArray  # (M,) instants at which the solution is wanted [s]
+    observations: GnssObservations | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, finite=True, antenna_b=(3,))

@@ -234,3 +234,60 @@ def local_ned(lla: ArrayLike, origin_lla: ArrayLike) -> FloatArray:
     C_en = matrix_en(origin[0], origin[1])
     offset: FloatArray = (to_ecef(lla) - to_ecef(origin)) @ C_en
     return offset
+
+
+# --- datums ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """A geodetic datum: its ellipsoid, and how its Earth-fixed axes lie relative to those of WGS 84."""
+
+    name: str
+    ellipsoid: Ellipsoid
+    shift: tuple[float, float, float]  # added on the way to WGS 84 [m]
+    rotation: tuple[float, float, float]  # of the axes, coordinate-frame convention [arcsec]
+    scale: float  # [1]
+
+
+DATUMS = {
+    datum.name: datum
+    for datum in (
+        Datum("WGS-84", WGS84, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),
+        # PZ-90.11 and WGS 84 (G1762) both follow ITRF2008 within centimetres: only the ellipsoid differs
+        Datum("PZ-90.11", PZ90_11, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),
+        # GOST R 51794-2008; EPSG "Pulkovo 1942 to WGS 84 (20)"
+        Datum("SK-42", KRASOVSKY_1940, (23.57, -140.95, -79.80), (0.0, -0.35, -0.79), -0.22e-6),
+    )
+}
+"""The datums positions can be put out in (equations #29), by their name."""
+
+
+def _helmert(datum: Datum) -> tuple[FloatArray, FloatArray]:
+    """Return A, b of ``WGS 84 = A @ datum + b``; rotation angles are small, first order."""
+    x, y, z = np.deg2rad(np.array(datum.rotation) / 3600.0)
+    A = (1 + datum.scale) * np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
+    return A, np.array(datum.shift)
+
+
+def to_datum(lla: ArrayLike, datum: str) -> FloatArray:
+    """Return WGS 84 geodetic positions (..., 3) [rad, rad, m] as latitude, longitude, height of a datum.
+
+    Examples
+    --------
+    >>> sk42 = to_datum([np.deg2rad(50.0), np.deg2rad(30.0), 0.0], "SK-42")
+    >>> print(np.round(np.rad2deg(sk42[:2]), 6), round(float(sk42[2]), 2))
+    [50.000176 30.001705] -14.84
+    """
+    there = DATUMS[datum]
+    A, b = _helmert(there)
+    pos_e = (to_ecef(lla) - b) @ np.linalg.inv(A).T
+    return to_geodetic(pos_e, there.ellipsoid)
+
+
+def from_datum(lla: ArrayLike, datum: str) -> FloatArray:
+    """Return latitude, longitude, height (..., 3) of a datum as WGS 84 geodetic [rad, rad, m]."""
+    there = DATUMS[datum]
+    A, b = _helmert(there)
+    pos_e: FloatArray = to_ecef(lla, there.ellipsoid) @ A.T + b
+    return to_geodetic(pos_e)

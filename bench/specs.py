@@ -6,9 +6,12 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from bench.signals.orbits import GlonassSets, KeplerSets
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
@@ -413,6 +416,49 @@ class ImuSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class SkySpec:
+    """Measurement-level GNSS: which satellites fly, how they are received, what errors the ranges have.
+
+    Standard deviations and decays of processes that are off are 0.
+    """
+
+    gps_t0: float  # GPS time of the start of the run, seconds since a GPS midnight [s]
+    gps: KeplerSets | None  # times since that midnight; None: the nominal constellation
+    glonass: KeplerSets | GlonassSets | None  # the same
+    klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
+    systems: str  # that the receiver uses: "gps", "glonass", "both", "auto"
+    bands: int  # 1, or 2: the ionosphere-free combination
+    elevation_mask: float  # lowest elevation used [rad]
+    antenna_mask: float  # lowest elevation above the plane of the antenna that is received [rad]
+    cn0_zenith: float  # along the axis of the antenna, up in the body [dB-Hz]
+    cn0_horizon: float  # in the plane of the antenna [dB-Hz]
+    cn0_threshold: float  # of tracking [dB-Hz]
+    second_band_loss: float  # [dB]
+    reacquisition: float  # seen again to measured again [s]
+    dll_bandwidth: float  # [Hz]
+    dll_spacing: float  # early to late [chip]
+    fll_bandwidth: float  # [Hz]
+    integration: float  # before detection [s]
+    gps_space_sd: float  # ephemeris and satellite clock, along the range [m]
+    glonass_space_sd: float  # [m]
+    space_correlation: float  # [s]
+    ionosphere_sd: float  # vertical, against the broadcast model [m]
+    ionosphere_correlation: float  # [s]
+    troposphere_sd: float  # vertical, against the model [m]
+    troposphere_correlation: float  # [s]
+    multipath_zenith_sd: float  # [m]
+    multipath_horizon_sd: float  # added at the horizon, falls by 1/e over 10 deg [m]
+    multipath_correlation: float  # [s]
+    clock_offset_sd: float  # of the receiver at the start [m]
+    clock_drift_sd: float  # [m/s]
+    glonass_offset_sd: float  # GLONASS against GPS time in the receiver [m]
+    clock_h_0: float  # white frequency noise, one-sided power-law coefficient [s]
+    clock_h_m2: float  # random walk of frequency [1/s]
+    clock_g: float  # fractional frequency per specific force along the down axis of the body [s^2/m]
+    false_alarm: float  # of the residual test of one epoch [1]
+
+
+@dataclass(frozen=True, slots=True)
 class GnssSpec:
     """Position-level GNSS errors (A-5.2.1, A-5.2.2); standard deviations are per horizontal axis."""
 
@@ -428,6 +474,7 @@ class GnssSpec:
     pos_decay_time: float = 0.0  # decorrelation by time, lambda_st [1/s]
     vel_decay_time: float = 0.0  # lambda_V [1/s]
     latency: float = 0.0  # from validity to arrival [s]
+    sky: SkySpec | None = None  # measurement level; the errors above are then what filters assume
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,15 @@ from bench.specs import ThermalSpec
 
 CATALOG = Path(bench.__file__).parent / "catalog"
 FILES = sorted(CATALOG.glob("*/*.toml"))
-TABLES = {"imu": ("gyro", "accel", "thermal", "vibration", "layout"), "gnss": ("gnss",), "baro": ("baro",)}
+TABLES = {
+    "imu": ("gyro", "accel", "thermal", "vibration", "layout"),
+    "gnss": ("gnss", "sky"),
+    "baro": ("baro",),
+}
+CHOICES = (
+    "bias_model", "dead_zone_kind",
+    "start", "almanac", "navigation", "klobuchar", "systems", "bands", "false_alarm",
+)  # fmt: skip
 CLASSES = ("consumer", "industrial", "tactical", "navigation", "synthetic")
 DEG = np.pi / 180
 
@@ -34,13 +42,13 @@ def entry(kind, name, read):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_figure_has_a_source_or_is_marked_assumed(path):
-    """bias_model and dead_zone_kind are choices of model, not figures."""
+    """What is a choice of the model or of the experiment, as the date, is not a figure."""
     entry = document(path)
     figures = {
         f"{table}.{key}"
         for table in TABLES[path.parent.name]
         for key in entry.get(table, {})
-        if key not in ("bias_model", "dead_zone_kind")
+        if key not in CHOICES
     }
     sourced, assumed = set(entry.get("sources", {})), set(entry.get("assumed", []))
     assert sourced | assumed == figures

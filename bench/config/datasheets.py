@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.tables import ROWS, ConfigError, Table, between, checked, quantity, read
+from bench.config.sky_sheet import SkyTable, read_sky
+from bench.config.tables import ROWS, ConfigError, Table, between, checked, noting, quantity, read
 from bench.specs import BaroSpec, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 _DEG = math.pi / 180
@@ -178,9 +179,10 @@ class GnssTable(Table):
 
 
 class GnssSheet(Sheet):
-    """A GNSS receiver at the level of position and velocity."""
+    """A GNSS receiver: what it puts out and, with [sky], what it measures."""
 
     gnss: GnssTable
+    sky: SkyTable | None = None
 
 
 class BaroTable(Table):
@@ -294,6 +296,10 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         wrong.append("[gnss] pos_h_markov_sd_m needs pos_decay_distance_km or pos_decay_time_s")
     if table.vel_markov_sd_mps and table.vel_decay_time_s is None:
         wrong.append("[gnss] vel_markov_sd_mps needs vel_decay_time_s")
+    sky = None
+    if sheet.sky is not None:
+        with noting(wrong):
+            sky = read_sky(sheet.sky, path.parent)
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return GnssSpec(
@@ -309,6 +315,7 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         pos_decay_time=1 / table.pos_decay_time_s if table.pos_decay_time_s else 0.0,
         vel_decay_time=1 / table.vel_decay_time_s if table.vel_decay_time_s else 0.0,
         latency=table.latency_s,
+        sky=sky,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
-from bench.sensors import baro, gnss, imu, initial
+from bench.sensors import baro, gnss, imu, initial, sky
 from bench.sensors.timing import output_times
 from bench.specs import SensorsSpec
 
@@ -34,8 +34,11 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     """
     outages = spec.gnss_outages if spec.gnss is not None else ()
     imu_data, bias = imu.measure(truth, spec.imu, seed, run)
-    fixes = None
-    if spec.gnss is not None:
+    fixes, observations = None, None
+    if spec.gnss is not None and spec.gnss.sky is not None:
+        seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run)
+        fixes, observations = seen.fixes, seen.observations
+    elif spec.gnss is not None:
         fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run)
     baro_data, baro_bias = None, np.full(len(bias.t), np.nan)
     if spec.baro is not None:
@@ -48,6 +51,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         antenna_b=np.array(spec.antenna_b),
         specs=spec.assumed,
         output_t=output_times(truth.t, spec.output_rate, outages),
+        observations=observations,
     )
     return Sensed(
         data=data,

@@ -94,9 +94,11 @@ def antenna(
     before, right to dt / 2 of its first. The turn of n between IMU and antenna, l / R, is left out.
     """
     lever_n = rotation.rotate(truth.q_nb[rows], np.array(antenna_b))
-    rate_b = truth.dtheta_b / np.diff(truth.t)[:, None]
-    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(rate_b) - 1)
-    w_ib_n = rotation.rotate(truth.q_nb[rows], 0.5 * (rate_b[before] + rate_b[after]))
+    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(truth.dtheta_b) - 1)
+    rate_before, rate_after = (
+        truth.dtheta_b[at] / (truth.t[at + 1] - truth.t[at])[:, None] for at in (before, after)
+    )
+    w_ib_n = rotation.rotate(truth.q_nb[rows], 0.5 * (rate_before + rate_after))
     lat = truth.lla[rows, 0]
     w_ie_n = earth.RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
     vel_n = truth.vel_n[rows] + np.cross(w_ib_n - w_ie_n, lever_n)

@@ -6,6 +6,7 @@ from bench.store.provenance import provenance
 from bench.store.results import (
     RESULT,
     load,
+    load_observations,
     load_sensors,
     load_truth,
     results_folder,
@@ -18,6 +19,7 @@ from bench.store.truth_cache import truth_cached, truth_pieces
 __all__ = [
     "RESULT",
     "load",
+    "load_observations",
     "load_sensors",
     "load_truth",
     "provenance",

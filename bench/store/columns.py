@@ -74,6 +74,34 @@ GNSS: Layout = {
     "cov_vel_n": _matrix("cov", _STATES[3:6], "n"),
     "satellites": _one("satellites"),
 }
+
+
+def observations(bands: int) -> Layout:
+    """Return the layout of GNSS observations on one or more carriers."""
+
+    def banded(stem: str, unit: str) -> Columns:
+        names = tuple(f"{stem}_{band + 1}_{unit}" for band in range(bands))
+        return Columns(names, tuple(unit_of(name) for name in names), "", (bands,))
+
+    return {
+        **T,
+        "t_arrival": _one("t_arrival_s"),
+        "system": _one("system"),
+        "sat": _one("sat"),
+        "frequency": banded("frequency", "hz"),
+        "pseudorange": banded("pseudorange", "m"),
+        "range_rate": banded("range_rate", "mps"),
+        "cn0": banded("cn0", "dbhz"),
+        "sat_pos_e": _vector("sat_pos", "m", "e at transmission"),
+        "sat_vel_e": _vector("sat_vel", "mps", "e at transmission"),
+        "sat_clock": _one("sat_clock_m"),
+        "sat_clock_rate": _one("sat_clock_rate_mps"),
+        "group_delay": _one("group_delay_m"),
+        "sd_pseudorange": _one("sd_pseudorange_m"),
+        "sd_range_rate": _one("sd_range_rate_mps"),
+    }
+
+
 BARO: Layout = {**ARRIVAL, "alt_baro": _one("alt_baro_m"), "sd": _one("sd_m")}
 BIASES: Layout = {
     "gyro_bias_b": _vector("gyro_bias", "rad_s", "b"),

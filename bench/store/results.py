@@ -21,6 +21,7 @@ from bench.data import (
     ErrorSeries,
     Events,
     GnssFixes,
+    GnssObservations,
     ImuData,
     Innovations,
     NavSolution,
@@ -31,6 +32,7 @@ from bench.data import (
 from bench.store import columns, parquet
 
 RESULT = "result.json"
+OBSERVATIONS = "sensors-observations.parquet"
 
 
 @contextmanager
@@ -86,6 +88,8 @@ def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> 
     parquet.write(folder / "sensors-imu.parquet", sensed.data.imu, columns.IMU)
     if sensed.data.fixes is not None:
         parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
+    if sensed.data.observations is not None:
+        _save_observations(folder / OBSERVATIONS, sensed.data.observations)
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
     parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
@@ -160,6 +164,34 @@ def load_sensors(folder: str | os.PathLike[str]) -> tuple[ImuData, GnssFixes | N
         ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU)),
         GnssFixes(**parquet.read(gnss, columns.GNSS)) if gnss.exists() else None,
         BaroData(**parquet.read(baro, columns.BARO)) if baro.exists() else None,
+    )
+
+
+def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None:
+    """Read the GNSS observations of a results folder back; None when its receiver gave only fixes."""
+    path = Path(folder) / OBSERVATIONS
+    if not path.exists():
+        return None
+    facts = parquet.facts(path)
+    start = np.array(facts["epoch_start"], np.int64)
+    return GnssObservations(
+        **parquet.read(path, columns.observations(facts["bands"])),
+        epoch_start=start,
+        klobuchar=np.array(facts["klobuchar"]),
+        gps_t0=facts["gps_t0"],
+    )
+
+
+def _save_observations(path: Path, record: GnssObservations) -> None:
+    bands = record.pseudorange.shape[1]
+    parquet.write(
+        path,
+        record,
+        columns.observations(bands),
+        bands=bands,
+        epoch_start=record.epoch_start.tolist(),
+        klobuchar=record.klobuchar.tolist(),
+        gps_t0=record.gps_t0,
     )
 
 

@@ -108,7 +108,16 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
     return [
         Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units"),
         Figure("IMU record with every error term / the same", whole, 6.0, "units"),
+        Figure("GPS + GLONASS ranges and fixes / the same", sky_cost(profile, truth, unit), 1.5, "units"),
     ]
+
+
+def sky_cost(profile: Profile, truth: Trajectory, unit: Callable[[], object]) -> float:
+    """Return the cost of the measurement level, both systems, 1 Hz over the whole flight."""
+    from bench.sensors import sky
+
+    spec = config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}).sensors
+    return ratio(lambda: sky.measure(truth, spec.gnss, spec.antenna_b, (), 1, 0), unit, 31)
 
 
 def every_imu_term() -> ImuSpec:

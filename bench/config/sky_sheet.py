@@ -1,0 +1,170 @@
+"""The ``[sky]`` table of a GNSS datasheet: measurement level, in the units of its file -> ``SkySpec``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from bench.config.tables import ROWS, ConfigError, Table, between, noting
+from bench.specs import SkySpec
+
+if TYPE_CHECKING:
+    from bench.signals.orbits import GlonassSets, KeplerSets
+
+_G = 9.80665  # standard gravity, the unit of datasheets [m/s^2]
+_DAY = 86400.0
+_EPOCH = date(1980, 1, 6)
+_GPS_STALE, _GLONASS_STALE = 4 * 3600.0, 1800.0  # furthest ephemeris a flight may use [s]
+
+Figure = Annotated[float, between(0, 1e6)]
+Strength = Annotated[float, between(0, 70)]
+Positive = Annotated[float, between(1e-6, 1e9)]
+Eight = Annotated[tuple[float, float, float, float, float, float, float, float], ROWS]
+
+
+class SkyTable(Table):
+    """Satellites, antenna, receiver, and the errors of ranges; an error that is left out is off."""
+
+    start: datetime  # GPS time of the first instant of the flight
+    almanac: str | None = None  # YUMA file, GPS only
+    navigation: Annotated[tuple[str, ...], ROWS] = ()  # RINEX files
+    klobuchar: Eight | None = None  # of the navigation file when left out; none with nominal satellites
+    systems: Literal["gps", "glonass", "both", "auto"] = "both"
+    bands: Literal[1, 2] = 1
+    elevation_mask_deg: Annotated[float, between(3, 60)]
+    antenna_mask_deg: Annotated[float, between(-90, 60)]
+    cn0_zenith_dbhz: Strength
+    cn0_horizon_dbhz: Strength
+    cn0_threshold_dbhz: Strength
+    second_band_loss_db: Figure = 0.0
+    reacquisition_s: Figure = 0.0
+    dll_bandwidth_hz: Figure = 0.0
+    dll_spacing_chip: Annotated[float, between(0.01, 1)] = 1.0
+    fll_bandwidth_hz: Figure = 0.0
+    integration_s: Annotated[float, between(1e-3, 1)] = 0.02
+    gps_space_sd_m: Figure = 0.0
+    glonass_space_sd_m: Figure = 0.0
+    space_correlation_s: Positive | None = None
+    ionosphere_sd_m: Figure = 0.0
+    ionosphere_correlation_s: Positive | None = None
+    troposphere_sd_m: Figure = 0.0
+    troposphere_correlation_s: Positive | None = None
+    multipath_zenith_sd_m: Figure = 0.0
+    multipath_horizon_sd_m: Figure = 0.0
+    multipath_correlation_s: Positive | None = None
+    clock_offset_sd_m: Figure = 0.0
+    clock_drift_sd_mps: Figure = 0.0
+    glonass_offset_sd_m: Figure = 0.0
+    clock_h_0_s: Figure = 0.0
+    clock_h_m2_hz: Figure = 0.0
+    clock_g_ppb: float = 0.0  # per g along down
+    false_alarm: Annotated[float, between(0, 0.5)] = 1e-3
+
+
+def read_sky(table: SkyTable, beside: Path) -> SkySpec:
+    """Return the sky of a datasheet, in SI, with its satellites.
+
+    Parameters
+    ----------
+    table : SkyTable
+        As in the file.
+    beside : Path
+        Folder of the datasheet, where its almanac and navigation files are.
+
+    Raises
+    ------
+    ConfigError
+        One message per thing that is wrong with the table or its files, without the datasheet's name.
+    """
+    wrong: list[str] = []
+    processes = {
+        "gps_space_sd_m": "space_correlation_s",
+        "glonass_space_sd_m": "space_correlation_s",
+        "ionosphere_sd_m": "ionosphere_correlation_s",
+        "troposphere_sd_m": "troposphere_correlation_s",
+        "multipath_zenith_sd_m": "multipath_correlation_s",
+        "multipath_horizon_sd_m": "multipath_correlation_s",
+    }
+    for sd, correlation in processes.items():
+        if getattr(table, sd) > 0 and getattr(table, correlation) is None:
+            wrong.append(f"[sky] {sd} needs {correlation}")
+    if table.start.tzinfo is not None:
+        wrong.append(f"[sky] start = {table.start} must have no time zone: it is GPS time")
+    if table.almanac is not None and table.navigation:
+        wrong.append("[sky] almanac and navigation are two sources of one thing; give one of them")
+    midnight = (table.start.date() - _EPOCH).days * _DAY
+    clock = table.start.time()
+    of_day = clock.hour * 3600.0 + clock.minute * 60.0 + clock.second + 1e-6 * clock.microsecond
+    gps = glonass = None
+    broadcast: Sequence[float] | None = None
+    if not wrong:
+        with noting(wrong):
+            gps, glonass, broadcast = _satellites(table, beside, midnight, of_day)
+    if wrong:
+        raise ConfigError(*wrong)
+    klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
+    seconds: dict[str, Any] = {
+        name.removesuffix("_s"): getattr(table, name) or 0.0 for name in set(processes.values())
+    }
+    return SkySpec(
+        **seconds,
+        gps_t0=of_day,
+        gps=gps,
+        glonass=glonass,
+        klobuchar=tuple(klobuchar) if klobuchar is not None else (0.0,) * 8,
+        systems=table.systems,
+        bands=table.bands,
+        elevation_mask=math.radians(table.elevation_mask_deg),
+        antenna_mask=math.radians(table.antenna_mask_deg),
+        cn0_zenith=table.cn0_zenith_dbhz,
+        cn0_horizon=table.cn0_horizon_dbhz,
+        cn0_threshold=table.cn0_threshold_dbhz,
+        second_band_loss=table.second_band_loss_db,
+        reacquisition=table.reacquisition_s,
+        dll_bandwidth=table.dll_bandwidth_hz,
+        dll_spacing=table.dll_spacing_chip,
+        fll_bandwidth=table.fll_bandwidth_hz,
+        integration=table.integration_s,
+        gps_space_sd=table.gps_space_sd_m,
+        glonass_space_sd=table.glonass_space_sd_m,
+        ionosphere_sd=table.ionosphere_sd_m,
+        troposphere_sd=table.troposphere_sd_m,
+        multipath_zenith_sd=table.multipath_zenith_sd_m,
+        multipath_horizon_sd=table.multipath_horizon_sd_m,
+        clock_offset_sd=table.clock_offset_sd_m,
+        clock_drift_sd=table.clock_drift_sd_mps,
+        glonass_offset_sd=table.glonass_offset_sd_m,
+        clock_h_0=table.clock_h_0_s,
+        clock_h_m2=table.clock_h_m2_hz,
+        clock_g=table.clock_g_ppb * 1e-9 / _G,
+        false_alarm=table.false_alarm,
+    )
+
+
+def _satellites(
+    table: SkyTable, beside: Path, midnight: float, of_day: float
+) -> tuple[KeplerSets | None, KeplerSets | GlonassSets | None, Sequence[float] | None]:
+    """Read the satellites of GPS and GLONASS and the ionosphere; None stands for the nominal ones."""
+    from bench.exchange import almanac, rinex
+
+    if table.almanac is not None:
+        path = beside / table.almanac
+        sets = almanac.read_yuma(path, midnight, table.almanac).since(midnight)
+        if abs(sets.t - of_day).min() > 90 * _DAY:
+            raise ConfigError(f"{table.almanac}: is more than 90 days from start = {table.start}")
+        return sets, None, None
+    if not table.navigation:
+        return None, None, None
+    files = rinex.merged([rinex.read_navigation(beside / f, f) for f in table.navigation])
+    gps, glonass = files.kepler.since(midnight), files.glonass.since(midnight)
+    for system, name, t, oldest in (
+        ("gps", "GPS", gps.t, _GPS_STALE),
+        ("glonass", "GLONASS", glonass.t, _GLONASS_STALE),
+    ):
+        used = table.systems in (system, "both", "auto")
+        if used and (len(t) == 0 or abs(t - of_day).min() > oldest):
+            raise ConfigError(f"{files.shown}: has no {name} ephemeris near start = {table.start}")
+    return gps, glonass, None if files.klobuchar is None else [float(v) for v in files.klobuchar]

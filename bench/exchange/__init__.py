@@ -1,0 +1,1 @@
+"""Files of other people: observations, ephemerides and almanacs of satellites."""

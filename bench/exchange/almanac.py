@@ -1,0 +1,108 @@
+"""YUMA almanacs of GPS: where every satellite roughly is, for weeks around a date."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from bench.config.tables import ConfigError
+from bench.exchange.rinex import Lines, opened
+from bench.signals.orbits import KEPLER, WEEK, KeplerSets
+
+_ROLLOVER = 1024 * WEEK  # the week number of an almanac counts modulo this [s]
+_ENTRIES = {
+    "id": "sat",
+    "health": "health",
+    "eccentricity": "e",
+    "time of applicability": "t_oe_week",
+    "orbital inclination": "i_0",
+    "rate of right ascen": "node_rate",
+    "sqrt": "sqrt_a",
+    "right ascen at week": "node_0",
+    "argument of perigee": "perigee",
+    "mean anom": "mean_anomaly",
+    "af0": "af_0",
+    "af1": "af_1",
+    "week": "week",
+}
+"""How the name of an entry begins, in small letters -> what it is."""
+_LIMITS = {"sat": (1, 63), "e": (0.0, 0.2), "t_oe_week": (0.0, WEEK), "sqrt_a": (4900.0, 5400.0)}
+
+
+def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
+    """Return the satellites of a YUMA almanac.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    near : float
+        A time in s since 1980-01-06 within ten years of the almanac: its week number is known modulo 1024
+        only (19.6 years).
+    shown : str or None
+        What messages call the file; its name when None.
+
+    Returns
+    -------
+    sets : KeplerSets
+        Times in s since 1980-01-06; what an almanac does not give (harmonics, group delay) is 0.
+
+    Raises
+    ------
+    ConfigError
+        One line with file and line number, when the file is malformed, truncated or empty.
+    """
+    shown = path.name if shown is None else shown
+    rows: list[dict[str, float]] = []
+    with opened(path, shown) as lines:
+        begun, entries = 0, dict[str, float]()
+        while (line := lines.next()) is not None:
+            if line.startswith("*"):
+                if entries:
+                    raise lines.wrong(_unfinished(entries, begun))
+                continue
+            if not line.strip():
+                continue
+            name, value = _entry(lines, line)
+            if name in entries:
+                raise lines.wrong(
+                    f"gives {line.partition(':')[0].strip()!r} twice; the almanac from line {begun}"
+                )
+            begun = begun if entries else lines.number
+            entries[name] = value
+            if len(entries) == len(_ENTRIES):
+                rows.append(entries)
+                entries = {}
+        if entries:
+            raise lines.wrong(_unfinished(entries, begun))
+    if not rows:
+        raise ConfigError(f"{shown}: holds no almanac")
+    elements = np.zeros((len(rows), len(KEPLER)))
+    for k, row in enumerate(rows):
+        t_oe = row["week"] * WEEK + row["t_oe_week"]
+        t_oe += _ROLLOVER * round((near - t_oe) / _ROLLOVER)
+        known = {**row, "t_oe": t_oe, "t_oc": t_oe}
+        elements[k] = [known.get(name, 0.0) for name in KEPLER]
+    sat = np.array([int(row["sat"]) for row in rows])
+    return KeplerSets(sat, np.array([row["health"] == 0 for row in rows]), elements)
+
+
+def _entry(lines: Lines, line: str) -> tuple[str, float]:
+    """Return what a line gives, by the name of the column."""
+    label, colon, text = line.partition(":")
+    name = next((n for begin, n in _ENTRIES.items() if label.strip().lower().startswith(begin)), None)
+    if not colon or name is None:
+        raise lines.wrong(f"{line.strip()[:30]!r} is no entry of a YUMA almanac")
+    if not re.fullmatch(r"\s*[+-]?\d+(\.\d*)?([EeDd][+-]?\d+)?\s*", text):
+        raise lines.wrong(f"{label.strip()} must be a number; got {text.strip()[:30]!r}")
+    value = float(text.upper().replace("D", "E"))
+    low, high = _LIMITS.get(name, (-np.inf, np.inf))
+    if not low <= value <= high or not np.isfinite(value):
+        raise lines.wrong(f"{label.strip()} = {value:g} is outside {low:g} to {high:g}")
+    return name, value
+
+
+def _unfinished(entries: dict[str, float], begun: int) -> str:
+    return f"the almanac from line {begun} has {len(entries)} of {len(_ENTRIES)} entries"

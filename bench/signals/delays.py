@@ -1,0 +1,230 @@
+"""What the way from the satellite adds: rotation of the Earth (Sagnac), troposphere, ionosphere."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import FloatArray
+from bench.compiled import kernel
+from bench.signals.orbits import RATE, C
+
+ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
+TROPOSPHERE_SCALE = 7500.0  # height over which it falls to 1/e [m], B-10
+_HUMIDITY = 0.5  # relative, at every height [1]; assumed
+_TOP = 11000.0  # the standard atmosphere's gradient ends here; above it counts as this high [m]
+
+Troposphere = Literal["saastamoinen", "b-10"]
+
+
+@kernel
+def range_kernel(
+    sx: float, sy: float, sz: float, rx: float, ry: float, rz: float, rate: float
+) -> tuple[float, float, float, float]:
+    """Return the distance [m] a signal travels and the direction receiver to satellite, e at reception.
+
+    The satellite (sx, sy, sz), Earth-fixed at transmission, is turned back by ``rate`` [rad/s] times the
+    travel time; ``rate = 0`` leaves the Sagnac effect out. The travel time comes from the first-order
+    effect, so that the distance is exact to 1e-9 m.
+    """
+    dx, dy, dz = sx - rx, sy - ry, sz - rz
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    turn = rate / C * (distance + rate / C * (sx * ry - sy * rx))
+    sin_t, cos_t = turn * (1.0 - turn * turn / 6.0), 1.0 - 0.5 * turn * turn
+    dx = sx * cos_t + sy * sin_t - rx
+    dy = sy * cos_t - sx * sin_t - ry
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    return distance, dx / distance, dy / distance, dz / distance
+
+
+@kernel
+def range_rate_kernel(
+    sx: float, sy: float, sz: float,
+    vx: float, vy: float, vz: float,
+    rx: float, ry: float, rz: float,
+    ex: float, ey: float, ez: float,
+    distance: float,
+    rate: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return a, b of ``range rate = (a - e . v_receiver) / b``; velocities Earth-fixed [m/s].
+
+    Both ends move in the inertial frame that coincides with e at reception, and the travel time changes:
+    ``range rate (1 + e . v_sat / c) = e . (v_sat - v_receiver)`` with ``v + rate x r`` for both.
+    """
+    turn = rate / C * distance
+    sin_t, cos_t = turn * (1.0 - turn * turn / 6.0), 1.0 - 0.5 * turn * turn
+    ix, iy = vx - rate * sy, vy + rate * sx
+    sat = ex * (ix * cos_t + iy * sin_t) + ey * (iy * cos_t - ix * sin_t) + ez * vz
+    frame = rate * (ey * rx - ex * ry)
+    return sat - frame, 1.0 + sat / C
+
+
+@kernel
+def mapping_kernel(sin_el: float) -> float:
+    """Return the slant delay of the troposphere over the vertical one [1]."""
+    slope: float = 1.001 / np.sqrt(0.002001 + sin_el * sin_el)
+    return slope
+
+
+@kernel
+def obliquity_kernel(el: float) -> float:
+    """Return the slant delay of the ionosphere over the vertical one [1]: F of IS-GPS-200, 20.3.3.5.2.5."""
+    away = 0.53 - el / np.pi
+    return 1.0 + 16.0 * away * away * away
+
+
+@kernel
+def klobuchar_kernel(
+    lat: float, lon: float, el: float, sin_az: float, cos_az: float, t: float, model: FloatArray
+) -> float:
+    """Return the delay on GPS L1 [m] at ``t`` [s of the GPS day]; model (8,): alpha 0-3, beta 0-3."""
+    semi_lat, semi_lon, semi_el = lat / np.pi, lon / np.pi, el / np.pi
+    psi = 0.0137 / (semi_el + 0.11) - 0.022
+    phi = min(max(semi_lat + psi * cos_az, -0.416), 0.416)
+    lam = semi_lon + psi * sin_az / np.cos(phi * np.pi)
+    m = phi + 0.064 * np.cos((lam - 1.617) * np.pi)
+    local = 43200.0 * lam + t
+    local -= 86400.0 * np.floor(local / 86400.0)
+    amplitude = max(model[0] + m * (model[1] + m * (model[2] + m * model[3])), 0.0)
+    period = max(model[4] + m * (model[5] + m * (model[6] + m * model[7])), 72000.0)
+    x = 2.0 * np.pi * (local - 50400.0) / period
+    night = 5e-9
+    if abs(x) < 1.57:
+        x2 = x * x
+        night += amplitude * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
+    return C * obliquity_kernel(el) * night
+
+
+@kernel
+def _klobuchar_rows_kernel(
+    lat: FloatArray, lon: FloatArray, el: FloatArray, az: FloatArray, t: FloatArray, model: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    for k in range(out.shape[0]):
+        out[k] = klobuchar_kernel(lat[k], lon[k], el[k], np.sin(az[k]), np.cos(az[k]), t[k], model)
+
+
+def klobuchar(
+    lat: ArrayLike, lon: ArrayLike, el: ArrayLike, az: ArrayLike, t: ArrayLike, model: ArrayLike
+) -> FloatArray:
+    """Return the delay of the ionosphere on GPS L1 [m] by the broadcast model (B-10b).
+
+    Parameters
+    ----------
+    lat, lon : float or (K,) array
+        Receiver [rad].
+    el, az : float or (K,) array
+        Satellite [rad].
+    t : float or (K,) array
+        GPS time of day [s]; whole days do not matter.
+    model : (8,) array
+        Broadcast alpha 0-3, beta 0-3, in their semicircle units.
+
+    Notes
+    -----
+    IS-GPS-200, 20.3.3.5.2.5. On another carrier f multiply by ``(L1 / f)^2``.
+
+    Examples
+    --------
+    >>> model = [3.82e-8, 1.49e-8, -1.79e-7, 0.0, 1.43e5, 0.0, -3.28e5, 1.13e5]
+    >>> delay = klobuchar(*np.deg2rad([40.0, -100.0, 20.0, 210.0]), 20.75 * 3600, model)
+    >>> print(f"{delay:.3f}")
+    23.784
+    """
+    columns = np.broadcast_arrays(*(np.asarray(c, float) for c in (lat, lon, el, az, t)))
+    out = np.empty(columns[0].size)
+    rows = [c.reshape(-1).copy() for c in columns]
+    _klobuchar_rows_kernel(rows[0], rows[1], rows[2], rows[3], rows[4], np.array(model, float), out)
+    return out.reshape(columns[0].shape)
+
+
+def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen") -> FloatArray:
+    """Return the vertical delay of the troposphere [m].
+
+    Parameters
+    ----------
+    lat, alt : float or (M,) array
+        Receiver [rad, m]; below the ellipsoid the height counts as 0.
+    model : str
+        "saastamoinen": Saastamoinen (1972) in the standard atmosphere at 50 % humidity, hydrostatic part as
+        in Davis et al., Radio Science 20 (1985). "b-10": 2.638 m at sea level, falling by 1/e over 7500 m
+        (B-10); 0.25 m more than the former.
+
+    Examples
+    --------
+    >>> for model in ("saastamoinen", "b-10"):
+    ...     print(f"{zenith_troposphere(0.8, 0.0, model):.3f} {zenith_troposphere(0.8, 3000.0, model):.3f}")
+    2.393 1.621
+    2.638 1.768
+    """
+    lat, h = np.asarray(lat, float), np.maximum(np.asarray(alt, float), 0.0)
+    if model == "b-10":
+        return np.asarray(ZENITH_TROPOSPHERE * np.exp(-h / TROPOSPHERE_SCALE) + 0.0 * lat)
+    if model != "saastamoinen":
+        raise ValueError(f"model must be 'saastamoinen' or 'b-10'; got {model!r}")
+    h = np.minimum(h, _TOP)
+    pressure = 1013.25 * (1 - 2.2557e-5 * h) ** 5.2568  # [hPa], ICAO standard atmosphere
+    kelvin = 288.15 - 6.5e-3 * h
+    vapour = (
+        6.108 * _HUMIDITY * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    )  # [hPa], saturation Magnus
+    dry = 0.0022768 * pressure / (1 - 0.00266 * np.cos(2 * lat) - 0.28e-6 * h)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    return np.asarray(dry + wet)
+
+
+def troposphere(
+    el: ArrayLike, lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen"
+) -> FloatArray:
+    """Return the delay of the troposphere on the way to a satellite [m].
+
+    Parameters
+    ----------
+    el : float or (K,) array
+        Elevation [rad], above about 4 deg.
+    lat, alt, model
+        As in :func:`zenith_troposphere`.
+
+    Notes
+    -----
+    Vertical delay times the mapping function of RTCA DO-229D, A.4.2.4:
+    ``1.001 / sqrt(0.002001 + sin^2 el)``.
+
+    Examples
+    --------
+    >>> print(f"{troposphere(np.deg2rad(5.0), 0.8, 0.0):.1f} m")
+    24.4 m
+    """
+    mapping = 1.001 / np.sqrt(0.002001 + np.sin(np.asarray(el, float)) ** 2)
+    delay: FloatArray = zenith_troposphere(lat, alt, model) * mapping
+    return delay
+
+
+def ionosphere_free(range_1: ArrayLike, range_2: ArrayLike, f_1: ArrayLike, f_2: ArrayLike) -> FloatArray:
+    """Return the combination of two carriers without first-order ionosphere (B-11).
+
+    Parameters
+    ----------
+    range_1, range_2 : float or (K,) array
+        Pseudoranges or range rates on carriers ``f_1``, ``f_2`` [Hz].
+    """
+    gamma = (np.asarray(f_2, float) / np.asarray(f_1, float)) ** 2
+    combined: FloatArray = (np.asarray(range_1, float) - gamma * np.asarray(range_2, float)) / (1 - gamma)
+    return combined
+
+
+def sagnac(sat_pos_e: ArrayLike, pos_e: ArrayLike) -> FloatArray:
+    """Return what the rotation of the Earth during the travel time adds to a range (..., ) [m], first order.
+
+    Parameters
+    ----------
+    sat_pos_e : (..., 3) array
+        Satellite, Earth-fixed at transmission [m].
+    pos_e : (..., 3) array
+        Receiver [m], e.
+    """
+    s, r = np.asarray(sat_pos_e, float), np.asarray(pos_e, float)
+    added: FloatArray = RATE / C * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+    return added

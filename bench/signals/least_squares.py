@@ -1,0 +1,518 @@
+"""Position and velocity of one epoch from ranges and range rates: iterated weighted least squares, DOP.
+
+Unknowns are the position and one clock per satellite system (B-13, B-14), then the velocity and the drift
+of the one oscillator (B-14b). Every function takes whole records: rows of satellites, ``epoch_start``
+saying where each epoch begins.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import kernel
+from bench.signals.delays import range_kernel, range_rate_kernel
+from bench.signals.orbits import RATE
+
+CLOSE = 0.1  # a step shorter than this is the last [m]; what remains is its square over the range, 5e-10 m
+_MOST = 20  # steps before an epoch is given up
+
+
+class PositionFixes(NamedTuple):
+    """Positions with their clocks; a row that could not be solved is NaN."""
+
+    pos_e: FloatArray  # (M, 3) [m], e
+    clock: FloatArray  # (M, 2) of the receiver against each system [m]; NaN where the system is not used
+    cov_e: FloatArray  # (M, 3, 3) of the position [m^2], e
+    steps: IntArray  # (M,) iterations
+    used: BoolArray  # (K,) rows in the final solution
+    residual: FloatArray  # (K,) measured minus computed [m]; NaN where not used
+    chi2: FloatArray  # (M,) weighted sum of squared residuals
+    passed: BoolArray  # (M,) solved, and chi2 below its threshold
+
+
+class VelocityFixes(NamedTuple):
+    """Velocities with the drift of the receiver's clock; NaN where not solved."""
+
+    vel_e: FloatArray  # (M, 3) [m/s], e
+    drift: FloatArray  # (M,) [m/s]
+    cov_e: FloatArray  # (M, 3, 3) [m^2/s^2], e
+
+
+class Dop(NamedTuple):
+    """Dilution of precision, a row per epoch; NaN where there are too few satellites."""
+
+    h: FloatArray
+    v: FloatArray
+    p: FloatArray
+    t: FloatArray
+    g: FloatArray
+
+
+@kernel
+def _inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
+    """Invert the symmetric positive definite upper-left (n, n) of A through its Cholesky factor.
+
+    ``A`` is overwritten. Returns False when it is not positive definite to working precision.
+    """
+    for i in range(n):
+        scale = A[i, i]
+        for j in range(i):
+            s = A[i, j]
+            for m in range(j):
+                s -= A[i, m] * A[j, m]
+            A[i, j] = s / A[j, j]
+        s = A[i, i]
+        for m in range(i):
+            s -= A[i, m] * A[i, m]
+        if not s > 1e-12 * scale:
+            return False
+        A[i, i] = np.sqrt(s)
+    for i in range(n):  # inverse of the factor, into the upper triangle of ``inverse``
+        inverse[i, i] = 1.0 / A[i, i]
+        for j in range(i):
+            s = 0.0
+            for m in range(j, i):
+                s -= A[i, m] * inverse[j, m]
+            inverse[j, i] = s / A[i, i]
+    for i in range(n):
+        for j in range(i, n):
+            s = 0.0
+            for m in range(j, n):
+                s += inverse[i, m] * inverse[j, m]
+            A[i, j] = s
+    for i in range(n):
+        for j in range(i, n):
+            inverse[i, j] = A[i, j]
+            inverse[j, i] = A[i, j]
+    return True
+
+
+@kernel
+def _normal_kernel(
+    a: int, b: int, sat: FloatArray, measured: FloatArray, sd: FloatArray, column: IntArray, used: BoolArray,
+    rate: float, x: FloatArray, N: FloatArray, g: FloatArray, design: FloatArray, residual: FloatArray,
+) -> float:  # fmt: skip
+    """Fill the lower normal matrix N and right side g at x (5,) [m]; return the weighted sum of squares."""
+    N[:] = 0.0
+    g[:] = 0.0
+    total = 0.0
+    for k in range(a, b):
+        if not used[k]:
+            continue
+        distance, ex, ey, ez = range_kernel(sat[k, 0], sat[k, 1], sat[k, 2], x[0], x[1], x[2], rate)
+        c = column[k]
+        res = measured[k] - distance - x[c]
+        residual[k] = res
+        design[k, 0], design[k, 1], design[k, 2] = -ex, -ey, -ez
+        w = 1.0 / (sd[k] * sd[k])
+        wx, wy, wz = w * ex, w * ey, w * ez
+        total += w * res * res
+        N[0, 0] += wx * ex
+        N[1, 0] += wy * ex
+        N[1, 1] += wy * ey
+        N[2, 0] += wz * ex
+        N[2, 1] += wz * ey
+        N[2, 2] += wz * ez
+        N[c, 0] -= wx
+        N[c, 1] -= wy
+        N[c, 2] -= wz
+        N[c, c] += w
+        g[0] -= wx * res
+        g[1] -= wy * res
+        g[2] -= wz * res
+        g[c] += w * res
+    return total
+
+
+@kernel
+def _position_kernel(
+    epoch_start: IntArray, sat: FloatArray, measured: FloatArray, sd: FloatArray, system: IntArray,
+    one_clock: bool, rate: float, start: FloatArray, close: float, threshold: FloatArray,
+    N: FloatArray, inverse: FloatArray, design: FloatArray, column: IntArray,
+    used: BoolArray, pos: FloatArray, clock: FloatArray, cov: FloatArray, steps: IntArray,
+    residual: FloatArray, chi2: FloatArray, passed: BoolArray,
+) -> None:  # fmt: skip
+    """Solve every epoch; ``used`` says which rows may be used and, on return, which were.
+
+    ``threshold`` (dof,) of the weighted sum of squares; without rows nothing is tested or excluded. Epochs
+    start from their row of ``start``, where that is NaN from the epoch before, after none from the centre of
+    the Earth. The last step updates the residuals to first order, right to its square over the range.
+    """
+    x, g, dx = np.zeros(5), np.zeros(5), np.zeros(5)
+    for m in range(epoch_start.shape[0] - 1):
+        a, b = epoch_start[m], epoch_start[m + 1]
+        steps[m] = 0
+        solved = False
+        if not np.isnan(start[m, 0]):
+            x[:3] = start[m]
+        while True:
+            count, first, second = 0, False, False
+            for k in range(a, b):
+                if used[k]:
+                    count += 1
+                    if system[k] == 0 or one_clock:
+                        first = True
+                    else:
+                        second = True
+            n = 3 + (1 if first else 0) + (1 if second else 0)
+            if count < n:
+                break
+            for k in range(a, b):
+                column[k] = 4 if (first and system[k] != 0 and not one_clock) else 3
+            solved = False
+            for _ in range(_MOST):
+                total = _normal_kernel(
+                    a, b, sat, measured, sd, column, used, rate, x, N, g, design, residual
+                )  # fmt: skip
+                steps[m] += 1
+                if not _inverse_kernel(N, n, inverse):
+                    break
+                length = 0.0
+                for i in range(n):
+                    dx[i] = 0.0
+                    for j in range(n):
+                        dx[i] += inverse[i, j] * g[j]
+                    x[i] += dx[i]
+                    total -= dx[i] * g[i]
+                    if i < 3:
+                        length += dx[i] * dx[i]
+                if length < close * close:
+                    solved = True
+                    break
+            if not solved:
+                break
+            chi2[m] = max(total, 0.0)
+            for k in range(a, b):
+                if used[k]:
+                    residual[k] -= dx[column[k]]
+                    for i in range(3):
+                        residual[k] -= design[k, i] * dx[i]
+            dof = count - n
+            if threshold.shape[0] == 0 or dof == 0 or chi2[m] <= threshold[min(dof, threshold.shape[0] - 1)]:
+                passed[m] = True
+                break
+            if dof < 2:
+                break
+            worst, largest = -1, 0.0
+            for k in range(a, b):
+                if used[k]:
+                    c = column[k]
+                    spread = inverse[c, c]
+                    for i in range(3):
+                        spread += 2.0 * design[k, i] * inverse[i, c]
+                        for j in range(3):
+                            spread += design[k, i] * inverse[i, j] * design[k, j]
+                    free = sd[k] * sd[k] - spread
+                    if free > 1e-6 * sd[k] * sd[k]:
+                        size = residual[k] * residual[k] / free
+                        if size > largest:
+                            worst, largest = k, size
+            if worst < 0:
+                break
+            used[worst] = False
+            residual[worst] = np.nan
+        if solved:
+            for i in range(3):
+                pos[m, i] = x[i]
+                for j in range(3):
+                    cov[m, i, j] = inverse[i, j]
+            if first:
+                clock[m, 0] = x[3]
+            if second:
+                clock[m, 1] = x[4] if first else x[3]
+        else:
+            x[:] = 0.0
+            for k in range(a, b):
+                used[k] = False
+                residual[k] = np.nan
+
+
+@kernel
+def _velocity_kernel(
+    epoch_start: IntArray, sat: FloatArray, sat_vel: FloatArray, measured: FloatArray, sd: FloatArray,
+    used: BoolArray, rate: float, pos: FloatArray, N: FloatArray, inverse: FloatArray,
+    vel: FloatArray, drift: FloatArray, cov: FloatArray,
+) -> None:  # fmt: skip
+    g, h = np.zeros(5), np.zeros(5)
+    for m in range(epoch_start.shape[0] - 1):
+        N[:] = 0.0
+        g[:] = 0.0
+        count = 0
+        px, py, pz = pos[m, 0], pos[m, 1], pos[m, 2]
+        for k in range(epoch_start[m], epoch_start[m + 1]):
+            if not used[k] or np.isnan(measured[k]):
+                continue
+            count += 1
+            distance, ex, ey, ez = range_kernel(sat[k, 0], sat[k, 1], sat[k, 2], px, py, pz, rate)
+            a, b = range_rate_kernel(
+                sat[k, 0], sat[k, 1], sat[k, 2], sat_vel[k, 0], sat_vel[k, 1], sat_vel[k, 2],
+                px, py, pz, ex, ey, ez, distance, rate,
+            )  # fmt: skip
+            h[0], h[1], h[2], h[3] = -ex / b, -ey / b, -ez / b, 1.0
+            res = measured[k] - a / b
+            w = 1.0 / (sd[k] * sd[k])
+            for i in range(4):
+                g[i] += w * h[i] * res
+                for j in range(i + 1):
+                    N[i, j] += w * h[i] * h[j]
+        if count < 4 or np.isnan(px) or not _inverse_kernel(N, 4, inverse):
+            continue
+        for i in range(3):
+            vel[m, i] = 0.0
+            for j in range(4):
+                vel[m, i] += inverse[i, j] * g[j]
+            for j in range(3):
+                cov[m, i, j] = inverse[i, j]
+        drift[m] = 0.0
+        for j in range(4):
+            drift[m] += inverse[3, j] * g[j]
+
+
+@kernel
+def _dop_kernel(
+    epoch_start: IntArray, los_n: FloatArray, system: IntArray, used: BoolArray, N: FloatArray,
+    inverse: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    h = np.zeros(5)
+    for m in range(epoch_start.shape[0] - 1):
+        N[:] = 0.0
+        count, first, second = 0, False, False
+        for k in range(epoch_start[m], epoch_start[m + 1]):
+            if used[k]:
+                count += 1
+                if system[k] == 0:
+                    first = True
+                else:
+                    second = True
+        n = 3 + (1 if first else 0) + (1 if second else 0)
+        if count < n:
+            continue
+        for k in range(epoch_start[m], epoch_start[m + 1]):
+            if not used[k]:
+                continue
+            h[:3] = -los_n[k]
+            h[3], h[4] = 0.0, 0.0
+            h[4 if first and system[k] != 0 else 3] = 1.0
+            for i in range(n):
+                for j in range(i + 1):
+                    N[i, j] += h[i] * h[j]
+        if not _inverse_kernel(N, n, inverse):
+            continue
+        horizontal, vertical = inverse[0, 0] + inverse[1, 1], inverse[2, 2]
+        time = inverse[3, 3]
+        clocks = 0.0
+        for i in range(3, n):
+            clocks += inverse[i, i]
+        out[m, 0], out[m, 1], out[m, 2] = (
+            np.sqrt(horizontal),
+            np.sqrt(vertical),
+            np.sqrt(horizontal + vertical),
+        )
+        out[m, 3], out[m, 4] = np.sqrt(time), np.sqrt(horizontal + vertical + clocks)
+
+
+def position(
+    epoch_start: IntArray,
+    sat_pos_e: FloatArray,
+    pseudorange: FloatArray,
+    sd: FloatArray,
+    system: IntArray,
+    *,
+    use: BoolArray | None = None,
+    start_e: FloatArray | None = None,
+    close: float = CLOSE,
+    threshold: FloatArray | None = None,
+    one_clock: bool = False,
+    sagnac: bool = True,
+) -> PositionFixes:
+    """Solve the position of every epoch from corrected pseudoranges (B-12 to B-14).
+
+    Parameters
+    ----------
+    epoch_start : (M + 1,) array of int
+        First row of each epoch, and the number of rows.
+    sat_pos_e : (K, 3) array
+        Satellites, Earth-fixed at transmission [m].
+    pseudorange : (K,) array
+        Corrected for satellite clock and atmosphere [m]; what is not finite is not used.
+    sd : (K,) array
+        Standard deviation of each [m].
+    system : (K,) array of int
+        0 GPS, 1 GLONASS; each has its own clock unknown.
+    use : (K,) array of bool or None
+        Rows that may be used; all when None.
+    start_e : (M, 3) array or None
+        First guesses [m]. Where NaN, or None: the epoch before, and for the first the centre of the Earth.
+    close : float
+        Length of a step that is the last [m]; its square over the range remains as an error.
+    threshold : (D,) array or None
+        Largest weighted sum of squared residuals by degrees of freedom, from :func:`thresholds`. While it is
+        exceeded, the satellite with the largest normalised residual is left out; two redundant satellites are
+        needed for that. None: no test.
+    one_clock : bool
+        One clock unknown for all systems.
+    sagnac : bool
+        Turn the satellites with the Earth during the travel time.
+    """
+    M, K = len(epoch_start) - 1, len(pseudorange)
+    used = np.isfinite(pseudorange) & np.isfinite(sat_pos_e[:, 0])
+    if use is not None:
+        used &= use
+    fixes = PositionFixes(
+        pos_e=np.full((M, 3), np.nan),
+        clock=np.full((M, 2), np.nan),
+        cov_e=np.full((M, 3, 3), np.nan),
+        steps=np.zeros(M, np.int64),
+        used=used,
+        residual=np.full(K, np.nan),
+        chi2=np.full(M, np.nan),
+        passed=np.zeros(M, bool),
+    )
+    _position_kernel(
+        np.ascontiguousarray(epoch_start, np.int64),
+        np.ascontiguousarray(sat_pos_e),
+        np.ascontiguousarray(pseudorange),
+        np.ascontiguousarray(sd),
+        np.ascontiguousarray(system, np.int64),
+        one_clock,
+        RATE if sagnac else 0.0,
+        np.full((M, 3), np.nan) if start_e is None else np.ascontiguousarray(start_e, float),
+        close,
+        np.empty(0) if threshold is None else threshold,
+        np.empty((5, 5)),
+        np.empty((5, 5)),
+        np.empty((K, 3)),
+        np.empty(K, np.int64),
+        fixes.used,
+        fixes.pos_e,
+        fixes.clock,
+        fixes.cov_e,
+        fixes.steps,
+        fixes.residual,
+        fixes.chi2,
+        fixes.passed,
+    )
+    return fixes
+
+
+def velocity(
+    epoch_start: IntArray,
+    sat_pos_e: FloatArray,
+    sat_vel_e: FloatArray,
+    range_rate: FloatArray,
+    sd: FloatArray,
+    used: BoolArray,
+    pos_e: FloatArray,
+    *,
+    sagnac: bool = True,
+) -> VelocityFixes:
+    """Solve the velocity of every epoch from range rates corrected for satellite clock drift (B-14b).
+
+    Parameters
+    ----------
+    epoch_start, sat_pos_e, sd
+        As in :func:`position`; sd [m/s].
+    sat_vel_e : (K, 3) array
+        [m/s], e at transmission.
+    range_rate : (K,) array
+        [m/s]; what is NaN is not used. Both systems share the drift of the receiver's oscillator.
+    used : (K,) array of bool
+        Rows to use.
+    pos_e : (M, 3) array
+        Position of each epoch [m]; NaN gives no velocity.
+    """
+    M = len(epoch_start) - 1
+    fixes = VelocityFixes(np.full((M, 3), np.nan), np.full(M, np.nan), np.full((M, 3, 3), np.nan))
+    _velocity_kernel(
+        np.ascontiguousarray(epoch_start, np.int64),
+        np.ascontiguousarray(sat_pos_e),
+        np.ascontiguousarray(sat_vel_e),
+        np.ascontiguousarray(range_rate),
+        np.ascontiguousarray(sd),
+        np.ascontiguousarray(used),
+        RATE if sagnac else 0.0,
+        np.ascontiguousarray(pos_e),
+        np.empty((5, 5)),
+        np.empty((5, 5)),
+        *fixes,
+    )
+    return fixes
+
+
+def dop(epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArray | None = None) -> Dop:
+    """Return the dilution of precision of every epoch (A-2.1.3).
+
+    Parameters
+    ----------
+    epoch_start : (M + 1,) array of int
+        First row of each epoch.
+    los_n : (K, 3) array
+        Unit vectors receiver to satellite, n.
+    system : (K,) array of int
+        0 GPS, 1 GLONASS: a clock unknown for each that is there; TDOP is that of the first.
+    use : (K,) array of bool or None
+        Rows to count; all when None.
+    """
+    out = np.full((len(epoch_start) - 1, 5), np.nan)
+    used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
+    _dop_kernel(
+        np.ascontiguousarray(epoch_start, np.int64),
+        np.ascontiguousarray(los_n),
+        np.ascontiguousarray(system, np.int64),
+        used,
+        np.empty((5, 5)),
+        np.empty((5, 5)),
+        out,
+    )
+    return Dop(*out.T)
+
+
+def best_set(
+    epoch_start: IntArray, los_n: FloatArray, system: IntArray, sd: FloatArray, use: BoolArray
+) -> tuple[BoolArray, IntArray]:
+    """Choose for every epoch GPS, GLONASS or both: the least PDOP times the RMS of the sds (equations #28).
+
+    Parameters
+    ----------
+    epoch_start, los_n, system, use
+        As in :func:`dop`.
+    sd : (K,) array
+        Standard deviation of each range [m].
+
+    Returns
+    -------
+    use : (K,) array of bool
+        Rows of the chosen set.
+    chosen : (M,) array of int
+        0 GPS, 1 GLONASS, 2 both, -1 when no set gives a position.
+    """
+    M = len(epoch_start) - 1
+    epoch = np.repeat(np.arange(M), np.diff(epoch_start))
+    sets = [use & (system == 0), use & (system == 1), use]
+    figure = np.full((3, M), np.inf)
+    for k, rows in enumerate(sets):
+        squares = np.bincount(epoch[rows], sd[rows] ** 2, M)
+        count = np.maximum(np.bincount(epoch[rows], minlength=M), 1)
+        p = dop(epoch_start, los_n, system, rows).p
+        figure[k] = np.where(np.isnan(p), np.inf, p * np.sqrt(squares / count))
+    chosen = np.where(np.isfinite(figure).any(axis=0), np.argmin(figure, axis=0), -1)
+    of_row = chosen[epoch]
+    return use & ((of_row == 2) | (of_row == system)), chosen
+
+
+def thresholds(false_alarm: float, most: int = 60) -> FloatArray:
+    """Return the chi-square bounds by degrees of freedom 0 ... ``most`` at a false-alarm probability.
+
+    Examples
+    --------
+    >>> print(np.round(thresholds(1e-3)[[1, 4]], 2))
+    [10.83 18.47]
+    """
+    from scipy.special import gammainccinv
+
+    bounds: FloatArray = 2 * gammainccinv(np.arange(most + 1) / 2, false_alarm)
+    bounds[0] = np.inf
+    return bounds

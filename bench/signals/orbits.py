@@ -1,0 +1,428 @@
+"""Where satellites are and what their clocks say: Kepler sets, GLONASS state vectors, nominal constellations.
+
+Times are GPS time in seconds since an origin that the caller chooses once for everything (a GPS midnight,
+or the start of the run): small numbers keep the digits. Positions are Earth-fixed at the instant of
+transmission; :mod:`bench.signals.delays` turns them into the frame of the reception.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import kernel
+
+C = 299792458.0  # speed of light [m/s], exact
+WEEK, DAY = 604800.0, 86400.0  # [s]
+RATE = 7.2921151467e-5  # rotation rate of the Earth [rad/s], IS-GPS-200, table 20-IV
+_GM_GPS = 3.986005e14  # [m^3/s^2], IS-GPS-200, table 20-IV
+_RELATIVITY = -4.442807633e-10  # F of the eccentric clock term [s/sqrt(m)], IS-GPS-200, 20.3.3.3.3.1
+_GM_PZ = 3.986004418e14  # [m^3/s^2], PZ-90.11 reference document, 2014
+_A_PZ = 6378136.0  # [m], the same
+_J2_PZ = 1.08262575e-3  # [1], the same
+_RATE_PZ = 7.292115e-5  # [rad/s], the same
+_STEP_PZ = 60.0  # longest Runge-Kutta step [s]; 15 min then end within 1 mm
+
+L1, L2 = 1575.42e6, 1227.60e6  # GPS [Hz], IS-GPS-200
+_G1, _G1_STEP = 1602.0e6, 562.5e3  # GLONASS L1 and its channel spacing [Hz], GLONASS ICD
+_G2, _G2_STEP = 1246.0e6, 437.5e3  # GLONASS L2 [Hz]
+
+KEPLER = (
+    "t_oe",
+    "t_oe_week",
+    "t_oc",
+    "sqrt_a",
+    "e",
+    "i_0",
+    "i_rate",
+    "node_0",
+    "node_rate",
+    "perigee",
+    "mean_anomaly",
+    "delta_n",
+    "c_uc",
+    "c_us",
+    "c_rc",
+    "c_rs",
+    "c_ic",
+    "c_is",
+    "af_0",
+    "af_1",
+    "af_2",
+    "group_delay",
+)
+"""Columns of ``KeplerSets.elements``: IS-GPS-200 table 20-III in SI and radians.
+
+``t_oe`` and ``t_oc`` count from the origin, ``t_oe_week`` from the start of the GPS week; ``group_delay``
+is T_GD [s]. A YUMA almanac fills what it knows and leaves the rest 0.
+"""
+
+GLONASS = ("t_b", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "clock", "clock_rate")
+"""Columns of ``GlonassSets.state``: reference time, state [m, m/s], luni-solar acceleration [m/s^2],
+-tau_n [s], gamma_n [1]; PZ-90 axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeplerSets:
+    """Keplerian ephemerides of GPS, or of any satellite flown as an ellipse."""
+
+    sat: IntArray  # (E,) number within the system
+    healthy: BoolArray  # (E,)
+    elements: FloatArray  # (E, len(KEPLER))
+
+    def __len__(self) -> int:
+        return len(self.sat)
+
+    @property
+    def t(self) -> FloatArray:
+        """Reference time of each set [s]."""
+        return self.elements[:, 0]
+
+    def since(self, origin: float) -> KeplerSets:
+        """Return the same sets with times that count from ``origin`` [s]."""
+        elements = self.elements.copy()
+        elements[:, [0, 2]] -= origin
+        return KeplerSets(self.sat, self.healthy, elements)
+
+
+@dataclass(frozen=True, slots=True)
+class GlonassSets:
+    """State vectors as GLONASS broadcasts them."""
+
+    sat: IntArray  # (E,) slot
+    healthy: BoolArray  # (E,)
+    channel: IntArray  # (E,) frequency number, -7 to 6
+    state: FloatArray  # (E, len(GLONASS))
+
+    def __len__(self) -> int:
+        return len(self.sat)
+
+    @property
+    def t(self) -> FloatArray:
+        """Reference time of each set [s]."""
+        return self.state[:, 0]
+
+    def since(self, origin: float) -> GlonassSets:
+        """Return the same sets with times that count from ``origin`` [s]."""
+        state = self.state.copy()
+        state[:, 0] -= origin
+        return GlonassSets(self.sat, self.healthy, self.channel, state)
+
+
+class SatelliteStates(NamedTuple):
+    """Satellites at their instants of transmission."""
+
+    pos_e: FloatArray  # (K, 3) [m], e at transmission
+    vel_e: FloatArray  # (K, 3) [m/s], e
+    clock: FloatArray  # (K,) polynomial of the clock, without relativity [s]
+    clock_rate: FloatArray  # (K,) with relativity [s/s]
+    relativity: FloatArray  # (K,) eccentric term of the clock [s]
+
+
+def frequencies(system: IntArray, channel: IntArray) -> FloatArray:
+    """Return the first and second carrier (K, 2) [Hz] of GPS (0) and GLONASS (1) satellites.
+
+    Examples
+    --------
+    >>> frequencies(np.array([0, 1]), np.array([0, -7]))
+    array([[1.5754200e+09, 1.2276000e+09],
+           [1.5980625e+09, 1.2429375e+09]])
+    """
+    first = np.where(system == 0, L1, _G1 + _G1_STEP * channel)
+    second = np.where(system == 0, L2, _G2 + _G2_STEP * channel)
+    return np.column_stack([first, second])
+
+
+@kernel
+def _kepler_kernel(
+    elements: FloatArray,
+    rows: IntArray,
+    t: FloatArray,
+    pos: FloatArray,
+    vel: FloatArray,
+    clock: FloatArray,
+    clock_rate: FloatArray,
+    relativity: FloatArray,
+) -> None:
+    """Fill the states (K, ...) of sets ``rows`` (K,) at ``t`` (K,); IS-GPS-200, tables 20-IV and 30-II."""
+    for k in range(t.shape[0]):
+        q = elements[rows[k]]
+        dt = t[k] - q[0]
+        a = q[3] * q[3]
+        e = q[4]
+        n = np.sqrt(_GM_GPS / a) / a + q[11]
+        mean = q[10] + n * dt
+        anomaly = mean
+        for _ in range(20):
+            step = (mean - anomaly + e * np.sin(anomaly)) / (1.0 - e * np.cos(anomaly))
+            anomaly += step
+            if abs(step) < 1e-14:
+                break
+        sin_a, cos_a = np.sin(anomaly), np.cos(anomaly)
+        p = 1.0 - e * cos_a
+        anomaly_rate = n / p
+        root = np.sqrt(1.0 - e * e)
+        phi = np.arctan2(root * sin_a, cos_a - e) + q[9]
+        phi_rate = root * anomaly_rate / p
+        s2, c2 = np.sin(2.0 * phi), np.cos(2.0 * phi)
+        u = phi + q[13] * s2 + q[12] * c2
+        r = a * p + q[15] * s2 + q[14] * c2
+        incl = q[5] + q[17] * s2 + q[16] * c2 + q[6] * dt
+        u_rate = phi_rate * (1.0 + 2.0 * (q[13] * c2 - q[12] * s2))
+        r_rate = a * e * sin_a * anomaly_rate + 2.0 * phi_rate * (q[15] * c2 - q[14] * s2)
+        incl_rate = q[6] + 2.0 * phi_rate * (q[17] * c2 - q[16] * s2)
+        node_rate = q[8] - RATE
+        node = q[7] + node_rate * dt - RATE * q[1]
+        su, cu, si, ci, sn, cn = np.sin(u), np.cos(u), np.sin(incl), np.cos(incl), np.sin(node), np.cos(node)
+        x, y = r * cu, r * su
+        vx, vy = r_rate * cu - y * u_rate, r_rate * su + x * u_rate
+        pos[k, 0] = x * cn - y * ci * sn
+        pos[k, 1] = x * sn + y * ci * cn
+        pos[k, 2] = y * si
+        across = vy * ci - y * si * incl_rate
+        vel[k, 0] = vx * cn - across * sn - pos[k, 1] * node_rate
+        vel[k, 1] = vx * sn + across * cn + pos[k, 0] * node_rate
+        vel[k, 2] = vy * si + y * ci * incl_rate
+        since = t[k] - q[2]
+        clock[k] = q[18] + since * (q[19] + since * q[20])
+        relativity[k] = _RELATIVITY * e * q[3] * sin_a
+        clock_rate[k] = q[19] + 2.0 * since * q[20] + _RELATIVITY * e * q[3] * cos_a * anomaly_rate
+
+
+@kernel
+def _acceleration_kernel(s: FloatArray, sun_moon: FloatArray, out: FloatArray) -> None:
+    """Fill out (6,) with the rate of the Earth-fixed state s (6,): GLONASS ICD 5.1, A.3.1.2."""
+    r2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
+    central = -_GM_PZ / (r2 * np.sqrt(r2))
+    flat = 1.5 * _J2_PZ * _A_PZ * _A_PZ / r2
+    z2 = 5.0 * s[2] * s[2] / r2
+    across = central * (1.0 + flat * (1.0 - z2)) + _RATE_PZ * _RATE_PZ
+    out[0], out[1], out[2] = s[3], s[4], s[5]
+    out[3] = across * s[0] + 2.0 * _RATE_PZ * s[4] + sun_moon[0]
+    out[4] = across * s[1] - 2.0 * _RATE_PZ * s[3] + sun_moon[1]
+    out[5] = central * (1.0 + flat * (3.0 - z2)) * s[2] + sun_moon[2]
+
+
+@kernel
+def _glonass_kernel(
+    state: FloatArray,
+    rows: IntArray,
+    t: FloatArray,
+    longest: float,
+    work: FloatArray,
+    pos: FloatArray,
+    vel: FloatArray,
+    clock: FloatArray,
+    clock_rate: FloatArray,
+) -> None:
+    """Integrate sets ``rows`` (K,) to ``t`` (K,) with fourth-order Runge-Kutta; work (6, 6)."""
+    s, probe = work[0], work[1]
+    for k in range(t.shape[0]):
+        q = state[rows[k]]
+        span = t[k] - q[0]
+        s[:] = q[1:7]
+        steps = int(np.ceil(abs(span) / longest))
+        h = span / steps if steps > 0 else 0.0
+        for _ in range(steps):
+            _acceleration_kernel(s, q[7:10], work[2])
+            probe[:] = s + 0.5 * h * work[2]
+            _acceleration_kernel(probe, q[7:10], work[3])
+            probe[:] = s + 0.5 * h * work[3]
+            _acceleration_kernel(probe, q[7:10], work[4])
+            probe[:] = s + h * work[4]
+            _acceleration_kernel(probe, q[7:10], work[5])
+            s += h / 6.0 * (work[2] + 2.0 * work[3] + 2.0 * work[4] + work[5])
+        pos[k], vel[k] = s[:3], s[3:]
+        clock[k] = q[10] + q[11] * span
+        clock_rate[k] = q[11]
+
+
+def states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
+    """Return satellites at given instants.
+
+    Parameters
+    ----------
+    sets : KeplerSets or GlonassSets
+        Ephemerides.
+    rows : (K,) array of int
+        Which set serves each instant.
+    t : (K,) array
+        Instants of transmission, GPS time since the origin of ``sets`` [s].
+
+    Notes
+    -----
+    Kepler sets: IS-GPS-200, table 20-IV, velocity by its derivative. GLONASS: Earth-fixed equations of motion
+    with J2 and the broadcast luni-solar acceleration, Runge-Kutta of fourth order with steps up to 60 s;
+    PZ-90.11 and WGS 84 agree to centimetres, so its axes are taken for e.
+    """
+    t = np.ascontiguousarray(t, float)
+    rows = np.ascontiguousarray(rows, np.int64)
+    count = len(t)
+    pos, vel = np.empty((count, 3)), np.empty((count, 3))
+    clock, rate, relativity = np.empty(count), np.empty(count), np.zeros(count)
+    if isinstance(sets, KeplerSets):
+        _kepler_kernel(sets.elements, rows, t, pos, vel, clock, rate, relativity)
+    else:
+        _glonass_kernel(sets.state, rows, t, _STEP_PZ, np.empty((6, 6)), pos, vel, clock, rate)
+    return SatelliteStates(pos, vel, clock, rate, relativity)
+
+
+def nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
+    """Return for each satellite and instant the healthy set with the nearest reference time, -1 for none.
+
+    Parameters
+    ----------
+    sets : KeplerSets or GlonassSets
+        Ephemerides in any order.
+    sat : (K,) array of int
+        Satellites.
+    t : (K,) array
+        Instants [s].
+    oldest : float
+        Largest distance from the reference time [s].
+    """
+    found = np.full(len(t), -1, np.int64)
+    for number in np.unique(sat):
+        mine = np.flatnonzero((sets.sat == number) & sets.healthy)
+        if len(mine) == 0:
+            continue
+        mine = mine[np.argsort(sets.t[mine], kind="stable")]
+        asked = np.flatnonzero(sat == number)
+        after = np.clip(np.searchsorted(sets.t[mine], t[asked]), 1, len(mine) - 1) if len(mine) > 1 else 0
+        later = mine[after]
+        before = mine[np.maximum(np.asarray(after) - 1, 0)]
+        closer = np.abs(sets.t[before] - t[asked]) <= np.abs(sets.t[later] - t[asked])
+        best = np.where(closer, before, later)
+        found[asked] = np.where(np.abs(sets.t[best] - t[asked]) <= oldest, best, -1)
+    return found
+
+
+def transmission(
+    sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray, pseudorange: FloatArray
+) -> tuple[FloatArray, SatelliteStates]:
+    """Return instants of transmission (K,) and the satellites there, from what a receiver knows.
+
+    Parameters
+    ----------
+    sets, rows : KeplerSets or GlonassSets, (K,) array of int
+        The ephemerides that serve.
+    t : (K,) array
+        Time tag of the reception by the receiver's clock [s].
+    pseudorange : (K,) array
+        [m]; tag minus ``pseudorange / c`` is what the satellite's clock showed, whatever the receiver's.
+    """
+    shown = t - pseudorange / C
+    first = states(sets, rows, shown)
+    t_sent = shown - (first.clock + first.relativity)
+    return t_sent, states(sets, rows, t_sent)
+
+
+def walker(
+    planes: int, per_plane: int, phasing: int, *, semi_axis: float, inclination: float, node_0: float = 0.0
+) -> KeplerSets:
+    """Return circular orbits spread evenly, with perfect clocks, at t = 0.
+
+    Parameters
+    ----------
+    planes, per_plane, phasing : int
+        Walker's T/P/F with ``T = planes * per_plane``.
+    semi_axis : float
+        [m].
+    inclination : float
+        [rad].
+    node_0 : float
+        Longitude of the first node at t = 0 [rad].
+    """
+    total = planes * per_plane
+    elements = np.zeros((total, len(KEPLER)))
+    plane, place = np.divmod(np.arange(total), per_plane)
+    elements[:, KEPLER.index("sqrt_a")] = np.sqrt(semi_axis)
+    elements[:, KEPLER.index("i_0")] = inclination
+    elements[:, KEPLER.index("node_0")] = node_0 + 2 * np.pi * plane / planes
+    elements[:, KEPLER.index("mean_anomaly")] = 2 * np.pi * (place / per_plane + phasing * plane / total)
+    return KeplerSets(np.arange(1, total + 1), np.ones(total, bool), elements)
+
+
+def nominal_gps() -> KeplerSets:
+    """Return 24 satellites in 6 planes at 55 deg, 26 560 km (A-2.1.2)."""
+    return walker(6, 4, 1, semi_axis=26.56e6, inclination=np.deg2rad(55.0))
+
+
+def nominal_glonass() -> KeplerSets:
+    """Return 24 satellites in 3 planes at 64.8 deg, 19 100 km high (A-2.1.2)."""
+    return walker(3, 8, 1, semi_axis=_A_PZ + 19.1e6, inclination=np.deg2rad(64.8))
+
+
+class Track(NamedTuple):
+    """Satellites over a span of time as polynomials, cheap to evaluate anywhere in it."""
+
+    t_0: float  # start of the first interval [s]
+    step: float  # length of an interval [s]
+    coefficients: FloatArray  # (S, I, 8, 4) of x, y, z [m], clock [m], in u from -1 to 1 over each interval
+
+
+_NODES = 8  # per interval: the next term of an orbit is below 1e-8 m over five minutes
+TRACK_STEP = 300.0  # [s]
+
+
+def track(sets: KeplerSets | GlonassSets, t_0: float, t_1: float) -> tuple[IntArray, Track]:
+    """Return the satellites of ``sets`` that have an ephemeris all along a span, and where they are.
+
+    Parameters
+    ----------
+    sets : KeplerSets or GlonassSets
+        Ephemerides; each interval of five minutes is served by the one nearest in time.
+    t_0, t_1 : float
+        The span [s].
+
+    Returns
+    -------
+    sat : (S,) array of int
+        Satellites.
+    track : Track
+        Their motion, and their clocks with relativity.
+    """
+    intervals = max(1, int(np.ceil((t_1 - t_0) / TRACK_STEP)))
+    middle = t_0 + TRACK_STEP * (np.arange(intervals) + 0.5)
+    numbers = np.unique(sets.sat[sets.healthy])
+    if len(numbers) == len(sets):
+        rows = np.repeat(np.argsort(sets.sat), intervals)
+    else:
+        rows = nearest(sets, np.repeat(numbers, intervals), np.tile(middle, len(numbers)), np.inf)
+    u = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    t = np.tile(middle, len(numbers))[:, None] + 0.5 * TRACK_STEP * u
+    found = states(sets, np.repeat(rows, _NODES), t.ravel())
+    values = np.column_stack([found.pos_e, C * (found.clock + found.relativity)])
+    values = values.reshape(len(rows), _NODES, 4)
+    powers = np.linalg.inv(np.vander(u, increasing=True))
+    coefficients = np.einsum("pn,rnc->rpc", powers, values)
+    shape = (len(numbers), intervals, _NODES, 4)
+    return numbers, Track(t_0, TRACK_STEP, np.ascontiguousarray(coefficients.reshape(shape)))
+
+
+@kernel
+def track_kernel(
+    t_0: float, step: float, coefficients: FloatArray, s: int, t: float, rates: bool, out: FloatArray
+) -> None:
+    """Fill out (8,) with x, y, z, clock [m] of satellite s at t and, with ``rates``, their rates [m/s]."""
+    last = coefficients.shape[1] - 1
+    i = min(max(int((t - t_0) / step), 0), last)
+    u = 2.0 * (t - t_0 - i * step) / step - 1.0
+    top = coefficients.shape[2] - 1
+    if rates:
+        for c in range(4):
+            value, rate = coefficients[s, i, top, c], 0.0
+            for p in range(top - 1, -1, -1):
+                rate = rate * u + value
+                value = value * u + coefficients[s, i, p, c]
+            out[c], out[4 + c] = value, rate * 2.0 / step
+    else:
+        x, y, z = coefficients[s, i, top, 0], coefficients[s, i, top, 1], coefficients[s, i, top, 2]
+        for p in range(top - 1, -1, -1):
+            x = x * u + coefficients[s, i, p, 0]
+            y = y * u + coefficients[s, i, p, 1]
+            z = z * u + coefficients[s, i, p, 2]
+        out[0], out[1], out[2] = x, y, z

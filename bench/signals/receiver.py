@@ -1,0 +1,459 @@
+"""The receiver: satellites from its own pseudoranges, corrections, position, velocity, what was left out.
+
+Simulated observations and those of a RINEX file go the same way: :func:`observe` (files only) computes the
+satellites, :func:`solve` the fixes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import kernel
+from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
+from bench.signals import least_squares, orbits
+from bench.signals.delays import (
+    Troposphere,
+    ionosphere_free,
+    klobuchar_kernel,
+    mapping_kernel,
+    obliquity_kernel,
+    range_kernel,
+    zenith_troposphere,
+)
+from bench.signals.orbits import L1, RATE, C
+
+CORRECTIONS = ("sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks")
+"""What ``Processing.without`` may leave out; "clocks" means a second clock unknown for GLONASS."""
+
+Ionosphere = Literal["klobuchar", "free"]
+Systems = Literal["gps", "glonass", "both", "auto"]
+
+_OLDEST = (7200.0, 1800.0)
+"""Largest distance of an ephemeris from its reference time, GPS and GLONASS [s]: half of the 4 h fit interval
+of IS-GPS-200, 20.3.4.4; twice the 15 min GLONASS broadcasts are made for, as a station misses some."""
+
+_GAMMA = (orbits.L2 / L1) ** 2  # 0.607; 0.605 for GLONASS
+_ROUGH = 1e3  # a step this long leaves less than 0.1 m, enough for elevations and delays [m]
+
+
+class ErrorBudget(NamedTuple):
+    """Standard deviations that weigh the ranges; the defaults are those of a single-frequency receiver.
+
+    [45] RTKLIB, rtkpos.c and rtkcmn.c. [46] RTCA DO-229D, appendix J, as in GPSTk ComputeMOPSWeights.cpp.
+    [47] Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed. (2013),
+    values of its examples. Montenbruck, Steigenberger, Hauschild, Advances in Space Research 61 (2018): 0.6 m
+    for GPS, 2 m for GLONASS.
+    """
+
+    signal_in_space: float = 0.6  # GPS, ephemeris and satellite clock [m], Montenbruck et al. 2018
+    signal_in_space_glonass: float = 2.0  # GLONASS [m], the same
+    zenith_ionosphere: float = 2.0  # what the Klobuchar model leaves [m], [47]
+    zenith_troposphere: float = 0.2  # what the model leaves [m], [47]
+    code: float = 0.5  # noise of the code, first band [m]: RTCA DO-229D class 1, [46]
+    multipath_zenith: float = 0.13  # [m], [46]: 0.13 + 0.53 exp(-el / 10 deg)
+    multipath_horizon: float = 0.53  # [m]
+    multipath_decay: float = float(np.deg2rad(10.0))  # [rad]
+    doppler: float = 0.05  # range rate [m/s], [47]: value of the filter without INS
+    glonass: float = 1.5  # code noise of GLONASS over that of GPS [1], [45]
+    second_band: float = 1.0  # code noise of the second band over that of the first [1]
+
+
+GROUND = ErrorBudget()
+
+
+@dataclass(frozen=True, slots=True)
+class Processing:
+    """How a receiver computes its fixes."""
+
+    systems: Systems = "both"
+    ionosphere: Ionosphere = "klobuchar"
+    troposphere: Troposphere = "saastamoinen"
+    mask: float = float(np.deg2rad(10.0))  # lowest elevation used [rad]
+    false_alarm: float = 1e-3  # of the residual test of one epoch [1]; 0 switches fault exclusion off
+    without: frozenset[str] = frozenset()  # of CORRECTIONS
+
+
+class Solution(NamedTuple):
+    """Fixes and how they came about."""
+
+    fixes: GnssFixes  # a row per epoch, NaN and not valid where there is none
+    clock: FloatArray  # (M, 2) of the receiver against GPS and GLONASS [m]
+    drift: FloatArray  # (M,) [m/s]
+    los_n: FloatArray  # (K, 3) receiver to satellite, n; NaN without a position
+    used: BoolArray  # (K,) in the position
+    residual: FloatArray  # (K,) [m]; NaN where not used
+
+
+class Look(NamedTuple):
+    """What a receiver sees of its satellites from where it believes to be."""
+
+    pos_e: FloatArray  # (M, 3) [m], e
+    lla: FloatArray  # (M, 3) [rad, rad, m]
+    los_n: FloatArray  # (K, 3) receiver to satellite, n
+    el: FloatArray  # (K,) elevation [rad]
+    ionosphere: FloatArray  # (K,) delay by the broadcast model on the row's carrier [m]
+    troposphere: FloatArray  # (K,) [m]
+
+
+@kernel
+def _look_kernel(
+    epoch_start: IntArray, sat: FloatArray, pos: FloatArray, C_en: FloatArray, rate: float, los_n: FloatArray
+) -> None:
+    """Fill los_n (K, 3) with unit vectors from each epoch's position to its satellites."""
+    for m in range(epoch_start.shape[0] - 1):
+        for k in range(epoch_start[m], epoch_start[m + 1]):
+            _, x, y, z = range_kernel(
+                sat[k, 0], sat[k, 1], sat[k, 2], pos[m, 0], pos[m, 1], pos[m, 2], rate
+            )  # fmt: skip
+            for i in range(3):
+                los_n[k, i] = C_en[m, 0, i] * x + C_en[m, 1, i] * y + C_en[m, 2, i] * z
+
+
+@kernel
+def _atmosphere_kernel(
+    epoch_start: IntArray, t: FloatArray, lla: FloatArray, zenith: FloatArray, los_n: FloatArray,
+    frequency: FloatArray, model: FloatArray, el: FloatArray, ionosphere: FloatArray, troposphere: FloatArray,
+) -> None:  # fmt: skip
+    """Fill elevation [rad] and the delays [m] on each row's carrier; t (K,) of the GPS day."""
+    for m in range(epoch_start.shape[0] - 1):
+        for k in range(epoch_start[m], epoch_start[m + 1]):
+            sin_el = -los_n[k, 2]
+            across = np.sqrt(los_n[k, 0] * los_n[k, 0] + los_n[k, 1] * los_n[k, 1])
+            el[k] = np.arctan2(sin_el, across)
+            ionosphere[k] = 0.0
+            troposphere[k] = zenith[m] * mapping_kernel(sin_el)
+            if el[k] > 0.0 and across > 0.0:
+                delay = klobuchar_kernel(
+                    lla[m, 0], lla[m, 1], el[k], los_n[k, 1] / across, los_n[k, 0] / across, t[k], model
+                )  # fmt: skip
+                ionosphere[k] = delay * (L1 / frequency[k]) ** 2
+
+
+@kernel
+def _spread_kernel(
+    el: FloatArray, system: IntArray, frequency: FloatArray, code: FloatArray, budget: FloatArray, free: bool,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (K,) with the sd of corrected pseudoranges by elevation; ``code`` (K,) of the receiver."""
+    for k in range(out.shape[0]):
+        if not el[k] > 0.0:
+            out[k] = np.nan
+            continue
+        multipath = budget[5] + budget[6] * np.exp(-el[k] / budget[7])
+        tracking = code[k] * code[k] + multipath * multipath
+        zenith = budget[2] * obliquity_kernel(el[k]) * (L1 / frequency[k]) ** 2
+        if free:  # noise of the ionosphere-free combination, B-11
+            second = _GAMMA * budget[10]
+            tracking *= (1.0 + second * second) / (1.0 - _GAMMA) ** 2
+            zenith = 0.0
+        satellite = budget[0]
+        if system[k] == 1:
+            satellite = budget[1]
+            tracking *= budget[9] * budget[9]
+        troposphere = budget[3] * mapping_kernel(np.sin(el[k]))
+        out[k] = np.sqrt(satellite * satellite + tracking + zenith * zenith + troposphere * troposphere)
+
+
+@kernel
+def _to_n_kernel(
+    C_en: FloatArray, vel_e: FloatArray, cov_pos_e: FloatArray, cov_vel_e: FloatArray,
+    vel_n: FloatArray, cov_pos_n: FloatArray, cov_vel_n: FloatArray,
+) -> None:  # fmt: skip
+    """Resolve velocities (M, 3) and covariances (M, 3, 3) of e in n."""
+    for m in range(vel_e.shape[0]):
+        C = C_en[m]
+        for a in range(3):
+            vel_n[m, a] = C[0, a] * vel_e[m, 0] + C[1, a] * vel_e[m, 1] + C[2, a] * vel_e[m, 2]
+            for b in range(3):
+                pos, vel = 0.0, 0.0
+                for i in range(3):
+                    for j in range(3):
+                        pos += C[i, a] * cov_pos_e[m, i, j] * C[j, b]
+                        vel += C[i, a] * cov_vel_e[m, i, j] * C[j, b]
+                cov_pos_n[m, a, b], cov_vel_n[m, a, b] = pos, vel
+
+
+def spread(
+    el: FloatArray,
+    system: IntArray,
+    frequency: FloatArray,
+    code: FloatArray,
+    budget: ErrorBudget,
+    ionosphere: Ionosphere,
+) -> FloatArray:
+    """Return the standard deviation of corrected pseudoranges (K,) [m].
+
+    Parameters
+    ----------
+    el, system, frequency : (K,) arrays
+        Elevation [rad], system, first carrier [Hz].
+    code : (K,) array
+        Noise of the receiver's code measurement [m].
+    budget : ErrorBudget
+        Everything else.
+    ionosphere : str
+        "klobuchar", or "free" for the two-frequency combination, which has no ionosphere and three times the
+        noise.
+    """
+    out = np.empty(len(el))
+    _spread_kernel(el, system, frequency, code, np.array(budget, float), ionosphere == "free", out)
+    return out
+
+
+def look(
+    pos_e: FloatArray,
+    *,
+    epoch_start: IntArray,
+    t: FloatArray,
+    sat_pos_e: FloatArray,
+    frequency: FloatArray,
+    klobuchar: FloatArray,
+    troposphere: Troposphere = "saastamoinen",
+    sagnac: bool = True,
+) -> Look:
+    """Return directions and atmospheric delays of satellites.
+
+    Parameters
+    ----------
+    pos_e : (M, 3) array
+        Receiver at each epoch [m]; a NaN row gives NaN.
+    epoch_start : (M + 1,) array of int
+        First row of each epoch.
+    t : (K,) array
+        GPS time of day [s].
+    sat_pos_e : (K, 3) array
+        [m], e at transmission.
+    frequency : (K,) array
+        Carrier [Hz].
+    klobuchar : (8,) array
+        Broadcast ionosphere.
+    troposphere : str
+        Model of the vertical delay, :func:`bench.signals.delays.zenith_troposphere`.
+    sagnac : bool
+        Turn the satellites with the Earth during the travel time.
+    """
+    K = len(t)
+    lla = earth.to_geodetic(pos_e)
+    C_en = np.ascontiguousarray(earth.matrix_en(lla[:, 0], lla[:, 1]))
+    zenith = zenith_troposphere(lla[:, 0], lla[:, 2], troposphere)
+    seen = Look(pos_e, lla, np.empty((K, 3)), np.empty(K), np.empty(K), np.empty(K))
+    _look_kernel(epoch_start, sat_pos_e, pos_e, C_en, RATE if sagnac else 0.0, seen.los_n)
+    _atmosphere_kernel(
+        epoch_start,
+        t,
+        lla,
+        zenith,
+        seen.los_n,
+        frequency,
+        klobuchar,
+        seen.el,
+        seen.ionosphere,
+        seen.troposphere,
+    )
+    return seen
+
+
+def _look(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
+    return look(
+        pos_e,
+        epoch_start=o.epoch_start,
+        t=o.t + o.gps_t0,
+        sat_pos_e=o.sat_pos_e,
+        frequency=o.frequency[:, 0].copy(),
+        klobuchar=o.klobuchar,
+        troposphere=processing.troposphere,
+        sagnac="sagnac" not in processing.without,
+    )
+
+
+def observe(
+    *,
+    t: FloatArray,
+    epoch_start: IntArray,
+    sat: IntArray,
+    system: IntArray,
+    pseudorange: FloatArray,
+    doppler: FloatArray,
+    cn0: FloatArray,
+    kepler: orbits.KeplerSets,
+    glonass: orbits.GlonassSets,
+    klobuchar: FloatArray | None,
+    processing: Processing,
+    budget: ErrorBudget = GROUND,
+) -> GnssObservations:
+    """Return raw observations with the satellites a receiver computes for them.
+
+    Parameters
+    ----------
+    t : (M,) array
+        Time tags by the receiver's clock, GPS time since a GPS midnight [s].
+    epoch_start : (M + 1,) array of int
+        First row of each epoch.
+    sat, system : (K,) arrays of int
+        Satellites.
+    pseudorange, doppler, cn0 : (K, 2) arrays
+        [m], [Hz] positive when approaching, [dB-Hz]; NaN where missing.
+    kepler, glonass : KeplerSets, GlonassSets
+        Ephemerides, times since the same midnight.
+    klobuchar : (8,) array or None
+        Broadcast ionosphere; None counts as no delay.
+    processing : Processing
+        Which corrections are left out of the satellite clocks, and how the ionosphere is removed.
+    budget : ErrorBudget
+        What the claimed sds are made of.
+
+    Returns
+    -------
+    observations : GnssObservations
+        Rows without a fresh, healthy ephemeris have NaN satellites.
+    """
+    K = len(sat)
+    tag = np.repeat(t, np.diff(epoch_start))
+    code = np.where(np.isfinite(pseudorange[:, 0]), pseudorange[:, 0], pseudorange[:, 1])
+    pos, vel = np.full((K, 3), np.nan), np.full((K, 3), np.nan)
+    clock, clock_rate, group_delay = np.full(K, np.nan), np.full(K, np.nan), np.zeros(K)
+    channel = np.zeros(K, np.int64)
+    for which, sets in ((GPS, kepler), (GLONASS, glonass)):
+        asked = np.flatnonzero((system == which) & np.isfinite(code))
+        if len(sets) == 0 or len(asked) == 0:
+            continue
+        serving = orbits.nearest(sets, sat[asked], tag[asked], _OLDEST[which])
+        asked, serving = asked[serving >= 0], serving[serving >= 0]
+        _, found = orbits.transmission(sets, serving, tag[asked], code[asked])
+        pos[asked], vel[asked] = found.pos_e, found.vel_e
+        relativity = 0.0 if "relativity" in processing.without else found.relativity
+        clock[asked] = C * (found.clock + relativity)
+        clock_rate[asked] = C * found.clock_rate
+        if isinstance(sets, orbits.GlonassSets):
+            channel[asked] = sets.channel[serving]
+        elif "group-delay" not in processing.without:
+            group_delay[asked] = C * sets.elements[serving, orbits.KEPLER.index("group_delay")]
+    frequency = orbits.frequencies(system, channel)
+    model = np.zeros(8) if klobuchar is None else klobuchar
+    made = GnssObservations(
+        t=tag,
+        t_arrival=tag,
+        sat=sat,
+        system=system,
+        frequency=frequency,
+        pseudorange=pseudorange,
+        range_rate=-doppler * C / frequency,
+        cn0=cn0,
+        sat_pos_e=pos,
+        sat_vel_e=vel,
+        sat_clock=clock,
+        sat_clock_rate=clock_rate,
+        group_delay=group_delay,
+        sd_pseudorange=np.ones(K),
+        sd_range_rate=np.full(K, budget.doppler),
+        epoch_start=epoch_start,
+        klobuchar=model,
+        gps_t0=0.0,
+    )
+    ranges = corrected(made, processing)
+    rough = least_squares.position(epoch_start, pos, ranges, made.sd_pseudorange, system, close=_ROUGH)
+    el = _look(made, rough.pos_e, processing).el
+    sd = spread(el, system, frequency[:, 0].copy(), np.full(K, budget.code), budget, processing.ionosphere)
+    columns = {name: getattr(made, name) for name in GnssObservations.__slots__}
+    return GnssObservations(**columns | {"sd_pseudorange": np.where(np.isfinite(sd), sd, 1e3)})
+
+
+def corrected(observations: GnssObservations, processing: Processing) -> FloatArray:
+    """Return pseudoranges (K,) corrected for satellite clock and group delay, not for the atmosphere [m].
+
+    With ``ionosphere = "free"`` they are the two-frequency combination, NaN where a band is missing.
+    """
+    ranges = observations.pseudorange
+    if processing.ionosphere == "free":
+        f = observations.frequency
+        return ionosphere_free(ranges[:, 0], ranges[:, 1], f[:, 0], f[:, 1]) + observations.sat_clock
+    return ranges[:, 0] + observations.sat_clock - observations.group_delay
+
+
+def solve(observations: GnssObservations, processing: Processing, near: Look | None = None) -> Solution:
+    """Return the fixes of every epoch.
+
+    Parameters
+    ----------
+    observations : GnssObservations
+        What the receiver measured, with its satellites.
+    processing : Processing
+        What it makes of it.
+    near : Look or None
+        What it sees from where it expects itself, within about 10 m. None: a rough position gives elevations
+        and delays, a second one the height that the troposphere depends on.
+
+    Notes
+    -----
+    What is below the mask is not used; while the residuals are too large, the worst satellite is left out.
+    """
+    o, without = observations, processing.without
+    start, system = o.epoch_start, o.system
+    sagnac, one_clock = "sagnac" not in without, "clocks" in without
+    ranges = corrected(o, processing)
+    wanted = np.ones(len(o), bool)
+    if processing.systems in ("gps", "glonass"):
+        wanted = system == (GPS if processing.systems == "gps" else GLONASS)
+    for _ in range(2 if near is None else 0):
+        if near is None:
+            rough, use, delayed = None, wanted, ranges
+        else:
+            rough, use, delayed = (
+                near.pos_e,
+                wanted & (near.el > processing.mask),
+                _less(ranges, near, processing),
+            )
+        pos_e = least_squares.position(
+            start, o.sat_pos_e, delayed, o.sd_pseudorange, system,
+            use=use, start_e=rough, close=_ROUGH, one_clock=one_clock, sagnac=sagnac,
+        ).pos_e  # fmt: skip
+        near = _look(o, pos_e, processing)
+    assert near is not None
+    ranges = _less(ranges, near, processing)
+    use = wanted & (near.el > processing.mask) & np.isfinite(ranges)
+    if processing.systems == "auto":
+        use, _ = least_squares.best_set(start, near.los_n, system, o.sd_pseudorange, use)
+    bounds = least_squares.thresholds(processing.false_alarm) if processing.false_alarm > 0 else None
+    fix = least_squares.position(
+        start, o.sat_pos_e, ranges, o.sd_pseudorange, system,
+        use=use, start_e=near.pos_e, threshold=bounds, one_clock=one_clock, sagnac=sagnac,
+    )  # fmt: skip
+    range_rate = o.range_rate[:, 0] + o.sat_clock_rate
+    speed = least_squares.velocity(
+        start, o.sat_pos_e, o.sat_vel_e, range_rate, o.sd_range_rate, fix.used, fix.pos_e, sagnac=sagnac
+    )
+    lla = earth.to_geodetic(fix.pos_e)
+    C_en = earth.matrix_en(lla[:, 0], lla[:, 1])
+    vel_n = np.empty_like(speed.vel_e)
+    cov_pos_n, cov_vel_n = np.empty_like(fix.cov_e), np.empty_like(fix.cov_e)
+    _to_n_kernel(np.ascontiguousarray(C_en), speed.vel_e, fix.cov_e, speed.cov_e, vel_n, cov_pos_n, cov_vel_n)
+    count = np.add.reduceat(np.append(fix.used, False).astype(np.int64), start[:-1])
+    count = np.where(np.diff(start) > 0, count, 0)
+    fixes = GnssFixes(
+        t=_of_epochs(o.t, start),
+        t_arrival=_of_epochs(o.t_arrival, start),
+        valid=fix.passed,
+        lla=lla,
+        vel_n=vel_n,
+        cov_pos_n=cov_pos_n,
+        cov_vel_n=cov_vel_n,
+        satellites=count,
+    )
+    return Solution(fixes, fix.clock, speed.drift, near.los_n, fix.used, fix.residual)
+
+
+def _less(ranges: FloatArray, near: Look, processing: Processing) -> FloatArray:
+    """Return ranges (K,) less the delays of the atmosphere [m]."""
+    if "ionosphere" not in processing.without and processing.ionosphere == "klobuchar":
+        ranges = ranges - near.ionosphere
+    return ranges if "troposphere" in processing.without else ranges - near.troposphere
+
+
+def _of_epochs(column: FloatArray, start: IntArray) -> FloatArray:
+    """Return the value of each epoch's first row; an epoch without rows has NaN."""
+    return np.where(np.diff(start) > 0, np.append(column, np.nan)[start[:-1]], np.nan)
