@@ -140,6 +140,18 @@ class Controls:
     __reduce__ = _rebuild
 
 
+def no_air() -> AirData:
+    """Return air data without rows: nothing is known of the air."""
+    n = np.empty(0)
+    return AirData(n, n, n, n, n, n, n, np.empty((0, 3)), n)
+
+
+def no_controls() -> Controls:
+    """Return controls without rows: nothing is known of them."""
+    n = np.empty(0)
+    return Controls(n, n, n, n, n)
+
+
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """The truth: motion of the IMU, with the exact increments an error-free IMU would give."""

@@ -12,7 +12,7 @@ from bench import store
 from bench.config import ConfigError
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.navigation import estimator
-from bench.specs import AssumedSpecs, EstimatorChoice, Profile
+from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,13 @@ def fly(
     ------
     bench.flight.FlightError
         When the aircraft cannot be loaded, trimmed or flown.
+    bench.config.ConfigError
+        When a trajectory table cannot be used.
     """
     if cache:
-        return store.truth_cached(profile.flight, lambda: _in_jsbsim(profile, progress))
+        return store.truth_cached(profile.flight, lambda: _made(profile, progress))
+    if isinstance(profile.flight, TableSpec):
+        return _read(profile.flight)
     from bench import flight
 
     return flight.fly(profile.flight, progress)
@@ -51,16 +55,24 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     from bench.flight.summary import Summary
 
     summary, replay = Summary(), Replay()
-    for piece in store.truth_pieces(profile.flight, lambda: _in_jsbsim(profile, progress)):
+    for piece in store.truth_pieces(profile.flight, lambda: _made(profile, progress)):
         summary.add(piece)
         replay.add(piece)
     return summary.result() | replay.result()
 
 
-def _in_jsbsim(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
+def _made(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
+    if isinstance(profile.flight, TableSpec):
+        return iter([_read(profile.flight)])
     from bench import flight
 
     return flight.fly_pieces(profile.flight, progress)
+
+
+def _read(table: TableSpec) -> Trajectory:
+    from bench.exchange import trajectory
+
+    return trajectory.read_trajectory(table)
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:

@@ -47,6 +47,16 @@ class RunwaySpec:
 
 
 @dataclass(frozen=True, slots=True)
+class ForeignSpec:
+    """What an aircraft of the jsbsim wheel or of the user needs besides."""
+
+    root: Path  # JSBSim root: holds engine/ and systems/
+    properties: Mapping[str, float]  # of the model, set before the start: mixture, gear ...
+    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
+    guided: bool = False  # its model has the guidance system of the bench already
+
+
+@dataclass(frozen=True, slots=True)
 class AircraftSpec:
     """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it.
 
@@ -64,6 +74,7 @@ class AircraftSpec:
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
+    foreign: ForeignSpec | None = None  # how it is flown when it was not made for the bench
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
@@ -342,6 +353,59 @@ class FlightSpec:
     gusts: tuple[Gust, ...] = ()  # in order, none before the end of the other
     turbulence_model: str = "milspec"  # or "tustin", another discretization of the same spectra
 
+    @property
+    def label(self) -> str:
+        """What is flown, in words."""
+        return f"aircraft {self.aircraft.name}"
+
+    @property
+    def mesh(self) -> str:
+        """Class of the simple shape in the recording."""
+        return self.aircraft.mesh
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptSpec:
+    """A JSBSim script, flown as it is."""
+
+    name: str
+    path: Path
+    root: Path  # JSBSim root: holds aircraft/, engine/ and systems/
+    aircraft: str  # name of the aircraft it flies
+    rate: float  # truth and IMU output rate [Hz]
+    duration: float | None  # the script is stopped there [s]; None: flown to its end
+    turbulence_seed: int  # of JSBSim's random numbers, unless the script sets its own
+    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
+
+    @property
+    def label(self) -> str:
+        """What is flown, in words."""
+        return f"script {self.name}, aircraft {self.aircraft}"
+
+    @property
+    def mesh(self) -> str:
+        """Class of the simple shape in the recording."""
+        return {"uav": "uav", "light": "light-single"}.get(self.category, "jet")
+
+
+@dataclass(frozen=True, slots=True)
+class TableSpec:
+    """A trajectory somebody else made, as a table."""
+
+    name: str
+    path: Path
+    rate: float  # truth and IMU output rate [Hz]
+    duration: float | None  # truth ends there [s]; None: with the table
+    mesh: str = "uav"  # class of the simple shape in the recording
+
+    @property
+    def label(self) -> str:
+        """What is flown, in words."""
+        return f"trajectory {self.path.name}"
+
+
+Flight = FlightSpec | ScriptSpec | TableSpec
+
 
 # --- the sensors --------------------------------------------------------------------------------------
 
@@ -535,7 +599,7 @@ class Profile:
     name: str
     title: str
     seed: int
-    flight: FlightSpec
+    flight: Flight
     sensors: SensorsSpec
     estimators: tuple[EstimatorChoice, ...]
     evaluation_from: float  # end of the alignment window [s]

@@ -64,3 +64,15 @@ def unit_of(name: str) -> str:
     ('deg/sqrt(h)', 'deg', '')
     """
     return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a name without the ending that is its unit, and the unit.
+
+    Examples
+    --------
+    >>> split_unit("vel_n_mps"), split_unit("q_nb_w")
+    (('vel_n', 'm/s'), ('q_nb_w', ''))
+    """
+    ending = next((ending for ending in _ENDINGS if name.endswith(ending)), "")
+    return name.removesuffix(ending), _ENDINGS.get(ending, "")

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.config.profile_tables import ProfileTable
+from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import quantity, suggest
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import EstimatorChoice
@@ -16,7 +16,7 @@ from bench.specs import EstimatorChoice
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
 
-def rates(table: ProfileTable, sensors: Mapping[str, Any]) -> list[str]:
+def rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
     """Check that fixes and outputs fall on instants of the truth."""
     asked = {
         f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
@@ -31,7 +31,7 @@ def rates(table: ProfileTable, sensors: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def outages(table: ProfileTable) -> list[str]:
+def outages(table: ExperimentTable) -> list[str]:
     """Check that outages do not overlap and, like the alignment window, lie inside the flight."""
     wrong = []
     rows = sorted(

@@ -10,13 +10,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from bench.config import brought
 from bench.config.datasheets import SENSORS
 from bench.config.tables import ROWS, ConfigError, Table, between, checked, read, suggest
 from bench.places import PACKAGE
-from bench.specs import AircraftSpec, RunwaySpec
+from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
 
 _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
+JSBSIM = "jsbsim:"
+"""How the name of an aircraft of the jsbsim wheel begins."""
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -78,6 +81,11 @@ def profile_file(name: str) -> tuple[Path, str]:
     return _PROFILES / f"{name}.toml", f"{name}.toml"
 
 
+class _ForeignTable(_AircraftTable):
+    category: Literal["uav", "light", "transport", "fighter"] = "light"
+    properties: dict[str, float] = Field(default_factory=dict)
+
+
 def aircraft_folder(name: str, beside: Path) -> Path:
     """Return the folder of an aircraft: beside the profile, in the repository or in the installed copy.
 
@@ -109,9 +117,59 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
     """
     name = folder.name
     shown = f"{name}/aircraft.toml"
-    table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
-    if not (folder / f"{name}.xml").is_file():
+    model = folder / f"{name}.xml"
+    if folder.parent in _aircraft_places():
+        table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
+        foreign = None
+    else:
+        guided = brought.has_guidance(model)
+        kind = _AircraftTable if guided else _ForeignTable
+        table = checked(kind, read(folder / "aircraft.toml", shown), shown)
+        foreign = _foreign(table, brought.jsbsim_root(None, beside))
+    if not model.is_file():
         raise ConfigError(f"{name}/{name}.xml: no such file")
+    return _aircraft(table, shown, folder, beside, foreign)
+
+
+def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftSpec:
+    """Return the aircraft ``jsbsim:NAME`` of the jsbsim wheel or of another JSBSim root.
+
+    What guidance needs is in ``aircraft/jsbsim/NAME.toml`` beside the profile, or shipped.
+
+    Raises
+    ------
+    ConfigError
+        One message per thing that is missing or wrong.
+    """
+    name = name.removeprefix(JSBSIM)
+    folder = brought.jsbsim_root(root, beside)
+    known = brought.aircraft_of(folder)
+    if name not in known:
+        raise ConfigError(
+            f"aircraft = {JSBSIM + name!r} is not in {folder / 'aircraft'}{suggest(name, known, 'aircraft')}"
+        )
+    places = [place / "jsbsim" for place in _aircraft_places(beside)]
+    file = next((place / f"{name}.toml" for place in places if (place / f"{name}.toml").is_file()), None)
+    if file is None:
+        shipped = sorted({path.stem for place in places for path in place.glob("*.toml")})
+        raise ConfigError(
+            f"aircraft = {JSBSIM + name!r} has no gains here: write aircraft/jsbsim/{name}.toml beside the "
+            f"profile, with limits, antenna and guidance as those of {', '.join(shipped)}"
+        )
+    shown = f"jsbsim/{name}.toml"
+    table = checked(_ForeignTable, read(file, shown), shown)
+    return _aircraft(table, shown, folder / "aircraft" / name, beside, _foreign(table, folder))
+
+
+def _foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
+    if isinstance(table, _ForeignTable):
+        return ForeignSpec(root, table.properties, table.category)
+    return ForeignSpec(root, {}, table.mesh, guided=True)
+
+
+def _aircraft(
+    table: _AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
+) -> AircraftSpec:
     limits, imu, antenna = table.limits, table.imu, table.antenna
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
@@ -120,7 +178,7 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
     if with_guidance is None:
         raise ConfigError(f"guidance.xml: no such file in {', '.join(str(place) for place in systems)}")
     return AircraftSpec(
-        name=name,
+        name=folder.name,
         folder=folder,
         systems=with_guidance,
         gains=table.guidance,
@@ -135,6 +193,7 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
             antenna.down_m - imu.down_m,
         ),
         mesh=table.mesh,
+        foreign=foreign,
         imu_b=(imu.forward_m, imu.right_m, imu.down_m),
         runway=_runway(table.runway) if table.runway else None,
         configuration=table.configuration,
@@ -198,6 +257,8 @@ def list_aircraft(beside: Path | None = None) -> list[tuple[str, str]]:
     for place in reversed(_aircraft_places(beside)):
         for path in place.glob("*/aircraft.toml"):
             found[path.parent.name] = str(read(path, f"{path.parent.name}/aircraft.toml").get("title", ""))
+        for path in place.glob("jsbsim/*.toml"):
+            found[f"{JSBSIM}{path.stem}"] = str(read(path, f"jsbsim/{path.name}").get("title", ""))
     return sorted(found.items())
 
 

@@ -9,16 +9,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.config import checks, leg_checks
+from bench.config import brought, checks, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.leg_tables import to_leg
-from bench.config.library import aircraft_folder, profile_file, read_aircraft, sensor_file
-from bench.config.profile_tables import SEVERITY, ProfileTable, RunwayTable, StartTable
+from bench.config.library import (
+    JSBSIM,
+    aircraft_folder,
+    profile_file,
+    read_aircraft,
+    read_jsbsim_aircraft,
+    sensor_file,
+)
+from bench.config.profile_tables import SEVERITY, ExperimentTable, ProfileTable, RunwayTable, StartTable
 from bench.config.tables import ConfigError, checked, noting, read
 from bench.specs import (
     AircraftSpec,
     AssumedSpecs,
     EstimatorChoice,
+    Flight,
     FlightSpec,
     Gust,
     Profile,
@@ -57,27 +65,41 @@ def load_profile(
     path, shown = profile_file(str(name))
     document = read(path, shown)
     if seed is not None:
-        document |= {"seed": seed, "turbulence_seed": seed}
+        document |= {"seed": seed} | ({} if "trajectory" in document else {"turbulence_seed": seed})
     for key, value in (overrides or {}).items():
         document = _override(document, key, value)
     beside, wrong = path.parent, list[str]()
-    aircraft = _find_aircraft(document.get("aircraft"), beside, f"{shown}: ", wrong)
+    flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
+    if len(flown_by) > 1:
+        raise ConfigError(f"{shown}: {' and '.join(flown_by)}: a profile has only one of them")
+    bring = brought.BRING.get(flown_by[0]) if flown_by else None
+    aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if bring is None else None
     units = document.get("sensors")
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
+    if units is None and bring is not None:
+        units = bring[0].model_fields["sensors"].default.model_dump()
+        on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
     believed = units.get("assumed") if isinstance(units, Mapping) else None
     assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
-        table = checked(ProfileTable, document, shown)
+        table: ExperimentTable = checked(bring[0] if bring else ProfileTable, document, shown)
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     choices = tuple(_choice(row.use, row.label, row.options) for row in table.estimator)
-    across = leg_checks.legs(table, aircraft) if aircraft else []
-    across += leg_checks.air(table)
+    flight: Flight | None = None
+    across = []
+    if isinstance(table, ProfileTable) and aircraft is not None:
+        across = leg_checks.legs(table, aircraft) + leg_checks.air(table)
+        if not across:
+            flight = _flight(table, aircraft)
+    elif bring is not None:
+        with noting(wrong, f"{shown}: "):
+            flight = bring[1](table, beside)
     across += checks.rates(table, on_board) + checks.outages(table)
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
-    if wrong or aircraft is None:
+    if wrong or flight is None:
         raise ConfigError(*wrong)
     if estimators is not None:
         by_label = {choice.label: choice for choice in choices}
@@ -91,7 +113,7 @@ def load_profile(
         name=path.stem,
         title=table.title or path.stem,
         seed=table.seed,
-        flight=_flight(table, aircraft),
+        flight=flight,
         sensors=_sensors(table, aircraft, on_board, assumed),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
@@ -118,10 +140,17 @@ def _index(rows: object, part: str, key: str) -> int:
     return int(part)
 
 
-def _find_aircraft(name: object, beside: Path, place: str, wrong: list[str]) -> AircraftSpec | None:
+def _find_aircraft(
+    document: Mapping[str, Any], beside: Path, place: str, wrong: list[str]
+) -> AircraftSpec | None:
     """Read an aircraft, or add to ``wrong`` why not; what is no text is left to the check of its table."""
+    name, root = document.get("aircraft"), document.get("jsbsim_root")
     if isinstance(name, str):
         with noting(wrong, place):
+            if name.startswith(JSBSIM):
+                return read_jsbsim_aircraft(name, root if isinstance(root, str) else None, beside)
+            if root is not None:
+                raise ConfigError(f"jsbsim_root is for aircraft = '{JSBSIM}NAME'; aircraft = {name!r} is not")
             folder = aircraft_folder(name, beside)
             with noting(wrong):
                 return read_aircraft(folder, beside)
@@ -189,7 +218,10 @@ def _runway(row: RunwayTable | StartTable) -> Runway:
 
 
 def _sensors(
-    table: ProfileTable, aircraft: AircraftSpec, on_board: Mapping[str, Any], assumed: Mapping[str, Any]
+    table: ExperimentTable,
+    aircraft: AircraftSpec | None,
+    on_board: Mapping[str, Any],
+    assumed: Mapping[str, Any],
 ) -> SensorsSpec:
     initial = table.initial_error_sd
     outages = sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)
@@ -198,7 +230,7 @@ def _sensors(
         gnss=on_board["gnss"],
         baro=on_board["baro"],
         assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
-        antenna_b=aircraft.antenna_b,
+        antenna_b=brought.antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple((float(start), float(end)) for start, end in outages),
         initial_pos_sd=initial.pos_m,
         initial_vel_sd=initial.vel_mps,
@@ -208,10 +240,11 @@ def _sensors(
     )
 
 
-def _document(table: ProfileTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
+def _document(table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
     """Return the profile as flown: the file with the overrides and every default filled in."""
     document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
-    document.setdefault("turbulence_seed", table.seed)
+    if "turbulence_seed" in type(table).model_fields:
+        document.setdefault("turbulence_seed", table.seed)
     sensors = document["sensors"]
     own = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
     sensors["assumed"] = own | sensors["assumed"]

@@ -154,22 +154,61 @@ class EvaluationTable(Table):
     output_hz: Annotated[float, between(0.1, 400)] = 10.0
 
 
-class ProfileTable(Table):
-    """The file of a profile, in its own units."""
+class AntennaTable(Table):
+    """GNSS antenna relative to the IMU, where no aircraft says it."""
+
+    forward_m: Annotated[float, between(-100, 100)] = 0.0
+    right_m: Annotated[float, between(-100, 100)] = 0.0
+    down_m: Annotated[float, between(-100, 100)] = 0.0
+
+
+class ExperimentTable(Table):
+    """What every profile says, however its truth comes about."""
 
     title: str | None = None
-    aircraft: str
     rate_hz: Literal[100, 200, 400] = 200
     seed: Seed = 0
-    turbulence_seed: Seed | None = None
     duration_s: Seconds | None = None
-    start: StartTable
-    runway: RunwayTable | None = None
-    wind: WindTable = WindTable()
-    gust: Annotated[tuple[GustTable, ...], ROWS] = ()
-    leg: Annotated[tuple[Annotated[LegTable, Field(discriminator="kind")], ...], ROWS, Field(min_length=1)]
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
     initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
     evaluation: EvaluationTable = EvaluationTable()
+
+
+class ProfileTable(ExperimentTable):
+    """The file of a profile with legs, in its own units."""
+
+    aircraft: str
+    jsbsim_root: str | None = None
+    turbulence_seed: Seed | None = None
+    start: StartTable
+    runway: RunwayTable | None = None
+    wind: WindTable = WindTable()
+    gust: Annotated[tuple[GustTable, ...], ROWS] = ()
+    leg: Annotated[tuple[Annotated[LegTable, Field(discriminator="kind")], ...], ROWS, Field(min_length=1)]
+
+
+class _BroughtTable(ExperimentTable):
+    """A truth that is brought along; the usual units are on board when the file names none."""
+
+    sensors: SensorsTable = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
+    estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = (
+        EstimatorTable(use="loose-15"),
+    )
+    antenna: AntennaTable = AntennaTable()
+
+
+class ScriptTable(_BroughtTable):
+    """The file of a profile that is a JSBSim script: a name of the jsbsim wheel or a path."""
+
+    script: str
+    jsbsim_root: str | None = None
+    turbulence_seed: Seed | None = None
+    category: Literal["uav", "light", "transport", "fighter"] = "light"
+
+
+class TrajectoryTable(_BroughtTable):
+    """The file of a profile that is a table of a trajectory."""
+
+    trajectory: str

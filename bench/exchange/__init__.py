@@ -1,1 +1,1 @@
-"""Files of other people: observations, ephemerides and almanacs of satellites."""
+"""Files of other people: trajectories, observations, ephemerides and almanacs of satellites."""

@@ -1,7 +1,61 @@
 """From a flight plan to truth: the only place that knows JSBSim, its names and its feet."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from bench.data import Trajectory
+from bench.flight import recorder
+from bench.flight.child import fly_in_child
 from bench.flight.model import FlightError
-from bench.flight.recorder import fly, fly_pieces
 from bench.flight.summary import Summary, summarise
+from bench.specs import FlightSpec, ScriptSpec
 
 __all__ = ["FlightError", "Summary", "fly", "fly_pieces", "summarise"]
+
+
+def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
+    """Fly a plan or a script; the same spec gives the same bits in any process.
+
+    Parameters
+    ----------
+    spec : FlightSpec or ScriptSpec
+        What is flown; its rate is a multiple of 20 Hz.
+    progress : callable, optional
+        Called with the time flown so far [s].
+
+    Returns
+    -------
+    Trajectory
+        Truth at spec.rate from t = 0, legs as events of kind "leg". What was not made for the bench
+        flies in a process of its own and has a sanity report, events of kind "sanity".
+
+    Raises
+    ------
+    FlightError
+        When it cannot be loaded, trimmed, or flown as planned.
+    """
+    if isinstance(spec, ScriptSpec):
+        from bench.flight import script
+
+        return script.fly(spec, progress)
+    foreign = spec.aircraft.foreign
+    if foreign is not None and foreign.guided:
+        return fly_in_child("recorder:fly", spec, f"aircraft {spec.aircraft.name}", progress)
+    if foreign is not None:
+        from bench.flight import wheel
+
+        return wheel.fly(spec, progress)
+    return recorder.fly(spec, progress)
+
+
+def fly_pieces(
+    spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None
+) -> Iterator[Trajectory]:
+    """Fly and yield the truth in pieces, as `bench.flight.recorder.fly_pieces` says.
+
+    What was not made for the bench comes in one piece. Parameters and errors as for :func:`fly`.
+    """
+    if isinstance(spec, FlightSpec) and spec.aircraft.foreign is None:
+        return recorder.fly_pieces(spec, progress)
+    return iter([fly(spec, progress)])

@@ -60,13 +60,13 @@ def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
     )
     if any(point_b):
         arm_i = rotate(motion.q_ib, point_b)
-        pos_i, vel_i = pos_i + arm_i[:-2], vel_i + _derivative(arm_i, motion.dt)
+        pos_i, vel_i = pos_i + arm_i[:-2], vel_i + derivative(arm_i, motion.dt)
         lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
         q_nb = continuous(multiply(conjugate(_level(lat, lon)), q_ib))
     return Motion(motion.dt, epa, pos_i, vel_i, q_nb, q_ib)
 
 
-def _derivative(u: FloatArray, dt: float) -> FloatArray:
+def derivative(u: FloatArray, dt: float) -> FloatArray:
     """Return the derivative (K-2, 3) of u (K, 3), K >= 5, at all rows but the last two, to order dt^4."""
     rate = np.empty_like(u[:-2])
     rate[0] = -25 * u[0] + 48 * u[1] - 36 * u[2] + 16 * u[3] - 3 * u[4]

@@ -97,7 +97,7 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
     source = aircraft.folder / f"{aircraft.name}.xml"
     if not source.is_file():
         raise FlightError(f"aircraft {aircraft.name}: {source} is missing")
-    log = _log()
+    log = silent_log()
     with tempfile.TemporaryDirectory(prefix="bench-flight-") as scratch:
         _copy_without_io(aircraft.folder, Path(scratch) / "aircraft" / aircraft.name)
         _copy_without_io(aircraft.systems, Path(scratch) / "systems")
@@ -115,10 +115,10 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
             loaded = loaded and fdm.run_ic()  # a property that does not exist shows only here
         except RuntimeError as error:
             _abandon(fdm)
-            raise FlightError(f"aircraft {aircraft.name}: {_one_line(str(error), scratch)}") from None
+            raise FlightError(f"aircraft {aircraft.name}: {one_line(str(error), scratch)}") from None
         if not loaded:
             _abandon(fdm)
-            reason = _one_line(" ".join(log.lines), scratch)
+            reason = one_line(" ".join(log.lines), scratch)
             raise FlightError(f"aircraft {aircraft.name}: JSBSim cannot load it: {reason}")
     for name, gain in aircraft.gains.items():
         if not _NAME.fullmatch(name):
@@ -148,7 +148,7 @@ def trim(fdm: Any, condition: Condition) -> Trim:
     def accelerations(x: FloatArray) -> FloatArray:
         alpha, beta, roll, aileron, elevator, throttle = x * scale
         place(fdm, condition, alpha, beta, roll, aileron, elevator, throttle)
-        return _accelerations(fdm)
+        return present_accelerations(fdm)
 
     # a search that leaves the travel of a control gets lost where nothing changes any more: begin elsewhere
     for start in _TRIM_STARTS:
@@ -206,7 +206,7 @@ def place(
     for name, number in INTEGRATORS.items():  # run_ic resets them
         fdm[f"simulation/integrator/{name}"] = number
     set_wind(fdm, np.asarray(condition.wind_n))
-    _wait(fdm, 1)
+    wait(fdm, 1)
 
 
 def settle(fdm: Any) -> None:
@@ -216,14 +216,15 @@ def settle(fdm: Any) -> None:
     a few steps of a nanosecond: their history still holds the flight without wind.
     """
     dt = fdm.get_delta_t()
-    _wait(fdm, round(_SETTLE / dt))
+    wait(fdm, round(_SETTLE / dt))
     fdm.set_dt(1e-9)
     for _ in range(_HISTORY):
         fdm.run()
     fdm.set_dt(dt)
 
 
-def _wait(fdm: Any, steps: int) -> None:
+def wait(fdm: Any, steps: int) -> None:
+    """Step the systems of the model without moving it."""
     fdm.suspend_integration()
     for _ in range(steps):
         fdm.run()
@@ -276,13 +277,14 @@ def linearize(fdm: Any, condition: Condition, trimmed: Trim, step: float = 1e-4)
         )
         roll_rate = p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll))
         pitch_rate = q * np.cos(roll) - r * np.sin(roll)
-        return np.array([*_accelerations(fdm), roll_rate, pitch_rate])
+        return np.array([*present_accelerations(fdm), roll_rate, pitch_rate])
 
     columns = [(derivative(x0 + e) - derivative(x0 - e)) / (2 * step) for e in step * np.eye(8)]
     return np.column_stack(columns)
 
 
-def _accelerations(fdm: Any) -> FloatArray:
+def present_accelerations(fdm: Any) -> FloatArray:
+    """Return the accelerations of b, linear and angular, (6,) [m/s^2, rad/s^2]."""
     return np.array([fdm[name] * unit for name, unit in _ACCELERATIONS])
 
 
@@ -319,7 +321,7 @@ def _copy_without_io(source: Path, target: Path) -> None:
             tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _log() -> Any:
+def silent_log() -> Any:
     """Return a logger that keeps what JSBSim says and prints nothing."""
     import jsbsim
 
@@ -349,5 +351,6 @@ def _abandon(fdm: Any) -> None:
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(fdm))
 
 
-def _one_line(text: str, scratch: str) -> str:
+def one_line(text: str, scratch: str) -> str:
+    """Return what JSBSim said as one line, without the scratch folder."""
     return " ".join(text.replace(f"{scratch}/", "").split())[:300] or "no reason given"

@@ -34,6 +34,7 @@ class Summary:
         self._least: dict[str, float] = {}
         self._most: dict[str, float] = {}
         self._legs: list[tuple[float, float, str]] = []
+        self._sanity: list[tuple[float, float, str]] = []
 
     def add(self, piece: Trajectory) -> None:
         """Take in the next piece, which begins with the instant at which the last one ended."""
@@ -54,6 +55,7 @@ class Summary:
         for axis, name in enumerate(("roll", "pitch", "yaw")):
             self._take(f"{name}_rate", w_b[:, axis])
         self._legs += piece.events.of("leg")
+        self._sanity += piece.events.of("sanity")
 
     def _take(self, name: str, values: FloatArray) -> None:
         if len(values):
@@ -62,7 +64,7 @@ class Summary:
             self._most[name] = max(most, self._most.get(name, most))
 
     def result(self) -> dict[str, Any]:
-        """Return the figures so far, the unit in each key, and the legs as (start, end, text)."""
+        """Return the figures so far, the unit in each key, legs and sanity report as (start, end, text)."""
         least, most = self._least, self._most
         duration = most["t"] - least["t"]
         both = {"alt": "_m", "airspeed": "_mps", "ground_speed": "_mps", "climb": "_mps", "load_factor": ""}
@@ -85,4 +87,5 @@ class Summary:
             "pitch_rate_max_rad_s": most["pitch_rate"],
             "yaw_rate_max_rad_s": most["yaw_rate"],
             "legs": self._legs,
+            "sanity": self._sanity,
         }

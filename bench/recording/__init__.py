@@ -80,7 +80,7 @@ def _record(
         memory = stream.memory_recording()
         stream.send_blueprint(layout.blueprint(scene, tabs, next(iter(solutions), "")))
         stream.send_recording_name(f"{profile.name}, seed {profile.seed}")
-        space.send(stream, profile.flight.aircraft.mesh, truth, sensed, solutions)
+        space.send(stream, profile.flight.mesh, truth, sensed, solutions)
         words.send(stream, profile, truth, sensed, solutions, metrics)
         for plot in plots.every(tabs):
             plots.send(stream, plot, outages)

@@ -371,9 +371,14 @@ def _flight_rows(truth: Trajectory, sensed: Sensed) -> Rows:
             ("engine", "Engine speed [rpm]", engine),
         ],
     ]
-    return [
-        [Plot(entity("flight", name), title, tuple(series)) for name, title, series in group]
+    told = [  # a truth that was brought as a table says nothing of the air and the controls
+        [(name, title, [line for line in series if len(line.t)]) for name, title, series in group]
         for group in groups
+    ]
+    return [
+        [Plot(entity("flight", name), title, tuple(series)) for name, title, series in group if series]
+        for group in told
+        if any(series for _, _, series in group)
     ]
 
 

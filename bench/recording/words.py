@@ -10,9 +10,9 @@ import numpy as np
 from bench.data import NavSolution, Sensed, Trajectory
 from bench.evaluation.metrics import metric_of
 from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour
-from bench.specs import Profile
+from bench.specs import Flight, FlightSpec, Profile
 
-WARNINGS = ("gnss_outage", "fault", "timeline", "rejected", "diverged")
+WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
 """Kinds of event that are logged as warnings."""
 
 
@@ -74,7 +74,7 @@ def _send_phase(
 
 def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
-    flight, sensors = profile.flight, profile.sensors
+    sensors = profile.sensors
     units = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
     colours = ", ".join(
         f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
@@ -84,9 +84,7 @@ def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[s
         f"# {profile.title}",
         "",
         f"- profile `{profile.name}`, seed {profile.seed}",
-        f"- aircraft `{flight.aircraft.name}`, {truth.t[-1] - truth.t[0]:.0f} s, wind "
-        f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "
-        f"turbulence severity {flight.severity}",
+        f"- {_flight(profile.flight, truth)}",
         *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
         *([f"- GNSS outage {lost}"] if lost else []),
         "",
@@ -110,6 +108,20 @@ def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[s
         if metric_of(name) is not None and not name.endswith("_all"):
             lines.append(f"| {name} | {' | '.join(_number(value) for value in row)} |")
     return "\n".join(lines) + "\n"
+
+
+def _flight(flight: Flight, truth: Trajectory) -> str:
+    length = f"{truth.t[-1] - truth.t[0]:.0f} s"
+    if not isinstance(flight, FlightSpec):
+        beyond = len(truth.events.of("sanity"))
+        return f"{flight.label}, {length}" + (
+            f", {beyond} remarks of sanity among the events" if beyond else ""
+        )
+    return (
+        f"aircraft `{flight.aircraft.name}`, {length}, wind "
+        f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "
+        f"turbulence severity {flight.severity}"
+    )
 
 
 def _number(value: Any) -> str:

@@ -24,10 +24,11 @@ import numpy as np
 
 from bench.data import AirData, Controls, Events, Trajectory
 from bench.places import PACKAGE, cache_folder
-from bench.specs import FlightSpec
+from bench.specs import Flight, FlightSpec, ScriptSpec
 from bench.store.provenance import versions
 
 _UNUSED_DAYS = 30
+_BLOCK = 1 << 20  # [byte]
 _LOG = logging.getLogger(__name__)
 
 _INDEX = "index.json"  # SHA-256 of every other file of an entry
@@ -38,17 +39,26 @@ _Array = np.ndarray[Any, Any]
 SHARED = ("t", "lla", "vel_n", "q_nb")
 """Columns in which a piece repeats the last row of the one before."""
 
-_SOURCES = ("flight", "rotation.py", "earth.py", "arrays.py", "data.py", "specs.py")
+_SOURCES = (
+    "flight",
+    "exchange/trajectory.py",
+    "unit_names.py",
+    "rotation.py",
+    "earth.py",
+    "arrays.py",
+    "data.py",
+    "specs.py",
+)
 """Files of the package that truth depends on."""
 
 
-def truth_cached(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
+def truth_cached(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
     """Return the truth of a flight: from the cache, or flown and kept there.
 
     Parameters
     ----------
-    spec : FlightSpec
-        All that the truth depends on, besides the aircraft's files and the software.
+    spec : FlightSpec, ScriptSpec or TableSpec
+        All that the truth depends on, besides the files it names and the software.
     fly : callable
         Flies it and returns its pieces; one is enough. Called when the cache has no such truth, or a
         damaged one; and again when what it flew could not be kept.
@@ -65,7 +75,7 @@ def truth_cached(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> T
     return _joined(fly()) if truth is None else truth
 
 
-def truth_pieces(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
+def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
     """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `truth_cached`.
 
     What is not in the cache is flown and kept there first.
@@ -74,19 +84,38 @@ def truth_pieces(spec: FlightSpec, fly: Callable[[], Iterable[Trajectory]]) -> I
     yield from _pieces(entry) if _sound(entry) or _kept(entry, fly) else fly()
 
 
-def truth_key(spec: FlightSpec) -> str:
-    """Return the hash of everything truth depends on: the flight, the aircraft's files, the software."""
-    values = dataclasses.asdict(spec)
-    aircraft = values["aircraft"]
-    folder, systems = Path(aircraft.pop("folder")), Path(aircraft.pop("systems"))
-    legs = [[type(leg).__name__, dataclasses.asdict(leg)] for leg in spec.legs]
+def truth_key(spec: Flight) -> str:
+    """Return the hash of everything truth depends on: the flight, the files it names, the software."""
+    values, files = _inputs(spec)
     digest = hashlib.sha256()
-    digest.update(json.dumps({**values, "legs": legs, "versions": versions()}, sort_keys=True).encode())
-    for root in (folder, systems, *(PACKAGE / name for name in _SOURCES)):
+    digest.update(json.dumps({**values, "versions": versions()}, sort_keys=True).encode())
+    for root in (*files, *(PACKAGE / name for name in _SOURCES)):
         for path in _files(root):
             digest.update(f"{root.name}/{path.relative_to(root)}\0{path.stat().st_size}\0".encode())
-            digest.update(path.read_bytes())
+            with path.open("rb") as file:
+                while block := file.read(_BLOCK):
+                    digest.update(block)
     return digest.hexdigest()[:32]
+
+
+def _inputs(spec: Flight) -> tuple[dict[str, Any], list[Path]]:
+    """Return what a flight says of itself, and the files and folders it is made from."""
+    values = {"kind": type(spec).__name__, **dataclasses.asdict(spec)}
+    if isinstance(spec, FlightSpec):
+        aircraft, foreign = values["aircraft"], values["aircraft"]["foreign"]
+        files = [Path(aircraft.pop("folder")), Path(aircraft.pop("systems"))]
+        files += _engines(Path(foreign.pop("root"))) if foreign else []
+        values["legs"] = [[type(leg).__name__, dataclasses.asdict(leg)] for leg in spec.legs]
+        return values, files
+    files = [Path(values.pop("path"))]
+    if isinstance(spec, ScriptSpec):
+        root = Path(values.pop("root"))
+        files += [root / "aircraft" / spec.aircraft, *_engines(root)]
+    return values, files
+
+
+def _engines(root: Path) -> list[Path]:
+    return [root / "engine", root / "systems"]
 
 
 def _files(root: Path) -> list[Path]:

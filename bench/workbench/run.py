@@ -80,6 +80,7 @@ def run(
         flown = pipeline.run(profile, draw, progress=progress)
     _write(folder, profile, flown, recording=recording, force=force)
     show.result(console, profile, flown.result)
+    show.sanity(console, flown.truth.events.of("sanity"))
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
     if recording:
         console.print(f"Next: bench view {folder}")

@@ -66,7 +66,7 @@ def _band(name: str, metrics: Mapping[str, Any]) -> str:
 
 def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
     """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
-    console.print(f"{profile.title}: {profile.flight.aircraft.name}")
+    console.print(f"{profile.title}: {profile.flight.label}")
     table = _table("from", "to", "leg")
     for start, end, text in flown["legs"]:
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
@@ -75,6 +75,14 @@ def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None
     for what, shown in _figures(flown).items():
         figures.add_row(what, shown)
     console.print(figures)
+    sanity(console, flown["sanity"])
+
+
+def sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
+    """Print what no aircraft of its class does, or what is inconsistent in a table."""
+    for start, end, text in remarks:
+        when = f"{start:.1f} s" if end == start else f"{start:.1f} to {end:.1f} s"
+        console.print(f"sanity, {when}: {text}", style="yellow")
 
 
 def _figures(flown: Mapping[str, Any]) -> dict[str, str]:

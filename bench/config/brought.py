@@ -1,0 +1,123 @@
+"""Truth that is brought along: a JSBSim script, a table, an aircraft that was not made for the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from bench.config.profile_tables import (
+    ExperimentTable,
+    ScriptTable,
+    TrajectoryTable,
+)
+from bench.config.tables import ConfigError, suggest
+from bench.flight.foreign import script_facts, system_files
+from bench.flight.model import FlightError
+from bench.flight.script import LONGEST
+from bench.specs import Flight, ScriptSpec, TableSpec
+
+_TABLES = (".csv", ".parquet")
+
+
+def jsbsim_root(given: str | None, beside: Path) -> Path:
+    """Return a JSBSim root: a folder relative to the profile, or the jsbsim wheel.
+
+    Raises
+    ------
+    ConfigError
+        When it is none.
+    """
+    if given is None:
+        found = find_spec("jsbsim")
+        if found is None or found.origin is None:
+            raise ConfigError("the package jsbsim is not installed")
+        return Path(found.origin).parent
+    root = (beside / given).resolve()
+    missing = [name for name in ("aircraft", "engine", "systems") if not (root / name).is_dir()]
+    if missing:
+        raise ConfigError(f"jsbsim_root = {given!r} has no folder {' and no folder '.join(missing)}")
+    return root
+
+
+def aircraft_of(root: Path) -> list[str]:
+    """Return the names of the aircraft of a JSBSim root."""
+    return sorted(path.parent.name for path in root.glob("aircraft/*/*.xml") if path.stem == path.parent.name)
+
+
+def has_guidance(model: Path) -> bool:
+    """Say whether a model has the guidance system of the bench; what cannot be read is said in flight."""
+    try:
+        return "guidance" in system_files(model)
+    except FlightError:
+        return False
+
+
+def antenna(table: ExperimentTable) -> tuple[float, float, float]:
+    """Return the GNSS antenna of a profile without an aircraft of the bench [m], b."""
+    assert isinstance(table, ScriptTable | TrajectoryTable)
+    place = table.antenna
+    return (float(place.forward_m), float(place.right_m), float(place.down_m))
+
+
+def _script(table: ExperimentTable, beside: Path) -> ScriptSpec:
+    assert isinstance(table, ScriptTable)
+    name = table.script
+    if table.duration_s is not None and table.duration_s > LONGEST:
+        raise ConfigError(f"duration_s = {table.duration_s:g} s is above the {LONGEST:g} s of a script")
+    if name.endswith(".xml"):
+        path = (beside / name).resolve()
+        if not path.is_file():
+            raise ConfigError(f"script = {name!r}: no such file beside the profile")
+    else:
+        root = jsbsim_root(table.jsbsim_root, beside)
+        known = sorted(path.stem for path in root.glob("scripts/*.xml"))
+        if name not in known:
+            raise ConfigError(
+                f"script = {name!r} is not in {root / 'scripts'}{suggest(name, known, 'scripts')}"
+            )
+        path = root / "scripts" / f"{name}.xml"
+    try:
+        aircraft = script_facts(path).aircraft
+    except FlightError as error:
+        raise ConfigError(str(error)) from None
+    roots = [jsbsim_root(table.jsbsim_root, beside)]
+    if table.jsbsim_root is None and name.endswith(".xml"):
+        roots.insert(0, path.parent.parent)  # a script lies in <root>/scripts
+    needed = Path("aircraft") / aircraft / f"{aircraft}.xml"
+    holding = [place for place in roots if (place / needed).is_file()]
+    if not holding:
+        searched = ", ".join(str(place) for place in roots)
+        raise ConfigError(f"script = {name!r} flies {aircraft!r}, which is not found\n  searched: {searched}")
+    if not (holding[0] / "engine").is_dir():
+        raise ConfigError(
+            f"{holding[0]} has no folder engine; a JSBSim root has aircraft, engine and systems"
+        )
+    return ScriptSpec(
+        name=path.stem,
+        path=path,
+        root=holding[0],
+        aircraft=aircraft,
+        rate=float(table.rate_hz),
+        duration=None if table.duration_s is None else float(table.duration_s),
+        turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
+        category=table.category,
+    )
+
+
+def _trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
+    assert isinstance(table, TrajectoryTable)
+    path = beside / table.trajectory
+    if path.suffix.lower() not in _TABLES:
+        raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(_TABLES)}")
+    if not path.is_file():
+        raise ConfigError(f"trajectory = {table.trajectory!r}: no such file beside the profile")
+    duration = None if table.duration_s is None else float(table.duration_s)
+    return TableSpec(name=path.stem, path=path.resolve(), rate=float(table.rate_hz), duration=duration)
+
+
+BRING: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, Path], Flight]]] = {
+    "script": (ScriptTable, _script),
+    "trajectory": (TrajectoryTable, _trajectory),
+}
+"""Key of a profile -> the table of its file, and what makes a flight of it."""

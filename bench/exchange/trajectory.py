@@ -1,0 +1,515 @@
+"""Other people's trajectories in: a table of time, position and attitude becomes truth.
+
+A column says what it is in its name: quantity, frame and unit (`COLUMNS`). Position and
+attitude make the truth; a velocity, when there is one, is compared with the position.
+
+The motion between the rows is a quintic spline through at most 60 rows per second:
+position in the Earth-fixed frame, attitude as the quaternion from b to that frame,
+normalized. It has a continuous acceleration and angular rate, passes through its rows, and
+denser tables do not put their rounding into the accelerations; the rows in between
+are checked against it. Increments follow from it at 400 Hz or more by the recipe of
+`bench.flight.increments`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.tables import ConfigError
+from bench.data import Events, Trajectory, no_air, no_controls
+from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
+from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
+from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
+from bench.specs import TableSpec
+from bench.unit_names import split_unit
+
+MOST_ROWS = 3_000_000
+"""Rows of a table, and samples of a truth made of one: two hours at 400 Hz."""
+_MOST_BYTES = 2_000_000_000  # of a file
+_MOST_HEADER = 1_000_000  # of the first line [byte]
+_BLOCK = 1 << 20  # read at a time [byte]
+_FEWEST = 8  # rows; a quintic spline needs 6
+_KNOT_RATE = 60.0  # rows the spline passes through, at most [Hz]
+_FINE_RATE = 400.0  # of the steps increments are made of, at least [Hz]
+_CHUNK = 50_000  # truth samples made at a time
+
+_NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # a quaternion's norm is off 1 by more: reported, refused
+_GAP = 5.0  # an interval longer than so many usual ones is a gap
+_TURN_RATE = math.radians(720.0)  # between rows, beyond what aircraft fly [rad/s], assumed
+_TURN = math.radians(90.0)  # between rows: what happened in between is not in the table [rad]
+_SPEED_OFF = 0.05  # velocity and derivative of position differ by more ... [m/s]
+_SPEED_SHARE = 0.005  # ... and by more than this of the speed [1]
+_OFF_TABLE = 1e-3  # a row is off the truth by more [m]
+_FORCE = 10.0  # specific force beyond most aircraft [g], assumed
+_STANDARD_G = 9.80665  # [m/s^2]
+
+_FACTORS = {"s": 1.0, "rad": 1.0, "deg": math.pi / 180.0, "mrad": 1e-3, "m": 1.0, "km": 1e3, "m/s": 1.0}
+_UNITS = {
+    "time": ("s",),
+    "angle": ("deg", "rad", "mrad"),
+    "length": ("m", "km"),
+    "speed": ("m/s",),
+    "": ("",),
+}
+
+
+def _group(dimension: str, *stems: str) -> dict[str, str]:
+    return dict.fromkeys(stems, dimension)
+
+
+_TIMES = (_group("time", "t"), _group("time", "time"))
+_POSITIONS = (
+    {**_group("angle", "lat", "lon"), **_group("length", "alt")},
+    _group("length", "ecef_x", "ecef_y", "ecef_z"),
+)
+_ATTITUDES = (
+    _group("", "q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z"),
+    _group("", "q_eb_w", "q_eb_x", "q_eb_y", "q_eb_z"),
+    _group("angle", "roll", "pitch", "heading"),
+    _group("angle", "roll", "pitch", "yaw"),
+)
+_VELOCITIES = (
+    _group("speed", "vel_n", "vel_e", "vel_d"),
+    _group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
+)
+_KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": _VELOCITIES}
+_ENDING = {"time": "_s", "angle": "_deg", "length": "_m", "speed": "_mps", "": ""}
+
+COLUMNS = {
+    kind: " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in group.items()) for group in groups)
+    for kind, groups in _KINDS.items()
+}
+"""What a table may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
+
+lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed WGS 84. roll, pitch, heading (or
+yaw, the same): yaw-pitch-roll from north-east-down to forward-right-down, heading clockwise from north.
+q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: of the Earth-relative motion.
+"""
+
+
+def read_trajectory(spec: TableSpec) -> Trajectory:
+    """Return the truth of a table.
+
+    Parameters
+    ----------
+    spec : TableSpec
+        A ``.csv`` or ``.parquet`` file with the columns of `COLUMNS`, and the rate of truth.
+
+    Returns
+    -------
+    truth : Trajectory
+        From the first row, t = 0, without air data and controls. Events of kind "sanity" say what is
+        inconsistent in the table, with its row; row 1 is the first below the header.
+
+    Raises
+    ------
+    ConfigError
+        When the table cannot be read or no truth can be made of it; one line says which row.
+    """
+    table = _read(spec.path)
+    rows = _checked(table, spec.path.name)
+    fit = _fit(rows, spec.path.name)
+    length = float(rows.t[-1])
+    if spec.duration is not None:
+        if spec.duration > length + 1e-9:
+            raise ConfigError(
+                f"{spec.path.name}: it lasts {length:g} s; duration_s = {spec.duration:g} s is longer"
+            )
+        length = spec.duration
+    samples = math.floor(length * spec.rate + 1e-6)
+    if samples < spec.rate:
+        raise ConfigError(f"{spec.path.name}: it lasts {length:g} s; at least 1 s is needed")
+    if samples > MOST_ROWS:
+        raise ConfigError(
+            f"{spec.path.name}: {length:g} s at rate_hz = {spec.rate:g} Hz are {samples} samples; "
+            f"at most {MOST_ROWS} are made: lower rate_hz, or set duration_s"
+        )
+    truth = _truth(fit, spec.rate, samples)
+    events = [
+        *_reports(rows, fit),
+        *_forces(truth, rows),
+        (0.0, float(truth.t[-1]), "leg", f"trajectory {spec.name}"),
+    ]
+    return replace(truth, events=Events.from_rows(events))
+
+
+# --- reading ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The columns that are used, in SI, by kind and in the order of their group, and the other names."""
+
+    columns: Mapping[str, FloatArray]  # kind -> (N, k)
+    stems: Mapping[str, tuple[str, ...]]  # kind -> what its columns are
+    names: Mapping[str, tuple[str, ...]]  # kind -> what they are called
+    unused: tuple[str, ...]
+
+
+def _read(path: Path) -> _Table:
+    shown = path.name
+    import pyarrow as pa
+
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
+        names, batches = _open_csv(path) if path.suffix.lower() == ".csv" else _open_parquet(path)
+        chosen, unused = _choose(names, shown)
+        wanted = [name for group in chosen.values() for name in group]
+        columns: list[list[FloatArray]] = [[] for _ in wanted]
+        count = 0
+        for batch in batches(wanted):
+            count += batch.num_rows
+            if count > MOST_ROWS:
+                raise ConfigError(f"{shown}: more than {MOST_ROWS} rows")
+            for column, name in zip(columns, wanted, strict=True):
+                column.append(
+                    np.asarray(batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False))
+                )
+    except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
+    by_name = {
+        name: np.concatenate(parts) * _FACTORS.get(split_unit(name)[1], 1.0) if parts else np.empty(0)
+        for name, parts in zip(wanted, columns, strict=True)
+    }
+    return _Table(
+        columns={kind: np.stack([by_name[n] for n in group], axis=-1) for kind, group in chosen.items()},
+        stems={kind: tuple(split_unit(n)[0] for n in group) for kind, group in chosen.items()},
+        names=chosen,
+        unused=unused,
+    )
+
+
+def _open_csv(path: Path) -> tuple[list[str], Any]:
+    """Return the names of the header and what reads wanted columns of the rest, block by block."""
+    import pyarrow as pa
+    from pyarrow import csv as pa_csv
+
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        first = file.readline(_MOST_HEADER)
+    names = next(csv.reader([first]), [])
+
+    def batches(wanted: Sequence[str]) -> Iterator[Any]:
+        reader = pa_csv.open_csv(
+            path,
+            read_options=pa_csv.ReadOptions(
+                use_threads=False, block_size=_BLOCK, skip_rows=1, column_names=names
+            ),
+            convert_options=pa_csv.ConvertOptions(
+                include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.float64())
+            ),
+        )
+        with reader:
+            yield from reader
+
+    return names, batches
+
+
+def _open_parquet(path: Path) -> tuple[list[str], Any]:
+    """As ``_open_csv``, of a Parquet file whose footer does not promise too much."""
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    def batches(wanted: Sequence[str]) -> Iterator[Any]:
+        with pq.ParquetFile(path) as file:
+            facts, schema = file.metadata, file.schema_arrow
+            if facts.num_rows > MOST_ROWS:
+                raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
+            for name in wanted:
+                kind = schema.field(name).type
+                if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                    raise ConfigError(f"{path.name}: column {name!r} holds {kind}, not numbers")
+            yield from file.iter_batches(batch_size=1 << 16, columns=list(wanted), use_threads=False)
+
+    with pq.ParquetFile(path) as file:
+        return list(file.schema_arrow.names), batches
+
+
+def _choose(names: Sequence[str], shown: str) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """Return the columns of each kind: the first group that is complete."""
+    by_stem: dict[str, list[str]] = {}
+    for name in names:
+        by_stem.setdefault(split_unit(name)[0], []).append(name)
+    chosen: dict[str, tuple[str, ...]] = {}
+    for kind, groups in _KINDS.items():
+        group = next((group for group in groups if all(stem in by_stem for stem in group)), None)
+        if group is None:
+            if kind == "velocity":
+                continue
+            there = ", ".join(names[:30])[:300]
+            raise ConfigError(f"{shown}: no columns for {kind}: {COLUMNS[kind]}; there are {there or 'none'}")
+        for stem, dimension in group.items():
+            if len(by_stem[stem]) > 1:
+                raise ConfigError(f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity")
+            unit = split_unit(by_stem[stem][0])[1]
+            if unit not in _UNITS[dimension]:
+                wanted = " or ".join(f"{stem}_{u.replace('m/s', 'mps')}" for u in _UNITS[dimension])
+                raise ConfigError(
+                    f"{shown}: column {by_stem[stem][0]!r} must be named by its unit: {wanted or stem}"
+                )
+        chosen[kind] = tuple(by_stem[stem][0] for stem in group)
+    used = {name for group in chosen.values() for name in group}
+    return chosen, tuple(name for name in names if name not in used)
+
+
+# --- checking -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A table as a motion: times from 0, Earth-fixed positions, attitudes, velocity where it has one."""
+
+    t: FloatArray  # (N,) [s]
+    pos_e: FloatArray  # (N, 3) [m]
+    q_eb: FloatArray  # (N, 4), sign-continuous
+    vel_e: FloatArray | None  # (N, 3) [m/s]
+    notes: list[tuple[float, float, str, str]]
+
+
+def _checked(table: _Table, shown: str) -> _Rows:
+    """Return the rows as a motion.
+
+    Raises
+    ------
+    ConfigError
+        With the first row that cannot be.
+    """
+    t = table.columns["time"][:, 0]
+    if len(t) < _FEWEST:
+        raise ConfigError(f"{shown}: {len(t)} rows; at least {_FEWEST} are needed")
+    for kind, values in table.columns.items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            row, column = map(int, np.argwhere(bad)[0])
+            raise ConfigError(f"{shown}: row {row + 1}: {table.names[kind][column]} is no finite number")
+    back = np.diff(t) <= 0
+    if back.any():
+        k, name = int(np.argmax(back)), table.names["time"][0]
+        more = f" ({np.count_nonzero(back)} such rows)" if np.count_nonzero(back) > 1 else ""
+        raise ConfigError(
+            f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}{more}"
+        )
+    notes: list[tuple[float, float, str, str]] = []
+    if t[0] != 0.0:
+        notes.append((0.0, 0.0, "table", f"t = 0 is {table.names['time'][0]} = {t[0]:.9g} of the table"))
+    if table.unused:
+        more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
+        notes.append((0.0, 0.0, "table", f"columns not used: {', '.join(table.unused[:20])[:400]}{more}"))
+    pos_e = _positions(table, shown)
+    lat, lon, _ = to_geodetic(pos_e).T
+    q_en = from_matrix(matrix_en(lat, lon))
+    q_eb = _attitudes(table, shown, q_en, t - t[0], notes)
+    vel_e = table.columns.get("velocity")
+    if vel_e is not None and table.stems["velocity"][0] == "vel_n":
+        vel_e = rotate(q_en, vel_e)
+    return _Rows(t - t[0], pos_e, q_eb, vel_e, notes)
+
+
+def _positions(table: _Table, shown: str) -> FloatArray:
+    position, names = table.columns["position"], table.names["position"]
+    if table.stems["position"][0] == "lat":
+        limits = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))
+        for k, (low, high) in enumerate(limits):
+            off = (position[:, k] < low - 1e-12) | (position[:, k] > high + 1e-12)
+            if off.any():
+                row = int(np.argmax(off))
+                factor = _FACTORS[split_unit(names[k])[1]]
+                value, a, b = position[row, k] / factor, low / factor, high / factor
+                raise ConfigError(
+                    f"{shown}: row {row + 1}: {names[k]} = {value:.9g} is outside {a:.6g} to {b:.6g}"
+                )
+        return to_ecef(position)
+    radius = np.linalg.norm(position, axis=1)
+    off = (radius < 6.34e6) | (radius > 6.48e6)
+    if off.any():
+        row = int(np.argmax(off))
+        raise ConfigError(
+            f"{shown}: row {row + 1}: ecef position is {radius[row] / 1e3:.6g} km from the centre of the "
+            f"Earth, outside 6340 to 6480 km"
+        )
+    return position
+
+
+def _attitudes(
+    table: _Table, shown: str, q_en: FloatArray, t: FloatArray, notes: list[tuple[float, float, str, str]]
+) -> FloatArray:
+    attitude, stems = table.columns["attitude"], table.stems["attitude"]
+    if stems[0] == "roll":
+        return continuous(multiply(q_en, from_euler(*attitude.T)))
+    norm = np.linalg.norm(attitude, axis=1)
+    off = np.abs(norm - 1.0)
+    worst = int(np.argmax(off))
+    if off[worst] > _NORM_WRONG:
+        row = int(np.argmax(off > _NORM_WRONG))
+        raise ConfigError(f"{shown}: row {row + 1}: the quaternion has the norm {norm[row]:.6g}, not 1")
+    if off[worst] > _NORM_OFF:
+        rows = np.flatnonzero(off > _NORM_OFF)
+        words = (
+            f"{len(rows)} quaternions from row {rows[0] + 1} on have a norm off 1, row {worst + 1} the most"
+        )
+        notes.append((float(t[rows[0]]), float(t[rows[-1]]), "sanity", f"{words}: {norm[worst]:.9g}"))
+    q = attitude / norm[:, None]
+    return continuous(q if stems[0] == "q_eb_w" else multiply(q_en, q))
+
+
+# --- the motion ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Splines through some rows of a table."""
+
+    knots: FloatArray  # (K,) rows it passes through
+    origin: FloatArray  # (3,) [m], e
+    pos: Any  # t -> position from the origin, e
+    vel: Any  # t -> its derivative
+    q: Any  # t -> quaternion, not normalized
+
+    def pos_e(self, t: FloatArray) -> FloatArray:
+        found: FloatArray = self.origin + self.pos(t)
+        return found
+
+    def q_eb(self, t: FloatArray) -> FloatArray:
+        q = self.q(t)
+        found: FloatArray = q / np.linalg.norm(q, axis=1, keepdims=True)
+        return found
+
+
+def _fit(rows: _Rows, shown: str) -> _Fit:
+    from scipy.interpolate import make_interp_spline
+
+    at = _knots(rows.t)
+    origin = rows.pos_e[0]
+    pos = make_interp_spline(rows.t[at], rows.pos_e[at] - origin, k=5)
+    q = make_interp_spline(rows.t[at], rows.q_eb[at], k=5)
+    if not (np.isfinite(pos.c).all() and np.isfinite(q.c).all()):
+        raise ConfigError(f"{shown}: no smooth motion goes through the rows; their intervals differ too much")
+    return _Fit(at, origin, pos, pos.derivative(), q)
+
+
+def _knots(t: FloatArray) -> Any:
+    """Return the rows a spline goes through: all, or at most 60 in a second, always the last."""
+    least = (1.0 - 1e-6) / _KNOT_RATE
+    if len(t) < 2 * _FEWEST or np.diff(t).min() >= least:
+        return np.arange(len(t))
+    kept, last = [0], float(t[0])
+    for k, now in enumerate(t.tolist()):
+        if now - last >= least:
+            kept.append(k)
+            last = now
+    if kept[-1] != len(t) - 1:
+        kept[-1] = len(t) - 1
+    if len(kept) < _FEWEST:
+        return np.arange(len(t))
+    return np.array(kept)
+
+
+def _motion(fit: _Fit, dt: float, first: int, end: int) -> Motion:
+    """Return the steps [first, end) of the motion, frame i being frame e at t = 0."""
+    t: FloatArray = dt * np.arange(first, end, dtype=np.float64)
+    pos_e, q_eb = fit.pos_e(t), fit.q_eb(t)
+    half = 0.5 * RATE * t
+    q_ie = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
+    lat, lon, _ = to_geodetic(pos_e).T
+    q_ne = conjugate(from_matrix(matrix_en(lat, lon)))
+    return Motion(
+        dt=dt,
+        epa=RATE * t,
+        pos_i=rotate(q_ie, pos_e),
+        vel_i=rotate(q_ie, fit.vel(t) + np.cross([0.0, 0.0, RATE], pos_e)),
+        q_nb=continuous(multiply(q_ne, q_eb)),
+        q_ib=continuous(multiply(q_ie, q_eb)),
+    )
+
+
+def _truth(fit: _Fit, rate: float, samples: int) -> Trajectory:
+    """Return truth of a number of intervals, made in chunks so that memory is that of the truth."""
+    substeps = max(1, math.ceil(_FINE_RATE / rate))
+    dt = 1.0 / (rate * substeps)
+    lla, vel_n, q_nb = np.empty((samples + 1, 3)), np.empty((samples + 1, 3)), np.empty((samples + 1, 4))
+    dtheta, dvel = np.empty((samples, 3)), np.empty((samples, 3))
+    for a in range(0, samples, _CHUNK):
+        b = min(a + _CHUNK, samples)
+        before = 1 if a else 0
+        motion = _motion(fit, dt, a * substeps - before, b * substeps + 2)
+        alpha, beta = true_integrals(*step_increments(motion))
+        dtheta[a:b] = alpha[before:].reshape(b - a, substeps, 3).sum(axis=1)
+        dvel[a:b] = beta[before:].reshape(b - a, substeps, 3).sum(axis=1)
+        at = slice(before, before + (b - a) * substeps + 1, substeps)
+        lla[a : b + 1], vel_n[a : b + 1] = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
+        q_nb[a : b + 1] = motion.q_nb[at]
+    return Trajectory(
+        t=np.arange(samples + 1) / rate,
+        lla=lla,
+        vel_n=vel_n,
+        q_nb=continuous(q_nb),
+        dtheta_b=dtheta,
+        dvel_b=dvel,
+        air=no_air(),
+        controls=no_controls(),
+        events=Events.from_rows([]),
+    )
+
+
+# --- what is inconsistent -----------------------------------------------------------------------------
+
+
+def _reports(rows: _Rows, fit: _Fit) -> list[tuple[float, float, str, str]]:
+    """Return what is inconsistent in a table, one event for each kind, with the rows."""
+    t, steps = rows.t, np.diff(rows.t)
+    found = list(rows.notes)
+
+    def note(where: Any, worst: int, words: str) -> None:
+        k = np.flatnonzero(where)
+        if len(k):
+            many = f"; {len(k)} rows from row {k[0] + 1} on" if len(k) > 1 else ""
+            found.append((float(t[k[0]]), float(t[k[-1]]), "sanity", f"row {worst + 1}: {words}{many}"))
+
+    usual = float(np.median(steps))
+    gaps = np.concatenate([[False], steps > _GAP * usual])
+    worst = int(np.argmax(steps)) + 1
+    note(
+        gaps,
+        worst,
+        f"{steps[worst - 1]:.4g} s after the row before, usual are {usual:.4g} s: filled by a spline",
+    )
+    turned = np.linalg.norm(to_rotvec(multiply(conjugate(rows.q_eb[:-1]), rows.q_eb[1:])), axis=1)
+    jumps = np.concatenate([[False], (turned > _TURN) | (turned > _TURN_RATE * steps)])
+    worst = int(np.argmax(np.where(jumps[1:], turned, -1.0))) + 1
+    by = f"{math.degrees(turned[worst - 1]):.4g} deg in {steps[worst - 1]:.4g} s"
+    note(jumps, worst, f"the attitude jumps by {by}")
+    if rows.vel_e is not None:
+        off = np.linalg.norm(rows.vel_e - fit.vel(t), axis=1)
+        speed = np.linalg.norm(rows.vel_e, axis=1)
+        wrong = (off > _SPEED_OFF) & (off > _SPEED_SHARE * speed)
+        worst = int(np.argmax(off))
+        words = (
+            f"the velocity is {off[worst]:.3g} m/s off the derivative of the position, which is what counts"
+        )
+        note(wrong, worst, words)
+    off = np.linalg.norm(rows.pos_e - fit.pos_e(t), axis=1)
+    worst = int(np.argmax(off))
+    words = f"{off[worst] * 1e3:.3g} mm off the truth, which passes through {len(fit.knots)} of {len(t)} rows"
+    note(off > _OFF_TABLE, worst, words)
+    return found
+
+
+def _forces(truth: Trajectory, rows: _Rows) -> list[tuple[float, float, str, str]]:
+    force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / _STANDARD_G
+    beyond = np.flatnonzero(force > _FORCE)
+    if not len(beyond):
+        return []
+    row = int(np.searchsorted(rows.t, truth.t[int(np.argmax(force))])) + 1
+    words = (
+        f"row {row}: a specific force of {force.max():.3g} g, beyond {_FORCE:g} g: the positions do not fly"
+    )
+    return [(float(truth.t[beyond[0] + 1]), float(truth.t[beyond[-1] + 1]), "sanity", words)]

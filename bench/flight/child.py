@@ -1,0 +1,135 @@
+"""Fly what others wrote in a process of its own, which can be ended.
+
+JSBSim runs foreign models as native code: a trim may never return, a bad table may end
+the process, and both print as they like. The child has no standard output, a scratch
+folder as its working directory, and must say something once a minute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import selectors
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from bench.data import Trajectory
+from bench.flight.model import FlightError
+
+PATIENCE = 60.0
+"""Longest silence of a child before it is ended [s]."""
+
+_START = "import sys; sys.path[:] = {path!r}; from bench.flight.child import answer; answer({function!r})"
+_BLOCK = 1 << 16
+
+
+def fly_in_child(
+    function: str,
+    spec: Any,
+    what: str,
+    progress: Callable[[float], None] | None = None,
+    patience: float | None = None,
+) -> Trajectory:
+    """Return ``function(spec, progress)`` of a module of this package, run in a child process.
+
+    Parameters
+    ----------
+    function : str
+        "module:name" below ``bench.flight``.
+    spec : object
+        What is flown; it is pickled.
+    what : str
+        How messages call it: "aircraft c310".
+    progress : callable, optional
+        Called with the time flown so far [s].
+    patience : float, optional
+        Longest silence of the child [s]; ``PATIENCE`` when None.
+
+    Raises
+    ------
+    FlightError
+        What the child raised, or that it ended or went silent.
+    """
+    patience = PATIENCE if patience is None else patience
+    with tempfile.TemporaryDirectory(prefix="bench-flight-") as scratch:
+        answer_file, trouble = Path(scratch) / "answer", Path(scratch) / "trouble"
+        command = [sys.executable, "-c", _START.format(path=sys.path, function=function)]
+        with (
+            trouble.open("wb") as stderr,
+            subprocess.Popen(
+                command, cwd=scratch, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr
+            ) as child,
+        ):
+            assert child.stdin is not None
+            assert child.stdout is not None
+            try:
+                with contextlib.suppress(BrokenPipeError):  # it has ended; its status says so below
+                    child.stdin.write(pickle.dumps((spec, str(answer_file))))
+                    child.stdin.close()
+                if not _listen(child.stdout, progress, patience):
+                    raise FlightError(f"{what}: JSBSim did not answer for {patience:g} s and was ended")
+                status = child.wait()
+            finally:
+                child.kill()
+        if status or not answer_file.is_file():
+            raise FlightError(f"{what}: JSBSim ended its process{_last_line(trouble, status)}")
+        answered = pickle.loads(answer_file.read_bytes())
+    if isinstance(answered, str):
+        raise FlightError(answered)
+    return answered  # type: ignore[no-any-return]
+
+
+def answer(function: str) -> None:
+    """Run a function in this child: the spec comes by stdin, progress goes to stdout, truth to a file."""
+    spec, answer_file = pickle.loads(sys.stdin.buffer.read())
+    speak = os.fdopen(os.dup(1), "w", buffering=1)
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 1)
+    module, _, name = function.partition(":")
+    last = 0.0
+
+    def progress(t: float) -> None:
+        nonlocal last
+        if time.monotonic() - last > 0.1:
+            last = time.monotonic()
+            speak.write(f"{t:g}\n")
+
+    import importlib
+
+    fly = getattr(importlib.import_module(f"bench.flight.{module}"), name)
+    try:
+        answered: Trajectory | str = fly(spec, progress)
+    except FlightError as error:
+        answered = str(error)
+    part = Path(f"{answer_file}.part")
+    part.write_bytes(pickle.dumps(answered, protocol=pickle.HIGHEST_PROTOCOL))
+    part.replace(answer_file)
+    speak.close()
+    os._exit(0)  # the destructor of a broken model may throw
+
+
+def _listen(said: IO[bytes], progress: Callable[[float], None] | None, patience: float) -> bool:
+    """Pass on what the child says; True when it has closed its end, False when it went silent."""
+    rest = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(said, selectors.EVENT_READ)
+        while selector.select(patience):
+            block = os.read(said.fileno(), _BLOCK)
+            if not block:
+                return True
+            *lines, rest = (rest + block).split(b"\n")
+            if progress is not None and lines:
+                progress(float(lines[-1]))
+    return False
+
+
+def _last_line(trouble: Path, status: int) -> str:
+    lines = trouble.read_text(encoding="utf-8", errors="replace").split("\n")
+    said = [line.strip() for line in lines if line.strip()]
+    return f" with status {status}" + (f": {said[-1][:200]}" if said else "")

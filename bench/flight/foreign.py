@@ -1,0 +1,168 @@
+"""JSBSim files of others, made safe: copied without what writes files or opens sockets.
+
+``<output>`` writes any file the user can write, ``<input>`` opens ports, ``<notify>``
+prints. Names go unchecked into paths. So a model or script is read, stripped and
+written into a scratch folder, and only that copy is loaded.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from bench.flight.model import FlightError
+
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+_FILE = re.compile(r"[A-Za-z0-9_.-]+")
+_MOST_FILES = 500
+_MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
+_UNWANTED = ("input", "output")
+
+
+def read_xml(path: Path, shown: str) -> ElementTree.Element:
+    """Return the root of an XML file.
+
+    Raises
+    ------
+    FlightError
+        When it is missing, too large or not well-formed.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise FlightError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
+        return ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise FlightError(f"{shown}: {error.strerror or error}") from None
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise FlightError(f"{shown}: not well-formed XML: {error}") from None
+
+
+def copy_aircraft(
+    folder: Path, target: Path, change: Callable[[ElementTree.Element], None] | None = None
+) -> ElementTree.Element:
+    """Copy the XML files of an aircraft without ``<input>`` and ``<output>``, and return its model.
+
+    Parameters
+    ----------
+    folder, target : Path
+        The aircraft, and where its copy goes; links and other kinds of file are left out.
+    change : callable, optional
+        Changes the model before it is written.
+
+    Raises
+    ------
+    FlightError
+        When the folder or one of its files cannot be used.
+    """
+    name = folder.name
+    if not NAME.fullmatch(name):
+        raise FlightError(f"aircraft {name!r}: a name has letters, digits, '_' and '-' only")
+    files = [p for p in sorted(folder.rglob("*.xml")) if p.is_file() and not p.is_symlink()]
+    if len(files) > _MOST_FILES:
+        raise FlightError(f"aircraft {name}: more than {_MOST_FILES} files")
+    main = folder / f"{name}.xml"
+    if main not in files:
+        raise FlightError(f"aircraft {name}: {main} is missing")
+    for path in files:
+        relative = path.relative_to(folder)
+        root = read_xml(path, f"{name}/{relative}")
+        strip(root)
+        if path == main:
+            model = root
+            if root.tag != "fdm_config":
+                raise FlightError(f"aircraft {name}: {main.name} is a <{root.tag}>, not a <fdm_config>")
+            if change is not None:
+                change(root)
+        write_xml(root, target / relative)
+    return model
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptFacts:
+    """What a script says of itself."""
+
+    aircraft: str
+    length: float  # from its start to its end [s]
+    root: ElementTree.Element
+
+
+def script_facts(path: Path) -> ScriptFacts:
+    """Return the aircraft and the length of a script.
+
+    Raises
+    ------
+    FlightError
+        When it is no script, or names what is no name.
+    """
+    shown = f"script {path.stem}"
+    root = read_xml(path, shown)
+    use, run = root.find("use"), root.find("run")
+    if root.tag != "runscript" or use is None or run is None:
+        raise FlightError(f"{shown}: no <runscript> with <use> and <run>")
+    aircraft, initialize = use.get("aircraft", ""), use.get("initialize", "")
+    if not NAME.fullmatch(aircraft):
+        raise FlightError(f"{shown}: aircraft {aircraft!r} must have letters, digits, '_' and '-' only")
+    if initialize and not _FILE.fullmatch(initialize):
+        raise FlightError(f"{shown}: initialize {initialize!r} must be the name of a file of the aircraft")
+    try:
+        length = float(run.get("end", "")) - float(run.get("start", ""))
+    except ValueError:
+        raise FlightError(f"{shown}: start and end of <run> must be numbers") from None
+    return ScriptFacts(aircraft, length, root)
+
+
+def copy_script(path: Path, target: Path) -> ScriptFacts:
+    """Copy a script without what it writes or prints, and return what it says of itself."""
+    facts = script_facts(path)
+    strip(facts.root)
+    for parent in list(facts.root.iter()):
+        for child in [child for child in parent if _speaks(child)]:
+            parent.remove(child)
+    write_xml(facts.root, target)
+    return facts
+
+
+def system_files(model: Path) -> set[str]:
+    """Return the files of the systems a model names."""
+    return {system.get("file", "") for system in read_xml(model, model.name).findall("system")}
+
+
+def _speaks(element: ElementTree.Element) -> bool:
+    """Say whether an element of a script prints, or sets a property of an output that is left out."""
+    sets = element.get("name", "") if element.tag == "set" else (element.text or "")
+    return element.tag == "notify" or (
+        element.tag in ("set", "property") and sets.strip().startswith("simulation/output")
+    )
+
+
+def strip(root: ElementTree.Element) -> None:
+    """Remove what writes files or opens sockets from a model or a script."""
+    if root.tag in ("fdm_config", "runscript"):
+        for parent in [root, *root.findall("run")]:
+            for child in [child for child in parent if child.tag in _UNWANTED]:
+                parent.remove(child)
+
+
+def write_xml(root: ElementTree.Element, path: Path) -> None:
+    """Write an XML file and the folders above it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def executive(scratch: Path, root: Path, dt: float, log: Any) -> Any:
+    """Return a silent FGFDMExec that takes aircraft from scratch, engines and systems from root."""
+    import jsbsim
+
+    jsbsim.set_logger(log)
+    fdm = jsbsim.FGFDMExec(str(scratch))
+    fdm.set_debug_level(0)
+    fdm.set_aircraft_path(str(scratch / "aircraft"))
+    fdm.set_engine_path(str(root / "engine"))
+    fdm.set_systems_path(str(root / "systems"))
+    fdm.set_output_path(str(scratch))
+    fdm.set_dt(dt)
+    return fdm

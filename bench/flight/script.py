@@ -1,0 +1,132 @@
+"""A JSBSim script flown as it is, to its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bench.data import Trajectory
+from bench.flight import sanity
+from bench.flight.child import fly_in_child
+from bench.flight.foreign import copy_aircraft, copy_script, executive
+from bench.flight.increments import from_states
+from bench.flight.model import FlightError, one_line, silent_log
+from bench.flight.recorder import simulation_step
+from bench.flight.sequencer import RATE as TICK_RATE
+from bench.flight.tape import Tape, motion_of, truth_of, with_air
+from bench.flight.units import FT
+from bench.specs import ScriptSpec, stream
+
+LONGEST = 4 * 3600.0
+"""A script that runs longer is not flown without a duration [s]."""
+
+
+def fly(spec: ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
+    """Fly a script in a process that can be ended; the same script gives the same bits.
+
+    Parameters
+    ----------
+    spec : ScriptSpec
+        The script; its rate is a multiple of 20 Hz.
+    progress : callable, optional
+        Called with the time flown so far [s].
+
+    Returns
+    -------
+    Trajectory
+        Truth at spec.rate. Events of kind "sanity" say what no aircraft of its class does,
+        and which part of the script is truth where it puts the aircraft elsewhere.
+
+    Raises
+    ------
+    FlightError
+        When the script cannot be loaded, does not answer, or no truth can be made of it.
+    """
+    return fly_in_child("script:fly_here", spec, f"script {spec.name}", progress)
+
+
+def fly_here(spec: ScriptSpec, progress: Callable[[float], None]) -> Trajectory:
+    """Fly a script in this process, with its working directory as scratch folder."""
+    what = f"script {spec.name}"
+    substeps, dt = simulation_step(spec.rate)
+    try:
+        tape = _run(spec, dt, progress)
+    except FlightError as error:
+        text = str(error)
+        raise FlightError(text if text.startswith(("script", "aircraft")) else f"{what}: {text}") from None
+    columns = tape.columns()
+    raw = from_states(
+        dt, columns[:, 11], FT * columns[:, 0:3], FT * columns[:, 3:6], columns[:, 6:9], columns[:, 9:11]
+    )
+    steps, events = sanity.stretch(dt, raw, what)
+    per_tick = round(1.0 / (TICK_RATE * dt))
+    begun = math.ceil(steps.start / per_tick)  # truth begins on a tick
+    first = begun * per_tick
+    motion = motion_of(dt, columns[first : steps.stop])
+    ticks = tape.ticks().between(begun, (steps.stop - 1) // per_tick + 1)
+    events += sanity.report(motion, ticks, spec.category)
+    end = (len(motion.epa) - 2) // substeps * substeps * dt
+    events.append((0.0, end, "leg", f"script {spec.name}"))
+    return with_air(truth_of(motion, substeps, events), ticks)
+
+
+def _run(spec: ScriptSpec, dt: float, progress: Callable[[float], None]) -> Tape:
+    fdm = load(spec, dt)
+    tape = Tape(fdm, dt)
+    tape.step()
+    tape.tick()
+    per_tick = round(1.0 / (TICK_RATE * dt))
+    last = math.inf if spec.duration is None else round(spec.duration / dt)
+    begin = fdm.get_sim_time()
+    while len(tape) < last and _goes_on(fdm, tape):
+        tape.step()
+        done = len(tape)
+        if done % per_tick == 0:
+            tape.tick()
+            if abs(fdm.get_sim_time() - begin - done * dt) > 0.5 * dt:
+                raise FlightError(
+                    f"it changes its own time at {done * dt:.2f} s; no truth can be made of that"
+                )
+            progress(done * dt)
+    if spec.duration is not None and len(tape) < last:
+        raise FlightError(f"it ends at {len(tape) * dt:g} s; duration is {spec.duration:g} s")
+    return tape
+
+
+def _goes_on(fdm: Any, tape: Tape) -> bool:
+    try:
+        return bool(fdm.run())
+    except RuntimeError as error:
+        reason = one_line(str(error), str(Path.cwd()))
+        raise FlightError(f"JSBSim stops at {len(tape) * tape.dt:.2f} s: {reason}") from None
+
+
+def load(spec: ScriptSpec, dt: float) -> Any:
+    """Return a new, silent FGFDMExec with the script and its aircraft, at its start, at step dt [s].
+
+    Raises
+    ------
+    FlightError
+        When it is missing, unsafe or JSBSim cannot read it.
+    """
+    scratch = Path.cwd()
+    what, log = f"script {spec.name}", silent_log()
+    copy = scratch / "scripts" / "script.xml"
+    facts = copy_script(spec.path, copy)
+    if spec.duration is None and not facts.length <= LONGEST:
+        raise FlightError(
+            f"it runs for {facts.length:g} s, longer than {LONGEST:g} s; duration_s stops it earlier"
+        )
+    copy_aircraft(spec.root / "aircraft" / facts.aircraft, scratch / "aircraft" / facts.aircraft)
+    fdm = executive(scratch, spec.root, dt, log)
+    fdm["simulation/randomseed"] = int(stream(spec.turbulence_seed, 0, "turbulence").integers(1, 2**31 - 1))
+    try:
+        loaded = fdm.load_script(str(copy), dt) and fdm.run_ic()
+    except RuntimeError as error:
+        raise FlightError(f"{what}: {one_line(str(error), str(scratch))}") from None
+    if not loaded:
+        raise FlightError(f"{what}: JSBSim cannot load it: {one_line(' '.join(log.lines), str(scratch))}")
+    log.lines.clear()
+    return fdm
