@@ -53,6 +53,11 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
         "bench.navigation.fusion:Loose",
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
+    "classic-22": (
+        "the source's 22 states step by step, slow: the oracle of loose-22",
+        "bench.navigation.classic:Classic22",
+        {},
+    ),
 }
 """Name -> (what it is, "module:Class", options that make it so)."""
 
