@@ -79,7 +79,6 @@ def test_it_says_what_loose_22_says(sensed, solution):
 
 
 @pytest.mark.slow
-<<<<<<< HEAD
 @pytest.mark.parametrize("name", ["figure-eight", "circuit", "gnss-denied-leg"])
 def test_it_says_what_loose_22_says_on_whole_flights(name):
     """7 to 10 minutes, GNSS lost on two of them: 5 mm, 0.05 mm/s, 1.5 microradian RMS."""
@@ -87,15 +86,6 @@ def test_it_says_what_loose_22_says_on_whole_flights(name):
     flown = pipeline.sense(profile, pipeline.fly(profile))
     mine = Classic22().run(flown.data, flown.initial)
     assert_close(mine, Loose(gnss_markov=True).run(flown.data, flown.initial), [5e-3, 5e-5, 1.5e-6])
-=======
-@pytest.mark.parametrize("gnss", ["l1-code", "zed-f9p"])
-def test_it_says_what_loose_22_says_over_the_whole_figure_eight(figure_eight_truth, gnss):
-    """600 s with a minute without GNSS: 1 mm, 0.02 mm/s, 1 microradian RMS."""
-    profile = load_profile("figure-eight", {"sensors.gnss": gnss})
-    flown = pipeline.sense(profile, figure_eight_truth)
-    mine = Classic22().run(flown.data, flown.initial)
-    assert_close(mine, Loose(gnss_markov=True).run(flown.data, flown.initial), [1e-3, 2e-5, 1e-6])
->>>>>>> main
 
 
 def test_the_comparison_sees_small_defects(sensed, solution):
