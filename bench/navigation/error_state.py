@@ -243,7 +243,12 @@ def covariance_kernel(
 def accumulate_kernel(Phi: FloatArray, G: FloatArray, decay: FloatArray, A: FloatArray) -> None:
     """Replace Phi (n, n) by the transition of one more step times Phi; ``A`` (9, n) is memory to work in."""
     n = Phi.shape[0]
-    _rows_kernel(Phi, G, A, n)
+    for i in range(9):  # short to compile; only a smoother's run comes here
+        for j in range(n):
+            value = Phi[i, j]
+            for k in range(15):
+                value += G[i, k] * Phi[k, j]
+            A[i, j] = value
     for i in range(9):
         for j in range(n):
             Phi[i, j] = A[i, j]

@@ -130,12 +130,23 @@ def _antenna_kernel(
 
 
 @kernel
-def _pack_kernel(nav: FloatArray, biases: FloatArray, extra: FloatArray, row: FloatArray) -> None:
-    """Fill a row (n + 1,): navigation state, gyro and accelerometer bias, extra states."""
-    row[:10] = nav
-    row[10:13] = biases[0]
-    row[13:16] = biases[1]
-    row[16:] = extra
+def _keep_kernel(
+    nav: FloatArray, biases: FloatArray, extra: FloatArray, P: FloatArray, row: FloatArray, out_P: FloatArray
+) -> None:
+    """Fill a row (n + 1,), navigation state, gyro and accelerometer bias, extra states, and a copy of P.
+
+    Loops, because copies of slices take the compiler seconds each.
+    """
+    for i in range(10):
+        row[i] = nav[i]
+    for i in range(3):
+        row[10 + i] = biases[0, i]
+        row[13 + i] = biases[1, i]
+    for i in range(extra.shape[0]):
+        row[16 + i] = extra[i]
+    for i in range(P.shape[0]):
+        for j in range(P.shape[1]):
+            out_P[i, j] = P[i, j]
 
 
 @kernel
@@ -254,12 +265,11 @@ def _fusion_kernel(
             reference[:] = nav
         if keep and due:
             node_t[node] = t[k]
-            node_Phi[node] = Phi
-            node_P[node, 0] = P
-            _pack_kernel(nav, biases, extra, node_state[node, 0])
-            Phi[:] = 0.0
+            _keep_kernel(nav, biases, extra, P, node_state[node, 0], node_P[node, 0])
             for i in range(n):
-                Phi[i, i] = 1.0
+                for j in range(n):
+                    node_Phi[node, i, j] = Phi[i, j]
+                    Phi[i, j] = 1.0 if i == j else 0.0
         if aided:
             while fix < fix_at.shape[0] and fix_at[fix] == k:
                 row = fix_rows[fix]
@@ -292,8 +302,7 @@ def _fusion_kernel(
                 baro += 1
             reference[:] = nav
         if keep and due:
-            node_P[node, 1] = P
-            _pack_kernel(nav, biases, extra, node_state[node, 1])
+            _keep_kernel(nav, biases, extra, P, node_state[node, 1], node_P[node, 1])
             node += 1
         while output < output_at.shape[0] and output_at[output] == k:
             out_nav[output] = nav
