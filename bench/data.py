@@ -297,6 +297,48 @@ class BaroData:
 
 
 @dataclass(frozen=True, slots=True)
+class MagData:
+    """The magnetic field as a strapped-down magnetometer reports it."""
+
+    t: FloatArray  # (M,) validity [s]
+    t_arrival: FloatArray  # (M,) [s]
+    valid: BoolArray  # (M,)
+    field_b: FloatArray  # (M, 3) [T], b
+    sd: FloatArray  # (M,) white noise per axis the instrument claims [T]
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.bool_, valid=(None,))
+        _freeze(self, t=(None,), t_arrival=(None,), field_b=(None, 3), sd=(None,))
+        _equal_lengths(self, dict.fromkeys(("t", "valid")))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    __reduce__ = _rebuild
+
+
+@dataclass(frozen=True, slots=True)
+class AirspeedData:
+    """True airspeed as the air data computer reports it."""
+
+    t: FloatArray  # (M,) validity [s]
+    t_arrival: FloatArray  # (M,) [s]
+    valid: BoolArray  # (M,)
+    airspeed_true: FloatArray  # (M,) [m/s]
+    sd: FloatArray  # (M,) white noise the instrument claims [m/s]
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.bool_, valid=(None,))
+        _freeze(self, t=(None,), t_arrival=(None,), airspeed_true=(None,), sd=(None,))
+        _equal_lengths(self, dict.fromkeys(("t", "valid")))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    __reduce__ = _rebuild
+
+
+@dataclass(frozen=True, slots=True)
 class SensorData:
     """Everything an estimator may know: measurements, and the specs it is told to assume."""
 
@@ -307,6 +349,8 @@ class SensorData:
     specs: AssumedSpecs
     output_t: FloatArray  # (M,) instants at which the solution is wanted [s]
     observations: GnssObservations | None = None
+    mag: MagData | None = None
+    airspeed: AirspeedData | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, finite=True, antenna_b=(3,))
