@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -51,11 +51,16 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     With the replay of `bench.evaluation.replay`. The truth is in memory a piece at a time. Errors as
     for :func:`fly`.
     """
+    sources = ("evaluation/replay.py", "navigation/mechanization.py")
+    return store.truth_said(profile.flight, lambda: _made(profile, progress), _summary, sources)
+
+
+def _summary(pieces: Iterable[Trajectory]) -> dict[str, Any]:
     from bench.evaluation.replay import Replay
     from bench.flight.summary import Summary
 
     summary, replay = Summary(), Replay()
-    for piece in store.truth_pieces(profile.flight, lambda: _made(profile, progress)):
+    for piece in pieces:
         summary.add(piece)
         replay.add(piece)
     return summary.result() | replay.result()

@@ -343,11 +343,39 @@ def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
     assert flights.count == 1
 
 
+def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
+    """Made once; made anew when it is damaged, when its sources change, and when the truth is damaged."""
+    flights, calls = Flights(truth), []
+
+    def say(pieces):
+        calls.append(sum(len(piece) - 1 for piece in pieces) + 1)
+        return {"samples": calls[-1], "legs": [(0.0, 1.5, "climb")]}
+
+    def said(*sources):
+        return store.truth_said(spec, flights, say, sources)
+
+    first = said("evaluation/replay.py")
+    assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401], 1)
+    said("evaluation/replay.py", "rotation.py")
+    assert (calls, flights.count) == ([401] * 2, 1)
+    (entry,) = cache.iterdir()
+    for path in entry.glob("said-*.json"):
+        path.write_text('{"samples"')
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401] * 3, 1)
+    _flip(entry / "lla.npy")
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401] * 4, 2)
+
+
 def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
     cache.parent.write_text("no folder")
     flights = Flights(*cut(truth, 100, 200))
     equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
     equal(store.truth_cached(spec, flights), truth)
+    assert store.truth_said(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {"pieces": 3}
     assert "is not cached" in caplog.text
 
 

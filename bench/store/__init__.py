@@ -14,7 +14,7 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.truth_cache import truth_cached, truth_pieces
+from bench.store.truth_cache import truth_cached, truth_pieces, truth_said
 
 __all__ = [
     "RESULT",
@@ -28,5 +28,6 @@ __all__ = [
     "to_json",
     "truth_cached",
     "truth_pieces",
+    "truth_said",
     "write_json",
 ]

@@ -84,6 +84,41 @@ def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Itera
     yield from _pieces(entry) if _sound(entry) or _kept(entry, fly) else fly()
 
 
+def truth_said(
+    spec: Flight,
+    fly: Callable[[], Iterable[Trajectory]],
+    say: Callable[[Iterable[Trajectory]], dict[str, Any]],
+    sources: Sequence[str],
+) -> dict[str, Any]:
+    """Return what ``say`` makes of the pieces of a truth: made once, and kept beside the truth.
+
+    Parameters
+    ----------
+    spec, fly
+        As for `truth_cached`; the truth is flown and kept first when the cache does not have it.
+    say : callable
+        Makes an object of JSON from the pieces.
+    sources : sequence of str
+        Files of the package that ``say`` depends on, besides those the truth depends on.
+    """
+    entry = cache_folder("truth") / truth_key(spec)
+    digest = hashlib.sha256()
+    for name in sources:
+        digest.update((PACKAGE / name).read_bytes())
+    path = entry / f"said-{digest.hexdigest()[:32]}.json"
+    if _sound(entry):
+        with contextlib.suppress(OSError, ValueError):  # absent or damaged: it is made anew
+            kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            return kept
+    text = json.dumps(say(truth_pieces(spec, fly)))
+    with contextlib.suppress(OSError):  # the truth could not be kept, nor can this
+        beside = path.with_suffix(f".{os.getpid()}")
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    said: dict[str, Any] = json.loads(text)
+    return said
+
+
 def truth_key(spec: Flight) -> str:
     """Return the hash of everything truth depends on: the flight, the files it names, the software."""
     values, files = _inputs(spec)
