@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, Shape, as_float, as_kind
-from bench.specs import AssumedSpecs
+from bench.specs import DEFAULT_DATE, AssumedSpecs
 
 
 def _freeze(record: object, *, finite: bool = False, **shapes: Shape) -> None:
@@ -351,6 +351,7 @@ class SensorData:
     observations: GnssObservations | None = None
     mag: MagData | None = None
     airspeed: AirspeedData | None = None
+    date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
 
     def __post_init__(self) -> None:
         _freeze(self, finite=True, antenna_b=(3,))

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
+DEFAULT_DATE = 2026.0
+"""Date of a flight that does not say it: 1 January 2026 [decimal years]."""
 
 
 def stream(seed: int, run: int, name: str) -> np.random.Generator:
@@ -555,12 +557,51 @@ class BaroSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class MagSpec:
+    """A magnetometer where it is mounted, after its calibration. What it does not have is 0."""
+
+    name: str
+    rate: float  # [Hz]
+    white_sd: float  # each axis [T]
+    hard_iron_sd: float = 0.0  # offset left of the unit and of the iron around it, each axis [T]
+    soft_iron_sd: float = 0.0  # each element of the symmetric matrix left of the iron around it [1]
+    scale_factor_sd: float = 0.0  # each axis [1]
+    misalignment_sd: float = 0.0  # of each axis towards each other one [rad]
+    range: float = 0.0  # largest field of an axis, 0 none; beyond it the sample is clipped and flagged [T]
+    quantization: float = 0.0  # least bit [T]
+    latency: float = 0.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class AirspeedSpec:
+    """A pitot tube with its differential pressure sensor and the computer that makes true airspeed of it.
+
+    What it does not have is 0; ``bench.signals.air.airspeed_sd`` has the white noise as a speed.
+    """
+
+    name: str
+    rate: float  # [Hz]
+    pressure_white_sd: float = 0.0  # of the differential pressure [Pa]
+    white_sd: float = 0.0  # of the true airspeed [m/s]
+    pressure_bias_sd: float = 0.0  # zero of the differential pressure [Pa]
+    bias_sd: float = 0.0  # of the true airspeed [m/s]
+    scale_factor_sd: float = 0.0  # of the true airspeed [1]
+    lag: float = 0.0  # time constant of tube and lines, first order [s]
+    range: float = 0.0  # largest differential pressure, 0 none; beyond it the sample is clipped, flagged [Pa]
+    quantization: float = 0.0  # least bit of the differential pressure [Pa]
+    min_speed: float = 0.0  # true airspeed below which the unit flags its samples [m/s]
+    latency: float = 0.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
 class AssumedSpecs:
     """The datasheets an estimator is told to believe."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
     baro: BaroSpec | None
+    mag: MagSpec | None = None
+    airspeed: AirspeedSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -578,6 +619,9 @@ class SensorsSpec:
     initial_tilt_sd: float  # north and east component of phi_n [rad]
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
+    mag: MagSpec | None = None
+    airspeed: AirspeedSpec | None = None
+    date: float = DEFAULT_DATE  # of the flight [decimal years]
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------
