@@ -197,6 +197,27 @@ def list_all(kind: str | None) -> int:
 
 
 @commands.command(epilog=_STATUS)
+@click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
+@click.argument("name")
+def new(kind: str, name: str) -> int:
+    """Write a starting point that works, to be changed.
+
+    \b
+    estimator NAME writes, in the present folder:
+      NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
+      test_NAME.py   its test: the contract of the bench, and that it finds its way
+
+    \b
+    Example:
+      bench new estimator mine && bench run figure-eight -e mine:Mine
+    """
+    from bench.workbench.new import new_estimator
+
+    new_estimator(name, console=_console())
+    return DONE
+
+
+@commands.command(epilog=_STATUS)
 @click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="[DIR]")
 @click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
 def view(folder: Path | None, web: bool) -> int:
