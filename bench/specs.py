@@ -62,7 +62,8 @@ class ForeignSpec:
 class AircraftSpec:
     """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it.
 
-    aircraft.toml gives positions relative to the centre of gravity; here the antenna is relative to the IMU.
+    aircraft.toml gives positions relative to the centre of gravity; here antenna and static port are
+    relative to the IMU.
     """
 
     name: str
@@ -78,6 +79,7 @@ class AircraftSpec:
     mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
     foreign: ForeignSpec | None = None  # how it is flown when it was not made for the bench
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # relative to the IMU [m], b
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
 

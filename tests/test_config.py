@@ -86,8 +86,8 @@ def test_a_profile_becomes_si(tmp_path):
     assert sensors.antenna_b == flight.aircraft.antenna_b
 
 
-def test_the_antenna_is_handed_on_relative_to_the_imu(tmp_path):
-    """aircraft.toml has both relative to the centre of gravity."""
+def test_antenna_and_static_port_are_handed_on_relative_to_the_imu(tmp_path):
+    """aircraft.toml has all of them relative to the centre of gravity."""
     folder = config.load_profile(write(tmp_path)).flight.aircraft.folder
     own = tmp_path / "aircraft" / "kite"
     shutil.copytree(folder, own)
@@ -102,6 +102,8 @@ def test_the_antenna_is_handed_on_relative_to_the_imu(tmp_path):
     assert off_cg.flight.aircraft.imu_b == (0.5, -0.25, 0.125)
     moved = [a - b for a, b in zip(at_cg.sensors.antenna_b, off_cg.sensors.antenna_b, strict=True)]
     assert moved == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
+    ports = at_cg.flight.aircraft.static_port_b, off_cg.flight.aircraft.static_port_b
+    assert [a - b for a, b in zip(*ports, strict=True)] == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
     (own / "aircraft.toml").write_text(shipped + imu.replace("right_m = -0.25", "rigth_m = 200"))
     assert errors(profile) == [
         "kite/aircraft.toml: [imu] right_m is missing",

@@ -57,6 +57,7 @@ class _AircraftTable(Table):
     limits: _Limits
     imu: _Position = _AT_CG
     antenna: _Position
+    static_port: _Position = _AT_CG
     runway: _Runway | None = None
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     guidance: dict[str, float] = Field(default_factory=dict)
@@ -170,7 +171,7 @@ def _foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
 def _aircraft(
     table: _AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
 ) -> AircraftSpec:
-    limits, imu, antenna = table.limits, table.imu, table.antenna
+    limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
     systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]
@@ -187,17 +188,19 @@ def _aircraft(
         max_bank=math.radians(limits.max_bank_deg),
         max_climb=limits.max_climb_mps,
         max_descent=limits.max_descent_mps,
-        antenna_b=(
-            antenna.forward_m - imu.forward_m,
-            antenna.right_m - imu.right_m,
-            antenna.down_m - imu.down_m,
-        ),
+        antenna_b=_from_imu(table.antenna, imu),
         mesh=table.mesh,
         foreign=foreign,
-        imu_b=(imu.forward_m, imu.right_m, imu.down_m),
+        imu_b=_from_imu(imu, _AT_CG),
+        static_port_b=_from_imu(table.static_port, imu),
         runway=_runway(table.runway) if table.runway else None,
         configuration=table.configuration,
     )
+
+
+def _from_imu(place: _Position, imu: _Position) -> tuple[float, float, float]:
+    """Return a place on board relative to the IMU [m], b."""
+    return (place.forward_m - imu.forward_m, place.right_m - imu.right_m, place.down_m - imu.down_m)
 
 
 def _runway(table: _Runway) -> RunwaySpec:
