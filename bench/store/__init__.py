@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.store.provenance import provenance
+from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
     RESULT,
     load,
@@ -14,7 +14,7 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.truth_cache import truth_cached, truth_pieces, truth_said
+from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth_said
 
 __all__ = [
     "RESULT",
@@ -25,8 +25,10 @@ __all__ = [
     "provenance",
     "results_folder",
     "save",
+    "spec_hash",
     "to_json",
     "truth_cached",
+    "truth_key",
     "truth_pieces",
     "truth_said",
     "write_json",
