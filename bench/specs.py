@@ -40,11 +40,11 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 class RunwaySpec:
     """How an aircraft is taken off and landed."""
 
-    height: float  # of the IMU above the ground at rest [m]
+    height: float  # of the centre of gravity above the ground at rest [m]
     rotate_speed: float  # true airspeed at which the nose is raised [m/s]
     take_off_pitch: float  # [rad]
     approach_speed: float  # true airspeed on the glide path [m/s]
-    flare_height: float  # of the IMU above the ground where the glide is broken off [m]
+    flare_height: float  # of the centre of gravity above the ground where the glide is broken off [m]
     touch_down_sink: float  # the flare aims at [m/s]
 
 

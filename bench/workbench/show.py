@@ -67,7 +67,10 @@ def _band(name: str, metrics: Mapping[str, Any]) -> str:
 def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
     """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.label}")
-    table = _table("from", "to", "leg")
+    table = Table()
+    for column in ("from", "to"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("leg", overflow="fold")
     for start, end, text in flown["legs"]:
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)
