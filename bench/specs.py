@@ -578,6 +578,9 @@ class SensorsSpec:
     initial_tilt_sd: float  # north and east component of phi_n [rad]
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
+    alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------
