@@ -624,6 +624,9 @@ class SensorsSpec:
     mag: MagSpec | None = None
     airspeed: AirspeedSpec | None = None
     date: float = DEFAULT_DATE  # of the flight [decimal years]
+    alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------

@@ -51,6 +51,8 @@ def result(console: Console, profile: Profile, run: RunResult) -> None:
                 table.add_row(name, *values)
     console.print(table)
     for label, metrics in run.metrics.items():
+        for begun, end, text in run.solutions[label].events.of("alignment"):
+            console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
         if not metrics["converged"]:
             console.print(f"{label} diverged: {metrics['reason']}", style="bold red")
         if metrics.get("unmodelled"):
