@@ -36,6 +36,10 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 # --- the flight ---------------------------------------------------------------------------------------
 
 
+MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
+"""Simple shape in the recording of each class of aircraft."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunwaySpec:
     """How an aircraft is taken off and landed."""
@@ -54,7 +58,6 @@ class ForeignSpec:
 
     root: Path  # JSBSim root: holds engine/ and systems/
     properties: Mapping[str, float]  # of the model, set before the start: mixture, gear ...
-    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
     guided: bool = False  # its model has the guidance system of the bench already
 
 
@@ -76,10 +79,11 @@ class AircraftSpec:
     max_climb: float  # largest climb rate a leg may ask for [m/s]
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
-    mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
+    category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
     foreign: ForeignSpec | None = None  # how it is flown when it was not made for the bench
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # relative to the IMU [m], b
+    trims: tuple[tuple[float, float], ...] = ()  # altitude [m] and true airspeed [m/s] it is trimmed at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
 
@@ -365,7 +369,7 @@ class FlightSpec:
     @property
     def mesh(self) -> str:
         """Class of the simple shape in the recording."""
-        return self.aircraft.mesh
+        return MESH_OF_CLASS[self.aircraft.category]
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,7 +383,7 @@ class ScriptSpec:
     rate: float  # truth and IMU output rate [Hz]
     duration: float | None  # the script is stopped there [s]; None: flown to its end
     turbulence_seed: int  # of JSBSim's random numbers, unless the script sets its own
-    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
+    category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
 
     @property
     def label(self) -> str:
@@ -389,7 +393,7 @@ class ScriptSpec:
     @property
     def mesh(self) -> str:
         """Class of the simple shape in the recording."""
-        return {"uav": "uav", "light": "light-single"}.get(self.category, "jet")
+        return MESH_OF_CLASS[self.category]
 
 
 @dataclass(frozen=True, slots=True)

@@ -235,7 +235,7 @@ def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
     gnss, baro = GnssSpec("demo-gnss", 1.0, 1.5, 3.0, 0.05), BaroSpec("demo-baro", 10.0, 1.0, 5.0, 0.01)
     specs = AssumedSpecs(imu, gnss, baro)
     aircraft = AircraftSpec(
-        "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), mesh="uav"
+        "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), "uav"
     )
     three = (1.0, 1.0, 1.0)
     profile = Profile(

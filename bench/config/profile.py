@@ -66,9 +66,11 @@ def load_profile(
     """
     path, shown = profile_file(str(name))
     document = read(path, shown)
+    overrides = dict(overrides or {})
     if seed is not None:
-        document |= {"seed": seed} | ({} if "trajectory" in document else {"turbulence_seed": seed})
-    for key, value in (overrides or {}).items():
+        both = overrides.pop("seed", seed)  # an override wins, of both
+        document |= {"seed": both} | ({} if "trajectory" in document else {"turbulence_seed": both})
+    for key, value in overrides.items():
         document = _override(document, key, value)
     beside, wrong = path.parent, list[str]()
     flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
@@ -92,6 +94,7 @@ def load_profile(
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
+        table = leg_checks.with_speed(table, aircraft)
         across = leg_checks.legs(table, aircraft) + leg_checks.air(table)
         if not across:
             flight = _flight(table, aircraft)
@@ -247,7 +250,10 @@ def _sensors(
 
 def _document(table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
     """Return the profile as flown: the file with the overrides and every default filled in."""
-    document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
+    document: dict[str, Any] = {
+        "title": name,
+        **table.model_dump(mode="json", exclude_none=True, by_alias=True),
+    }
     if "turbulence_seed" in type(table).model_fields:
         document.setdefault("turbulence_seed", table.seed)
     sensors = document["sensors"]

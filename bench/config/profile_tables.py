@@ -51,6 +51,8 @@ Metres3 = Annotated[
     ROWS,
 ]
 Seed = Annotated[int, between(0, 2**53)]
+Category = Literal["uav", "light", "transport", "fighter"]
+"""Class of an aircraft."""
 
 
 class StartTable(Table):
@@ -217,7 +219,7 @@ class ScriptTable(_BroughtTable):
     script: str
     jsbsim_root: str | None = None
     turbulence_seed: Seed | None = None
-    category: Literal["uav", "light", "transport", "fighter"] = "light"
+    category: Category = Field(default="light", alias="class")
 
 
 class TrajectoryTable(_BroughtTable):

@@ -136,12 +136,14 @@ def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
 def choices(console: Console, kind: str | None = None) -> None:
     """Print the profiles, aircraft, sensors and estimators there are, or those of one kind.
 
-    Of the sensors alone also where their figures are from, and which of them are assumed.
+    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed.
     """
-    sensors = list_sensors()
+    sensors, aircraft = list_sensors(), list_aircraft()
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": list_profiles(),
-        "Aircraft (aircraft = NAME)": list_aircraft(),
+        "Aircraft (aircraft = NAME)": [row[:2] for row in aircraft]
+        if kind is None
+        else [(name, f"{title}: {figures}") for name, title, figures in aircraft],
         "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
