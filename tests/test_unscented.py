@@ -139,6 +139,20 @@ def test_states_without_variance_do_not_move(sensed):
     assert np.isfinite(solution.cov).all()
 
 
+def test_a_filter_of_nan_is_a_result(sensed):
+    specs = sensed.data.specs
+    broken = replace(specs, imu=replace(specs.imu, gyro=replace(specs.imu.gyro, random_walk=np.nan)))
+    solution = Unscented().run(replace(sensed.data, specs=broken), sensed.initial)
+    assert np.isnan(solution.lla[-1]).all()
+
+
+def test_the_root_is_one_of_a_singular_matrix_and_no_other():
+    a = np.array([[4.0, 2e-3], [2e-3, 1e-6]])
+    assert_allclose(unscented._root(a).T @ unscented._root(a), a, rtol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError, match="eigenvalue"):
+        unscented._root(a * [[1.0, 1.1], [1.1, 1.0]])
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -233,14 +233,24 @@ class _Flight:
         if family is None:
             from filterpy.kalman import MerweScaledSigmaPoints
 
-            family = MerweScaledSigmaPoints(len(live), alpha=self.settings.spread, beta=2.0, kappa=0.0)
+            a = self.settings.spread
+            beta = max(2.0, (1.0 / a - a) ** 2)  # the least with which no covariance can turn indefinite
+            family = MerweScaledSigmaPoints(len(live), alpha=a, beta=beta, kappa=0.0, sqrt_method=_root)
             self.families[len(live)] = family
         x = np.zeros((2 * len(live) + 1, len(self.P)))
         x[:, live] = family.sigma_points(np.zeros(len(live)), self.P[np.ix_(live, live)])
         return _Points(x, family.Wm, family.Wc)
 
+    @property
+    def lost(self) -> bool:
+        """Whether there is no estimate any more: a diverged filter says NaN from here on."""
+        return not np.isfinite(self.P).all()
+
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray) -> None:
         """Carry estimate and covariance over some IMU samples."""
+        if self.lost:
+            self.nav[:], self.rest[:] = np.nan, np.nan
+            return
         model, T = self.model, float(dt.sum())
         ground_speed = np.hypot(self.nav[3], self.nav[4])
         decay = np.exp(-(model.decay_time + model.decay_distance * ground_speed) * T)
@@ -273,6 +283,8 @@ class _Flight:
         w_ib_b: FloatArray,
     ) -> None:
         """Use position and velocity of a fix, each gated by itself."""
+        if self.lost:
+            return
         for code in (0, 1):
             points = self.points()
             truth = _less(self.nav, points.x)
@@ -289,6 +301,8 @@ class _Flight:
 
     def use_baro(self, t: float, alt_baro: float, r: float) -> None:
         """Use a barometric altitude."""
+        if self.lost:
+            return
         points = self.points()
         y = self.nav[2] + points.x[:, POS + 2] - alt_baro + self.rest[CORE - 9] - points.x[:, CORE]
         self._update(t, 2, points, y[:, None], np.array([r]))
@@ -314,6 +328,21 @@ class _Flight:
         """Take an expected error off the estimate."""
         self.nav = _less(self.nav, x[None])[0]
         self.rest = self.rest - x[9:]
+
+
+def _root(P: FloatArray) -> FloatArray:
+    """Return U with U' U = P, each state scaled by its deviation; P may be singular (a course is a velocity).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When P has a negative eigenvalue beyond rounding.
+    """
+    sd = np.sqrt(np.diag(P))
+    w, V = np.linalg.eigh(P / sd[:, None] / sd)
+    if w[0] < -1e-9:
+        raise np.linalg.LinAlgError(f"the covariance of the sigma points has an eigenvalue of {w[0]:.2g}")
+    return np.asarray(np.sqrt(np.maximum(w, 0.0))[:, None] * V.T * sd, np.float64)
 
 
 def _less(nav: FloatArray, x: FloatArray) -> FloatArray:
