@@ -40,21 +40,24 @@ _SUMMARY = (
 def result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, a column for each estimator, and what they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
-    table = _table("metric", *run.metrics)
-    names = dict.fromkeys(name for metrics in run.metrics.values() for name in metrics)
+    metrics(console, run.metrics)
+
+
+def metrics(console: Console, measured: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print the main metrics, a column for each estimator, and what they do not model."""
+    table = _table("metric", *measured)
+    names = dict.fromkeys(name for values in measured.values() for name in values)
     for start in _SUMMARY:
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
-                values = [
-                    _number(metrics.get(name)) + _band(name, metrics) for metrics in run.metrics.values()
-                ]
-                table.add_row(name, *values)
+                row = [_number(values.get(name)) + _band(name, values) for values in measured.values()]
+                table.add_row(name, *row)
     console.print(table)
-    for label, metrics in run.metrics.items():
-        if not metrics["converged"]:
-            console.print(f"{label} diverged: {metrics['reason']}", style="bold red")
-        if metrics.get("unmodelled"):
-            console.print(f"{label} does not model: {', '.join(metrics['unmodelled'])}")
+    for label, values in measured.items():
+        if not values["converged"]:
+            console.print(f"{label} diverged: {values['reason']}", style="bold red")
+        if values.get("unmodelled"):
+            console.print(f"{label} does not model: {', '.join(values['unmodelled'])}")
 
 
 def _band(name: str, metrics: Mapping[str, Any]) -> str:
