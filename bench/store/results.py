@@ -77,15 +77,25 @@ def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> None:
+def save(
+    folder: Path,
+    result: RunResult,
+    truth: Trajectory | None,
+    sensed: Sensed,
+    more: Mapping[str, object] | None = None,
+) -> None:
     """Write one run into an existing, empty folder: Parquet tables, then ``result.json``.
+
+    A recording has no truth and nothing that was drawn; ``more`` is what else its ``result.json`` says.
 
     Raises
     ------
     OSError
         When the disk does not take it.
     """
-    _save_truth(folder, truth)
+    if truth is not None:
+        _save_truth(folder, truth)
+        parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
     parquet.write(folder / "sensors-imu.parquet", sensed.data.imu, columns.IMU)
     if sensed.data.fixes is not None:
         parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
@@ -94,7 +104,6 @@ def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> 
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
     write_json(folder / START, start_document(sensed.data, sensed.initial))
-    parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
         layout = columns.solution(solution.extra_names)
@@ -110,6 +119,7 @@ def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> 
         "run": result.run,
         "metrics": result.metrics,
         "provenance": result.provenance,
+        **(more or {}),
     }
     write_json(folder / RESULT, summary)
 

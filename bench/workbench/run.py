@@ -123,15 +123,30 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
 
 def _write(folder: Path, profile: Profile, flown: pipeline.Run, *, recording: bool, force: bool) -> None:
     result = flown.result
+    with new_folder(folder, force=force) as partial:
+        store.save(partial, result, flown.truth, flown.sensed)
+        if recording:
+            from bench.recording import write
+
+            records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
+            write(partial / RECORDING, profile, *records)
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
+    """Give a folder to write results to; it takes its place when all went well, or nothing does.
+
+    Raises
+    ------
+    ConfigError
+        When another run made the folder meanwhile.
+    OSError
+        When the disk does not take it.
+    """
     replace = force or folder.is_dir()  # an empty one
     try:
         with store.results_folder(folder, replace=replace) as partial:
-            store.save(partial, result, flown.truth, flown.sensed)
-            if recording:
-                from bench.recording import write
-
-                records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
-                write(partial / RECORDING, profile, *records)
+            yield partial
     except FileExistsError:
         raise ConfigError(f"{folder}: the results folder was made by another run; not replaced") from None
     except OSError as error:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.baselines import Verdict
 from bench.config import list_aircraft, list_profiles, list_sensors
-from bench.data import RunResult
+from bench.data import NavSolution, RunResult
 from bench.evaluation.metrics import metric_of
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
@@ -40,23 +40,28 @@ _SUMMARY = (
 def result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, a column for each estimator, and what they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
-    table = _table("metric", *run.metrics)
-    names = dict.fromkeys(name for metrics in run.metrics.values() for name in metrics)
+    metrics(console, run.metrics, run.solutions)
+
+
+def metrics(
+    console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
+) -> None:
+    """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
+    table = _table("metric", *measured)
+    names = dict.fromkeys(name for values in measured.values() for name in values)
     for start in _SUMMARY:
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
-                values = [
-                    _number(metrics.get(name)) + _band(name, metrics) for metrics in run.metrics.values()
-                ]
-                table.add_row(name, *values)
+                row = [_number(values.get(name)) + _band(name, values) for values in measured.values()]
+                table.add_row(name, *row)
     console.print(table)
-    for label, metrics in run.metrics.items():
-        for begun, end, text in run.solutions[label].events.of("alignment"):
+    for label, values in measured.items():
+        for begun, end, text in solutions[label].events.of("alignment"):
             console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
-        if not metrics["converged"]:
-            console.print(f"{label} diverged: {metrics['reason']}", style="bold red")
-        if metrics.get("unmodelled"):
-            console.print(f"{label} does not model: {', '.join(metrics['unmodelled'])}")
+        if not values["converged"]:
+            console.print(f"{label} diverged: {values['reason']}", style="bold red")
+        if values.get("unmodelled"):
+            console.print(f"{label} does not model: {', '.join(values['unmodelled'])}")
 
 
 def _band(name: str, metrics: Mapping[str, Any]) -> str:
