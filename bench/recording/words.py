@@ -75,7 +75,8 @@ def _send_phase(
 def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
     sensors = profile.sensors
-    units = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    units: list[tuple[str, Any]] = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    units += [("magnetometer", sensors.mag), ("airspeed", sensors.airspeed)]
     colours = ", ".join(
         f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )

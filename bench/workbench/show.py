@@ -142,7 +142,7 @@ def choices(console: Console, kind: str | None = None) -> None:
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": list_profiles(),
         "Aircraft (aircraft = NAME)": list_aircraft(),
-        "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
+        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
         "Estimators (use = NAME, or 'module:Class' of your own)": [
