@@ -392,9 +392,16 @@ class SensorTruth:
     gyro_bias_b: FloatArray  # (B, 3) [rad/s], b
     accel_bias_b: FloatArray  # (B, 3) [m/s^2], b
     baro_bias: FloatArray  # (B,) [m]
+    mag_bias_b: FloatArray | None = None  # (B, 3) hard iron [T], b; None becomes NaN
+    airspeed_bias: FloatArray | None = None  # (B,) [m/s]; None becomes NaN
 
     def __post_init__(self) -> None:
+        if self.mag_bias_b is None:
+            object.__setattr__(self, "mag_bias_b", np.full((len(self.t), 3), np.nan))
+        if self.airspeed_bias is None:
+            object.__setattr__(self, "airspeed_bias", np.full(len(self.t), np.nan))
         _freeze(self, t=(None,), gyro_bias_b=(None, 3), accel_bias_b=(None, 3), baro_bias=(None,))
+        _freeze(self, t=(None,), mag_bias_b=(None, 3), airspeed_bias=(None,))
 
     __reduce__ = _rebuild
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -188,4 +188,5 @@ def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | Non
     if asked is None:
         return None
     on_board = profile.sensors
-    return list(asked(AssumedSpecs(imu=on_board.imu, gnss=on_board.gnss, baro=on_board.baro)))
+    units = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
+    return list(asked(AssumedSpecs(**units)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -486,6 +487,13 @@ class ImuSpec:
     accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: along b
     accel_arms: tuple[tuple[float, float, float], ...] = ()  # of the x, y, z accelerometer [m], b
 
+    @property
+    def feels_air(self) -> bool:
+        """Whether an error follows the temperature, the gusts or the engine of the flight."""
+        v = self.vibration
+        shaken = max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
+        return shaken or max(self.gyro.temperature_sd, self.accel.temperature_sd) > 0
+
 
 @dataclass(frozen=True, slots=True)
 class SkySpec:
@@ -494,7 +502,8 @@ class SkySpec:
     Standard deviations and decays of processes that are off are 0.
     """
 
-    gps_t0: float  # GPS time of the start of the run, seconds since a GPS midnight [s]
+    day: date  # of the flight
+    gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
     gps: KeplerSets | None  # times since that midnight; None: the nominal constellation
     glonass: KeplerSets | GlonassSets | None  # the same
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
@@ -550,6 +559,24 @@ class GnssSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class StaticPressureSpec:
+    """An altimeter by what it feels: static pressure, its port, the weather. What there is not is 0."""
+
+    white_sd: float = 0.0  # of the pressure [Pa]
+    bias_sd: float = 0.0  # absolute accuracy of the pressure [Pa]
+    temperature_sd: float = 0.0  # pressure per kelvin of the air from 25 degC [Pa/K]
+    isa_deviation: float = 0.0  # what the air of the day is warmer than standard at every height [K]
+    isa_deviation_sd: float = 0.0  # of the same, drawn for each run [K]
+    qnh_sd: float = 0.0  # of the setting at the start [Pa]
+    qnh_walk: float = 0.0  # of the pressure at sea level since [Pa/sqrt(s)]
+    position_error: float = 0.0  # of the port, over the dynamic pressure, at no incidence [1]
+    position_error_alpha: float = 0.0  # the same, per angle of attack [1/rad]
+    position_error_beta2: float = 0.0  # the same, per squared sideslip [1/rad^2]
+    lag: float = 0.0  # time constant of ports and lines, first order [s]
+    quantization: float = 0.0  # least bit of the pressure [Pa]
+
+
+@dataclass(frozen=True, slots=True)
 class BaroSpec:
     """Barometric altitude: white noise and a bias that walks (A-5.3.1, A-5.3.2)."""
 
@@ -560,6 +587,7 @@ class BaroSpec:
     bias_walk: float  # [m/sqrt(s)]
     quantization: float = 0.0  # least bit [m]
     latency: float = 0.0  # [s]
+    physical: StaticPressureSpec | None = None  # the errors above are then what filters assume
 
 
 @dataclass(frozen=True, slots=True)
@@ -631,6 +659,8 @@ class SensorsSpec:
     alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
     align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
+    qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------

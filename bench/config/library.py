@@ -240,7 +240,7 @@ def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     Parameters
     ----------
     kind : str
-        "imu", "gnss" or "baro".
+        "imu", "gnss", "baro", "mag" or "airspeed".
     name : str
         Name in the catalog, or a path ending in ``.toml``, relative to the profile.
     beside : Path

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
+from datetime import date
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
 from bench.config.tables import ROWS, Table, between
+from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
 """Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
@@ -53,6 +56,26 @@ Metres3 = Annotated[
 Seed = Annotated[int, between(0, 2**53)]
 Category = Literal["uav", "light", "transport", "fighter"]
 """Class of an aircraft."""
+
+
+def _modelled(value: date) -> date:
+    if not FIRST_YEAR <= value.year < LAST_YEAR:
+        wanted = (
+            f"must be from {FIRST_YEAR:g}-01-01 to {LAST_YEAR - 1:g}-12-31: the magnetic field is known then"
+        )
+        raise PydanticCustomError("message", wanted)
+    return value
+
+
+def _written(value: object) -> object:
+    """Take the text of a profile as flown, which is JSON, for a date; leave what is none to its check."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return date.fromisoformat(value)
+    return value
+
+
+Date = Annotated[date, BeforeValidator(_written), AfterValidator(_modelled)]
 
 
 class StartTable(Table):
@@ -114,6 +137,8 @@ class AssumedTable(Table):
     imu: str | None = None
     gnss: str | None = None
     baro: str | None = None
+    mag: str | None = None
+    airspeed: str | None = None
 
 
 class SensorsTable(Table):
@@ -122,6 +147,9 @@ class SensorsTable(Table):
     imu: str
     gnss: str | None = None
     baro: str | None = None
+    mag: str | None = None
+    airspeed: str | None = None
+    qnh_hpa: Annotated[float, between(850, 1100)] | None = None
     assumed: AssumedTable = AssumedTable()
 
 
@@ -181,6 +209,7 @@ class ExperimentTable(Table):
     title: str | None = None
     rate_hz: Literal[100, 200, 400] = 200
     seed: Seed = 0
+    date: Date | None = None
     duration_s: Seconds | None = None
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()

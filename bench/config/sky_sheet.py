@@ -111,6 +111,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     }
     return SkySpec(
         **seconds,
+        day=table.start.date(),
         gps_t0=of_day,
         gps=gps,
         glonass=glonass,

@@ -149,7 +149,7 @@ def choices(console: Console, kind: str | None = None) -> None:
         "Aircraft (aircraft = NAME)": [row[:2] for row in aircraft]
         if kind is None
         else [(name, f"{title}: {figures}") for name, title, figures in aircraft],
-        "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
+        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
         "Estimators (use = NAME, or 'module:Class' of your own)": [
