@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.config import brought, checks, leg_checks
+from bench.config import brought, checks, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.leg_tables import to_leg
 from bench.config.library import (
@@ -97,6 +97,9 @@ def load_profile(
         with noting(wrong, f"{shown}: "):
             flight = bring[1](table, beside)
     across += checks.rates(table, on_board) + checks.outages(table)
+    across += fault_tables.wrong(
+        table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
+    )
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
@@ -237,6 +240,7 @@ def _sensors(
         initial_tilt_sd=math.radians(initial.tilt_deg),
         initial_heading_sd=math.radians(initial.heading_deg),
         output_rate=float(table.evaluation.output_hz),
+        faults=tuple(fault_tables.to_fault(row) for row in table.fault),
     )
 
 

@@ -102,6 +102,15 @@ def observations(bands: int) -> Layout:
     }
 
 
+SKY: Layout = {
+    **T,
+    "system": _one("system"),
+    "sat": _one("sat"),
+    "azimuth": _one("azimuth_rad", "n"),
+    "elevation": _one("elevation_rad", "n"),
+    "cn0": _one("cn0_dbhz"),
+    "used": _one("used"),
+}
 BARO: Layout = {**ARRIVAL, "alt_baro": _one("alt_baro_m"), "sd": _one("sd_m")}
 BIASES: Layout = {
     "gyro_bias_b": _vector("gyro_bias", "rad_s", "b"),
