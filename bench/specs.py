@@ -572,6 +572,7 @@ class Fault:
     times: float = 0.0  # noise over the white noise of the unit [1]
     share: float = 1.0  # of the samples that are struck [1]
     axes: tuple[int, ...] = (0, 1, 2)  # of a triad
+    coherent: bool = True  # the velocity follows the ramp
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,6 +147,16 @@ def test_a_spoofed_fix_is_step_and_ramp_away_and_moves_with_the_ramp(turn, plain
         )
 
 
+def test_a_spoofer_that_is_not_coherent_leaves_the_velocity(turn, plain):
+    fault = script("spoofing", ramp_mps=[0.0, 2.0, 0.0], coherent=False)
+    for level in RECEIVERS:
+        clean, faulty = plain[level].data.fixes, sensed(turn, RECEIVERS[level], fault).data.fixes
+        assert_allclose(faulty.vel_n, clean.vel_n, rtol=0, atol=1e-4)
+        last = np.flatnonzero(inside(clean))[-1]
+        moved = earth.difference_n(faulty.lla[last], clean.lla[last])
+        assert_allclose(moved, [0.0, 2.0 * (clean.t[last] - START), 0.0], rtol=0, atol=1e-3)
+
+
 def test_spoofed_ranges_are_those_from_the_false_place(turn, plain):
     """In the Earth-fixed frame; the linear term alone would be 2 m short at 10 km. The rest, less than 0.3 m:
     air above the false place, and what the satellite flies while its signal is on the way for longer."""

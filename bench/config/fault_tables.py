@@ -84,11 +84,15 @@ class JammingTable(_FaultTable):
 
 
 class SpoofingTable(_FaultTable):
-    """The receiver is made to believe another place: north, east, down; velocity follows the ramp."""
+    """The receiver is made to believe another place: north, east, down.
+
+    The velocity follows the ramp when the false signals are coherent: code and Doppler fit each other.
+    """
 
     kind: Literal["spoofing"]
     step_m: Three = (0.0, 0.0, 0.0)
     ramp_mps: ThreeSpeeds = (0.0, 0.0, 0.0)
+    coherent: bool = True
 
 
 class PseudorangeTable(_FaultTable):
@@ -238,6 +242,7 @@ def to_fault(table: FaultTable) -> Fault:
         delay=float(given.get("added_s", 0.0)),
         times=float(given.get("times", 0.0)),
         share=float(given.get("share", 1.0)),
+        coherent=bool(given.get("coherent", True)),
         axes=tuple("xyz".index(axis) for axis in given.get("axes", "xyz")),
     )
 

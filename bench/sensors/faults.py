@@ -158,7 +158,7 @@ def baro(record: BaroData, spec: BaroSpec, faults: Faults, seed: int, run: int) 
 def spoofed(t: FloatArray, faults: Faults) -> tuple[FloatArray, FloatArray]:
     """Return how far (M, 3) [m], and how fast (M, 3) [m/s], a receiver is led away at t, n."""
     leading = list(of(faults, "gnss", "spoofing"))
-    return steps(t, leading, 3), rates(t, leading, 3)
+    return steps(t, leading, 3), rates(t, (fault for fault in leading if fault.coherent), 3)
 
 
 def fix_errors(
