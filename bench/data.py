@@ -407,6 +407,33 @@ class SensorTruth:
 
 
 @dataclass(frozen=True, slots=True)
+class SkyView:
+    """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
+
+    Received or not. For the recording and the report, never a filter.
+    """
+
+    t: FloatArray  # (K,) [s]
+    system: IntArray  # (K,) GPS or GLONASS
+    sat: IntArray  # (K,) number within its system
+    azimuth: FloatArray  # (K,) [rad]
+    elevation: FloatArray  # (K,) [rad]
+    cn0: FloatArray  # (K,) on the first carrier [dB-Hz]; NaN: not received
+    used: BoolArray  # (K,) in the fix of the epoch
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.int64, system=(None,), sat=(None,))
+        _freeze_kind(self, np.bool_, used=(None,))
+        _freeze(self, t=(None,), azimuth=(None,), elevation=(None,), cn0=(None,))
+        _equal_lengths(self, dict.fromkeys(("t", "system", "sat", "used")))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    __reduce__ = _rebuild
+
+
+@dataclass(frozen=True, slots=True)
 class Innovations:
     """Measurement minus prediction, a row per scalar component."""
 
@@ -509,6 +536,7 @@ class Sensed:
     initial: InitialState
     truth: SensorTruth
     events: Events  # outages and faults of this run
+    sky: SkyView | None = None  # of a measurement-level receiver
 
     __reduce__ = _rebuild
 

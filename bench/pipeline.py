@@ -109,6 +109,7 @@ def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[E
         solution,
         evaluation_from=profile.evaluation_from,
         outages=profile.sensors.gnss_outages,
+        faults=profile.sensors.faults,
     )
 
 
@@ -172,6 +173,12 @@ def _check_times(profile: Profile, end: float) -> None:
         f"{profile.name}: [[gnss_outage]] {k}: its end at {stop:g} s is outside the flight, 0 to {end:g} s"
         for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
         if stop > end
+    ]
+    wrong += [
+        f"{profile.name}: [[fault]] {k} ({fault.kind}): its end at {fault.end:g} s is outside the flight, "
+        f"0 to {end:g} s"
+        for k, fault in enumerate(profile.sensors.faults, 1)
+        if fault.end > end
     ]
     if profile.evaluation_from >= end:
         wrong.append(

@@ -534,6 +534,7 @@ class SkySpec:
     clock_drift_sd: float  # [m/s]
     glonass_offset_sd: float  # GLONASS against GPS time in the receiver [m]
     clock_h_0: float  # white frequency noise, one-sided power-law coefficient [s]
+    clock_h_m1: float  # flicker of frequency [1]
     clock_h_m2: float  # random walk of frequency [1/s]
     clock_g: float  # fractional frequency per specific force along the down axis of the body [s^2/m]
     false_alarm: float  # of the residual test of one epoch [1]
@@ -628,6 +629,26 @@ class AirspeedSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class Fault:
+    """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
+
+    kind: str  # as in the profile
+    sensor: str  # "gnss", "baro", "imu", "gyro" or "accel"
+    start: float  # [s]
+    end: float  # [s]
+    text: str  # in words, as in the profile
+    satellites: tuple[tuple[int, int], ...] = ()  # system and number
+    step: tuple[float, ...] = ()  # from the start on, in SI: n, b or a single value
+    ramp: tuple[float, ...] = ()  # growth of the step, per s
+    loss: float = 0.0  # of C/N0 [dB]
+    delay: float = 0.0  # [s]
+    times: float = 0.0  # noise over the white noise of the unit [1]
+    share: float = 1.0  # of the samples that are struck [1]
+    axes: tuple[int, ...] = (0, 1, 2)  # of a triad
+    coherent: bool = True  # the velocity follows the ramp
+
+
+@dataclass(frozen=True, slots=True)
 class AssumedSpecs:
     """The datasheets an estimator is told to believe."""
 
@@ -661,6 +682,7 @@ class SensorsSpec:
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
     qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
+    faults: tuple[Fault, ...] = ()  # as the profile numbers them
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------

@@ -10,7 +10,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, cast
 
-from bench.config import brought, checks, leg_checks
+from bench.config import brought, checks, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.leg_tables import to_leg
 from bench.config.library import (
@@ -108,6 +108,9 @@ def load_profile(
             flight = bring[1](table, beside)
     across += checks.rates(table, on_board) + checks.outages(table) + checks.alignment(table)
     across += checks.units(table, on_board, felt="trajectory" not in document)
+    across += fault_tables.wrong(
+        table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
+    )
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
@@ -256,6 +259,7 @@ def _sensors(
         alignment=table.alignment.kind,
         align_for=checks.align_for(table),
         drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
+        faults=tuple(fault_tables.to_fault(row) for row in table.fault),
     )
 
 

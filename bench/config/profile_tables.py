@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from bench.config.fault_tables import FaultTable
 from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
 from bench.config.tables import ROWS, Table, between
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
@@ -213,6 +214,7 @@ class ExperimentTable(Table):
     duration_s: Seconds | None = None
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
+    fault: Annotated[tuple[Annotated[FaultTable, Field(discriminator="kind")], ...], ROWS] = ()
     initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
     alignment: AlignmentTable = AlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
-from bench.sensors import airspeed, baro, gnss, imu, initial, magnetometer, sky, static_pressure
+from bench.sensors import airspeed, baro, faults, gnss, imu, initial, magnetometer, sky, static_pressure
 from bench.sensors.timing import output_times
 from bench.specs import SensorsSpec
 
@@ -34,13 +35,19 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         date, or a sensor feels the air and the truth says nothing of it.
     """
     outages = spec.gnss_outages if spec.gnss is not None else ()
+    scripted = spec.faults
+
+    def stepped(sensor: str, width: int) -> FloatArray:
+        return faults.steps(bias.t, faults.of(scripted, sensor, f"{sensor}-step"), width)
+
     imu_data, bias = imu.measure(truth, spec.imu, seed, run)
-    fixes, observations = None, None
+    imu_data = faults.imu(imu_data, spec.imu, scripted, seed, run)
+    fixes, observations, above = None, None, None
     if spec.gnss is not None and spec.gnss.sky is not None:
-        seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run)
-        fixes, observations = seen.fixes, seen.observations
+        seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
+        fixes, observations, above = seen.fixes, seen.observations, seen.above
     elif spec.gnss is not None:
-        fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run)
+        fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
     baro_data, baro_bias = None, np.full(len(bias.t), np.nan)
     if spec.baro is not None:
         if spec.baro.physical is None:
@@ -49,7 +56,8 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
             baro_data, drawn = static_pressure.measure(
                 truth, spec.baro, spec.qnh, spec.static_port_b, seed, run
             )
-        baro_bias = np.interp(bias.t, baro_data.t, drawn)
+        baro_bias = np.interp(bias.t, baro_data.t, drawn) + stepped("baro", 1)[:, 0]
+        baro_data = faults.baro(baro_data, spec.baro, scripted, seed, run)
     mag_data, mag_bias_b = None, np.full((len(bias.t), 3), np.nan)
     if spec.mag is not None:
         mag_data, mag_bias_b[:] = magnetometer.measure(truth, spec.mag, spec.date, seed, run)
@@ -69,9 +77,19 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         airspeed=airspeed_data,
         date=spec.date,
     )
+    happened = [(start, end, "gnss_outage", "GNSS outage") for start, end in outages]
+    happened += [(fault.start, fault.end, "fault", fault.text) for fault in scripted]
     return Sensed(
         data=data,
         initial=initial.draw(truth, spec, seed, run),
-        truth=SensorTruth(bias.t, bias.gyro_b, bias.accel_b, baro_bias, mag_bias_b, airspeed_bias),
-        events=Events.from_rows([(start, end, "gnss_outage", "GNSS outage") for start, end in outages]),
+        truth=SensorTruth(
+            bias.t,
+            bias.gyro_b + stepped("gyro", 3),
+            bias.accel_b + stepped("accel", 3),
+            baro_bias,
+            mag_bias_b,
+            airspeed_bias,
+        ),
+        events=Events.from_rows(happened),
+        sky=above,
     )

@@ -107,6 +107,15 @@ def observations(bands: int) -> Layout:
     }
 
 
+SKY: Layout = {
+    **T,
+    "system": _one("system"),
+    "sat": _one("sat"),
+    "azimuth": _one("azimuth_rad", "n"),
+    "elevation": _one("elevation_rad", "n"),
+    "cn0": _one("cn0_dbhz"),
+    "used": _one("used"),
+}
 BARO: Layout = {**ARRIVAL, "alt_baro": _one("alt_baro_m"), "sd": _one("sd_m")}
 MAG: Layout = {**ARRIVAL, "field_b": _tesla("field"), "sd": Columns(("sd_t",), ("T",))}
 AIRSPEED: Layout = {**ARRIVAL, "airspeed_true": _one("airspeed_true_mps"), "sd": _one("sd_mps")}

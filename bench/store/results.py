@@ -105,6 +105,8 @@ def save(
         parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
     if sensed.data.observations is not None:
         _save_observations(folder / OBSERVATIONS, sensed.data.observations)
+    if sensed.sky is not None:
+        parquet.write(folder / "sensors-sky.parquet", sensed.sky, columns.SKY)
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
     write_json(folder / START, start_document(sensed.data, sensed.initial))

@@ -28,6 +28,8 @@ _SUMMARY = (
     "heading_rmse_deg",
     "heading_convergence_s",
     "outage_",
+    "fault_",
+    "false_alarms_",
     "nees_mean",
     "nees_states",
     "nees_inside_95",
