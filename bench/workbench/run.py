@@ -103,6 +103,12 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
 
     ``ours`` says whether what is there may be replaced; None: when it is a results folder.
     """
+    try:
+        folder.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:  # a name too long, a folder above that may not be searched
+        raise ConfigError(f"{folder}: no folder can be made there: {error.strerror}") from None
     if folder.is_dir():
         empty = not any(folder.iterdir())
         if not force and not empty:
