@@ -186,7 +186,7 @@ def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
     given = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
     sources = {kind: _source(row, kind, beside, place, wrong) for kind, row in given.items()}
     assumed: dict[str, Any] = {}
-    for kind in SENSORS:
+    for kind in given:
         asked = getattr(table.sensors.assumed, kind)
         if asked is None and given[kind] is not None:
             wrong.append(
