@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -238,7 +238,7 @@ def tabs(
         for label, rows in by_label.items():
             by_label[label] = [[replace(plot, scale_from=evaluation_from) for plot in row] for row in rows]
     found["Flight"] = {"": _flight_rows(truth, sensed)}
-    return found
+    return {"Comparison": {"": _comparison(errors, colours, evaluation_from)}, **found}
 
 
 def every(tabs: Tabs) -> Iterator[Plot]:
@@ -247,6 +247,30 @@ def every(tabs: Tabs) -> Iterator[Plot]:
         for rows in by_label.values():
             for row in rows:
                 yield from row
+
+
+def _comparison(
+    errors: Mapping[str, ErrorSeries], colours: Mapping[str, Colour], evaluation_from: float
+) -> Rows:
+    """Return what two or more estimators have in common, a line each in one plot."""
+    sizes: dict[str, Callable[[ErrorSeries], FloatArray]] = {
+        "horizontal position error [m]": lambda e: np.hypot(e.pos_n[:, 0], e.pos_n[:, 1]),
+        "vertical position error [m]": lambda e: e.pos_n[:, 2],
+        "velocity error, 3D [m/s]": lambda e: np.linalg.norm(e.vel_n, axis=1),
+        "heading error [deg]": lambda e: np.rad2deg(e.heading),
+    }
+    rows = []
+    for title, size in sizes.items():
+        lines = {label: size(error) for label, error in errors.items()}
+        series = tuple(
+            _line(entity("of", label)[1:], errors[label].t, values, label, colours[label])
+            for label, values in lines.items()
+            if np.isfinite(values).any()
+        )
+        if len(series) > 1:
+            path = entity("comparison", title.partition(" ")[0])
+            rows.append([Plot(path, title, series, evaluation_from)])
+    return rows
 
 
 def _error_rows(
