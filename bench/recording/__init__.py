@@ -92,8 +92,8 @@ def _record(
         words.send(stream, profile, motion, sensed, solutions, metrics)
         for plot in plots.every(tabs):
             plots.send(stream, plot, shades)
-        if sensed.sky is not None and sky is not None:
-            satellites.send(stream, sensed.sky, motion, sky.antenna_mask)
+        if sensed.sky is not None and sky is not None and truth is not None:
+            satellites.send(stream, sensed.sky, truth, sky.antenna_mask)
         return memory.drain_as_bytes()
 
 
