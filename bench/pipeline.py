@@ -134,6 +134,8 @@ def run(
         Called with the seconds flown so far.
     """
     built = {c.label: estimator.load(c.use, c.options) for c in profile.estimators}  # fails before the flight
+    for label, one in built.items():
+        estimator.check_needs(one, label, _records(profile))
     clock = {"fly": time.process_time()}
     given = truth is not None
     if truth is None:
@@ -187,6 +189,15 @@ def _check_times(profile: Profile, end: float) -> None:
         )
     if wrong:
         raise ConfigError(*wrong)
+
+
+def _records(profile: Profile) -> set[str]:
+    """Return the records of `SensorData` that the sensors of a profile give."""
+    on_board = profile.sensors
+    found = {name for name in ("baro", "mag", "airspeed") if getattr(on_board, name) is not None}
+    if on_board.gnss is not None:
+        found |= {"fixes"} if on_board.gnss.sky is None else {"fixes", "observations"}
+    return found
 
 
 def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:

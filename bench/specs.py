@@ -633,7 +633,7 @@ class Fault:
     """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
 
     kind: str  # as in the profile
-    sensor: str  # "gnss", "baro", "imu", "gyro" or "accel"
+    sensor: str  # "gnss", "baro", "mag", "airspeed", "imu", "gyro" or "accel"
     start: float  # [s]
     end: float  # [s]
     text: str  # in words, as in the profile

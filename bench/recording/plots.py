@@ -59,6 +59,7 @@ def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
 TRUTH: Colour = (110, 190, 90)
 FIX: Colour = (255, 205, 50)
 OUTAGE: Colour = (255, 150, 0)
+FAULT: Colour = (225, 70, 225)
 REJECTED: Colour = (255, 60, 60)
 BAND: Colour = (150, 150, 150)
 AXIS_COLOURS: tuple[Colour, ...] = ((235, 90, 90), (90, 190, 90), (90, 140, 250))  # x, y, z and n, e, d
@@ -458,13 +459,33 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
     ]
 
 
-def send(stream: Any, plot: Plot, outages: Sequence[tuple[float, float]]) -> None:
-    """Send the series of a plot, and a shade over its whole height where GNSS is lost."""
+@dataclass(frozen=True, slots=True)
+class Shade:
+    """Intervals that are hatched in every plot."""
+
+    key: str  # last part of the entity path
+    name: str  # for the legend
+    colour: Colour
+    intervals: tuple[tuple[float, float], ...]  # (start, end) [s]
+
+
+def shades(events: Events) -> tuple[Shade, ...]:
+    """Return what is hatched: where GNSS is lost, and where faults are scripted."""
+    told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
+    found = (
+        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.of(kind)))
+        for key, name, colour, kind in told
+    )
+    return tuple(shade for shade in found if shade.intervals)
+
+
+def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
+    """Send the series of a plot, and shades over its whole height."""
     for series in plot.series:
         names, colours = list(series.names), [list(colour) for colour in series.colours]
         _send_series(stream, f"{plot.path}/{series.key}", series, names, colours)
-    if outages:
-        _send_shade(stream, f"{plot.path}/outage", outages, plot)
+    for shade in shades:
+        _send_shade(stream, f"{plot.path}/{shade.key}", shade, plot)
 
 
 def _send_series(
@@ -494,22 +515,22 @@ def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -
         )
 
 
-def _send_shade(stream: Any, entity: str, outages: Sequence[tuple[float, float]], plot: Plot) -> None:
+def _send_shade(stream: Any, entity: str, shade: Shade, plot: Plot) -> None:
     """Send a hatch over the height of a plot: it has no shaded region, and a wide line ends in round caps."""
     import rerun as rr
 
     low, high = plot.limits()
     spacing = HATCH * max(float(series.t[-1]) for series in plot.series if len(series.t))
     t, y = [], []
-    for start, end in outages:
+    for start, end in shade.intervals:
         strokes = max(2, round((end - start) / spacing))
         t.append(np.append(np.linspace(start, end, strokes + 1), end + 1e-6))
         y.append(np.append(np.where(np.arange(strokes + 1) % 2, low, high), np.nan))
     stream.log(
         entity,
         rr.SeriesLines(
-            colors=[[*OUTAGE, 80]],
-            names="GNSS outage",
+            colors=[[*shade.colour, 80]],
+            names=shade.name,
             widths=1.0,
             aggregation_policy=rr.components.AggregationPolicy.Off,
         ),
