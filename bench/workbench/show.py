@@ -37,6 +37,7 @@ _SUMMARY = (
     "nis_mean_",
 )
 """Metrics of the table, or how their names begin; all the others are in result.json."""
+_COVERAGE = "output_coverage"  # shown where one is not 1
 
 
 def result(console: Console, profile: Profile, run: RunResult) -> None:
@@ -56,12 +57,20 @@ def metrics(
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
                 row = [_number(values.get(name)) + _band(name, values) for values in measured.values()]
                 table.add_row(name, *row)
+    if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
+        table.add_row(_COVERAGE, *(_number(values.get(_COVERAGE)) for values in measured.values()))
     console.print(table)
     for label, values in measured.items():
         for begun, end, text in solutions[label].events.of("alignment"):
             console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
         if not values["converged"]:
-            console.print(f"{label} diverged: {values['reason']}", style="bold red")
+            reason = values["reason"]
+            text = reason if reason.startswith("failed: ") else f"diverged: {reason}"
+            console.print(f"{label} {text}", style="bold red")
+        if values.get("program"):
+            said = values["program"]["stderr"]
+            last = f"; stderr ends: {said.splitlines()[-1][:200]}" if said else ""
+            console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
         if values.get("unmodelled"):
             console.print(f"{label} does not model: {', '.join(values['unmodelled'])}")
 
