@@ -488,6 +488,61 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     return DONE if allan_of(unit, log, out=out, seed=seed, console=_console()) else NEGATIVE
 
 
+@commands.command(epilog=_STATUS)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.option(
+    "--to",
+    "kind",
+    required=True,
+    type=click.Choice(
+        ["csv", "parquet", "mat", "kf-gins", "navego", "python-ins", "nmea", "kml", "tum", "rosbag2"]
+    ),
+    help="the format",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder for the files  [default: RUN-FORMAT beside RUN]",
+)
+@click.option(
+    "--with",
+    "wanted",
+    multiple=True,
+    metavar="NAME",
+    help="truth or solution:NAME, beside the sensors; repeat for more",
+)
+@click.option("--force", is_flag=True, help="replace an export that is there")
+def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], force: bool) -> int:
+    """Write the sensors of a run in the format another tool reads.
+
+    RUN is a results folder of bench run. The truth and the solutions go out only
+    when asked for by name.
+
+    \b
+    Formats:
+      csv, parquet, mat  a table per sensor, columns named by unit; MATLAB
+      kf-gins, navego, python-ins  for these filters, with their configuration
+      nmea, kml          the fixes as sentences, or on a globe
+      tum                poses for evo: --with truth or --with solution:NAME
+      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[ros]')
+
+    \b
+    Examples:
+      bench export runs/figure-eight-20260101 --to kf-gins
+      bench export runs/figure-eight-20260101 --to tum --with truth --with solution:loose-15
+
+    \b
+    Writes to DIR the files of the format and a README.md that says what is in
+    them: columns, units, frames, row counts.
+    """
+    from bench.workbench.export import export as export_run
+
+    export_run(folder, kind, console=_console(), out=out, wanted=wanted, force=force)
+    return DONE
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; a bug keeps its traceback.
 

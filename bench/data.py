@@ -362,18 +362,24 @@ class SensorData:
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """Where the estimator is told to start, and how well that is known."""
+    """Where the estimator is told to start, and how well that is known.
+
+    What it is not told is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
+    """
 
     t: float  # [s]
     lla: FloatArray  # (3,) [rad, rad, m]
     vel_n: FloatArray  # (3,) [m/s], n
     q_nb: FloatArray  # (4,)
     cov: FloatArray  # (9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
-    alignment: str  # "given"
+    alignment: str  # what is told: "given" all, "level" the position of a standstill, "course" nothing
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
 
     def __post_init__(self) -> None:
         for name, shape in {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}.items():
-            _store(self, name, as_float(_label(self, name), getattr(self, name), shape))
+            told = self.alignment == "given"
+            _store(self, name, as_float(_label(self, name), getattr(self, name), shape, finite=told))
 
     __reduce__ = _rebuild
 

@@ -134,6 +134,7 @@ def run(
     """
     built = {c.label: estimator.load(c.use, c.options) for c in profile.estimators}  # fails before the flight
     clock = {"fly": time.process_time()}
+    given = truth is not None
     if truth is None:
         truth = fly(profile, progress=progress)
     _check_times(profile, float(truth.t[-1]))
@@ -147,6 +148,8 @@ def run(
     judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
     clock["end"] = time.process_time()
     steps = list(clock)
+    hashes = {"truth": None if given else store.truth_key(profile.flight)}
+    hashes["sensors"] = store.spec_hash(profile.sensors)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
     result = RunResult(
         profile=profile.document,
@@ -158,7 +161,7 @@ def run(
         },
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
-        provenance={**store.provenance(), "cpu_s": cpu_s},
+        provenance={**store.provenance(), "inputs": hashes, "cpu_s": cpu_s},
     )
     return Run(result, truth, sensed)
 

@@ -40,11 +40,11 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 class RunwaySpec:
     """How an aircraft is taken off and landed."""
 
-    height: float  # of the IMU above the ground at rest [m]
+    height: float  # of the centre of gravity above the ground at rest [m]
     rotate_speed: float  # true airspeed at which the nose is raised [m/s]
     take_off_pitch: float  # [rad]
     approach_speed: float  # true airspeed on the glide path [m/s]
-    flare_height: float  # of the IMU above the ground where the glide is broken off [m]
+    flare_height: float  # of the centre of gravity above the ground where the glide is broken off [m]
     touch_down_sink: float  # the flare aims at [m/s]
 
 
@@ -624,6 +624,9 @@ class SensorsSpec:
     mag: MagSpec | None = None
     airspeed: AirspeedSpec | None = None
     date: float = DEFAULT_DATE  # of the flight [decimal years]
+    alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------

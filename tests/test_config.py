@@ -338,7 +338,7 @@ def test_the_messages_of_the_conventions(tmp_path):
 
 NAN, INF = float("nan"), float("inf")
 ONE_THING_WRONG = [
-    ({"wnd": {}}, "unknown key 'wnd'. Did you mean 'wind'?\n  known keys: aircraft, duration_s, "),
+    ({"wnd": {}}, "unknown key 'wnd'. Did you mean 'wind'?\n  known keys: aircraft, alignment, duration_s, "),
     ({"start.alt_ft": 3000.0}, "[start]: unknown key 'alt_ft'. Did you mean 'alt_m'?\n  known keys: alt_m,"),
     ({"sensors.assumed.imx": "a"}, "[sensors.assumed]: unknown key 'imx'. Did you mean 'imu'?"),
     ({"estimator.0.us": "a"}, "[[estimator]] 1: unknown key 'us'. Did you mean 'use'?"),

@@ -263,6 +263,18 @@ def test_provenance_names_what_can_move_a_number():
     json.dumps(said)
 
 
+def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
+    sensors = config.load_profile("figure-eight").sensors
+    said = store.spec_hash(sensors)
+    assert said == store.spec_hash(config.load_profile("figure-eight").sensors)
+    for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
+        spec = getattr(sensors, name)
+        before = getattr(spec, figure)
+        moved = ((0.01, 0.0, 0.0),) * 3 if figure == "accel_arms" else before + 1e-9
+        other = dataclasses.replace(sensors, **{name: dataclasses.replace(spec, **{figure: moved})})
+        assert store.spec_hash(other) != said, name
+
+
 # --- the truth cache ----------------------------------------------------------------------------------
 
 

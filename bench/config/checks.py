@@ -54,6 +54,31 @@ def outages(table: ExperimentTable) -> list[str]:
     return wrong
 
 
+def alignment(table: ExperimentTable) -> list[str]:
+    """Check that an alignment has what it needs, and ends before the judgement begins."""
+    asked = table.alignment
+    wrong = []
+    kind = f"kind = '{asked.kind}'"
+    if asked.kind == "given" and asked.duration_s is not None:
+        wrong.append(f"[alignment] duration_s is for kind = 'level' or 'course'; {kind} takes no time")
+    if asked.kind != "course" and asked.drift_deg is not None:
+        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if asked.kind == "course" and table.sensors.gnss is None:
+        wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
+    if asked.kind != "given" and align_for(table) > table.evaluation.from_s:
+        wrong.append(
+            f"[alignment] {quantity('duration_s', align_for(table))} must not go beyond [evaluation] "
+            f"{quantity('from_s', table.evaluation.from_s)}"
+        )
+    return wrong
+
+
+def align_for(table: ExperimentTable) -> float:
+    """Return how long an alignment may take: a minute at rest, 10 s of a course."""
+    given = table.alignment.duration_s
+    return float((10.0 if table.alignment.kind == "course" else 60.0) if given is None else given)
+
+
 def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
     """Check that the estimators exist, and that labels can name files and are unique."""
     wrong = []

@@ -35,6 +35,8 @@ from bench.specs import (
     WindLayer,
 )
 
+_DRIFT_DEG = 10.0  # a crosswind of a sixth of the airspeed; 1 sigma of what nobody told the filter
+
 
 def load_profile(
     name: str,
@@ -96,7 +98,7 @@ def load_profile(
     elif bring is not None:
         with noting(wrong, f"{shown}: "):
             flight = bring[1](table, beside)
-    across += checks.rates(table, on_board) + checks.outages(table)
+    across += checks.rates(table, on_board) + checks.outages(table) + checks.alignment(table)
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
@@ -237,6 +239,9 @@ def _sensors(
         initial_tilt_sd=math.radians(initial.tilt_deg),
         initial_heading_sd=math.radians(initial.heading_deg),
         output_rate=float(table.evaluation.output_hz),
+        alignment=table.alignment.kind,
+        align_for=checks.align_for(table),
+        drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
     )
 
 

@@ -139,6 +139,17 @@ class InitialErrorSdTable(Table):
     heading_deg: Annotated[float, between(1e-4, 180)] = 2.0
 
 
+class AlignmentTable(Table):
+    """What the estimators are told of the start, and what they have to find by themselves.
+
+    ``given``: all of it. ``level``: the position of a standstill. ``course``: nothing.
+    """
+
+    kind: Literal["given", "level", "course"] = "given"
+    duration_s: Annotated[float, between(1, 3600)] | None = None
+    drift_deg: Annotated[float, between(0, 90)] | None = None
+
+
 class EstimatorTable(Table):
     """An estimator by its built-in name or ``module:Class``."""
 
@@ -172,6 +183,7 @@ class ExperimentTable(Table):
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
     initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
+    alignment: AlignmentTable = AlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
     evaluation: EvaluationTable = EvaluationTable()
 

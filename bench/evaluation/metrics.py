@@ -16,7 +16,15 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.evaluation.consistency import SensorNis, chi2_quantile, mean_nis, nis_by_sensor
-from bench.evaluation.errors import BLOCKS, converged, error_series, estimated_blocks, heading_sd
+from bench.evaluation.errors import (
+    BLOCKS,
+    aligning,
+    converged,
+    error_series,
+    estimated_blocks,
+    from_row,
+    heading_sd,
+)
 
 Outages = Sequence[tuple[float, float]]
 Value = float | None
@@ -312,7 +320,8 @@ def judge(
     truth : Trajectory
         The motion as flown.
     solution : NavSolution
-        What the estimator made of the sensors.
+        What the estimator made of the sensors. Epochs before the end of the window at which it says nothing
+        at all, NaN throughout, are those of its alignment; ``x_all`` begins after them.
     evaluation_from : float
         End of the alignment window [s]; metrics ``x`` begin here, ``x_all`` at the start.
     outages : sequence of (start, end)
@@ -335,10 +344,15 @@ def judge(
     if len(solution) == 0:
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
-    sound, reason = converged(errors, solution)
+    begun = aligning(solution, evaluation_from)
+    judged, solution = from_row(errors, begun), from_row(solution, begun)
+    sound, reason = converged(judged, solution)
+    if aligning(solution, np.inf):
+        first = solution.t[aligning(solution, np.inf)]
+        sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole = _values(case_from(errors, solution, -np.inf, outages), solution)
-        after = case_from(errors, solution, evaluation_from, outages)
+        whole = _values(case_from(judged, solution, -np.inf, outages), solution)
+        after = case_from(judged, solution, evaluation_from, outages)
         window = _values(after, solution) if len(after.t) else {}
     metrics: dict[str, Any] = {"converged": sound, "reason": reason}
     metrics.update({name: window.get(name) if sound else None for name in whole})

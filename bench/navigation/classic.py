@@ -33,7 +33,7 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.earth import RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
-from bench.navigation import timeline
+from bench.navigation import alignment, timeline
 from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
 from bench.navigation.state_model import unmodelled
@@ -704,7 +704,9 @@ class Classic22:
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+        initial, aligned = alignment.complete(sensors, initial)
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        events += aligned
         t = sensors.imu.t[rows]
         aids: dict[int, list[tuple[int | None, int | None]]] = {}
         fixes, baro = sensors.fixes, sensors.baro

@@ -23,7 +23,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
 from bench.earth import RATE, radii_kernel
-from bench.navigation import timeline
+from bench.navigation import alignment, timeline
 from bench.navigation.error_state import (
     ACCEL,
     CORE,
@@ -388,6 +388,7 @@ class Loose:
 
     def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
+        initial, aligned = alignment.complete(sensors, initial)
         specs = sensors.specs
         fixes = sensors.fixes if self.gnss else None
         baro = sensors.baro if self.baro else None
@@ -397,6 +398,7 @@ class Loose:
         layout, n = model.layout, model.layout.size
 
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        events += aligned
         t = np.concatenate([sensors.imu.t[rows], [initial.t]])  # the last one serves the start, index -1
         no_rows = np.empty(0, np.int64)
         fix_rows, fix_at, fix_r = no_rows, no_rows, np.empty(6)

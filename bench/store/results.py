@@ -30,6 +30,7 @@ from bench.data import (
     Trajectory,
 )
 from bench.store import columns, parquet
+from bench.store.start import START, start_document
 
 RESULT = "result.json"
 OBSERVATIONS = "sensors-observations.parquet"
@@ -102,6 +103,7 @@ def save(
         _save_observations(folder / OBSERVATIONS, sensed.data.observations)
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
+    write_json(folder / START, start_document(sensed.data, sensed.initial))
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
         layout = columns.solution(solution.extra_names)
@@ -148,7 +150,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
         run=summary["run"],
         metrics=summary["metrics"],
         errors={label: _load_errors(path) for label, path in _labelled(folder, "errors")},
-        solutions={label: _load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
+        solutions={label: load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
         provenance=summary["provenance"],
     )
 
@@ -268,7 +270,14 @@ def _save_innovations(path: Path, innovations: Innovations) -> None:
     parquet.write(path, SimpleNamespace(**fields), columns.INNOVATIONS, sensors=list(names))
 
 
-def _load_solution(folder: Path, label: str) -> NavSolution:
+def solutions_of(folder: str | os.PathLike[str]) -> list[str]:
+    """Return the labels of the solutions in a results folder."""
+    return [label for label, _ in _labelled(Path(folder), "solution")]
+
+
+def load_solution(folder: str | os.PathLike[str], label: str) -> NavSolution:
+    """Read one solution of a results folder back."""
+    folder = Path(folder)
     path, other = folder / f"solution-{label}.parquet", folder / f"innovations-{label}.parquet"
     extra_names = tuple(parquet.facts(path)["extra_names"])
     names = tuple(parquet.facts(other)["sensors"])

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.baselines import Verdict
 from bench.config import list_aircraft, list_profiles, list_sensors
-from bench.data import RunResult
+from bench.data import NavSolution, RunResult
 from bench.evaluation.metrics import metric_of
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
@@ -40,11 +40,13 @@ _SUMMARY = (
 def result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, a column for each estimator, and what they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
-    metrics(console, run.metrics)
+    metrics(console, run.metrics, run.solutions)
 
 
-def metrics(console: Console, measured: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print the main metrics, a column for each estimator, and what they do not model."""
+def metrics(
+    console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
+) -> None:
+    """Print the main metrics, a column for each estimator, how they aligned and what they do not model."""
     table = _table("metric", *measured)
     names = dict.fromkeys(name for values in measured.values() for name in values)
     for start in _SUMMARY:
@@ -54,6 +56,8 @@ def metrics(console: Console, measured: Mapping[str, Mapping[str, Any]]) -> None
                 table.add_row(name, *row)
     console.print(table)
     for label, values in measured.items():
+        for begun, end, text in solutions[label].events.of("alignment"):
+            console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
         if not values["converged"]:
             console.print(f"{label} diverged: {values['reason']}", style="bold red")
         if values.get("unmodelled"):
@@ -70,7 +74,10 @@ def _band(name: str, metrics: Mapping[str, Any]) -> str:
 def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
     """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.label}")
-    table = _table("from", "to", "leg")
+    table = Table()
+    for column in ("from", "to"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("leg", overflow="fold")
     for start, end, text in flown["legs"]:
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)

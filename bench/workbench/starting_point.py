@@ -11,7 +11,7 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import timeline
+from bench.navigation import alignment, timeline
 from bench.navigation.error_state import dynamics
 from bench.navigation.mechanization import propagate
 from bench.specs import AssumedSpecs
@@ -37,7 +37,9 @@ class StartingPoint:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and biases at ``sensors.output_t``."""
+        initial, aligned = alignment.complete(sensors, initial)
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        events += aligned
         t = sensors.imu.t[rows]
         stretch = (span / sensors.imu.dt[rows])[:, None]  # over rows that are missing
         dtheta, dvel = sensors.imu.dtheta_b[rows] * stretch, sensors.imu.dvel_b[rows] * stretch
