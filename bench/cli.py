@@ -198,8 +198,8 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
 def list_all(kind: str | None) -> int:
     """List the profiles, aircraft, sensors and estimators there are.
 
-    KIND is one of these words and lists only those; bench list sensors also says where
-    the figures of each sensor are from, and which of them no source states.
+    KIND is one of these words and lists only those; bench list sensors and bench list
+    aircraft also say what is known of each, where from, and what no source states.
     """
     from bench.workbench.show import choices
 

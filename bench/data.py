@@ -392,9 +392,43 @@ class SensorTruth:
     gyro_bias_b: FloatArray  # (B, 3) [rad/s], b
     accel_bias_b: FloatArray  # (B, 3) [m/s^2], b
     baro_bias: FloatArray  # (B,) [m]
+    mag_bias_b: FloatArray | None = None  # (B, 3) hard iron [T], b; None becomes NaN
+    airspeed_bias: FloatArray | None = None  # (B,) [m/s]; None becomes NaN
 
     def __post_init__(self) -> None:
+        if self.mag_bias_b is None:
+            object.__setattr__(self, "mag_bias_b", np.full((len(self.t), 3), np.nan))
+        if self.airspeed_bias is None:
+            object.__setattr__(self, "airspeed_bias", np.full(len(self.t), np.nan))
         _freeze(self, t=(None,), gyro_bias_b=(None, 3), accel_bias_b=(None, 3), baro_bias=(None,))
+        _freeze(self, t=(None,), mag_bias_b=(None, 3), airspeed_bias=(None,))
+
+    __reduce__ = _rebuild
+
+
+@dataclass(frozen=True, slots=True)
+class SkyView:
+    """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
+
+    Received or not. For the recording and the report, never a filter.
+    """
+
+    t: FloatArray  # (K,) [s]
+    system: IntArray  # (K,) GPS or GLONASS
+    sat: IntArray  # (K,) number within its system
+    azimuth: FloatArray  # (K,) [rad]
+    elevation: FloatArray  # (K,) [rad]
+    cn0: FloatArray  # (K,) on the first carrier [dB-Hz]; NaN: not received
+    used: BoolArray  # (K,) in the fix of the epoch
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.int64, system=(None,), sat=(None,))
+        _freeze_kind(self, np.bool_, used=(None,))
+        _freeze(self, t=(None,), azimuth=(None,), elevation=(None,), cn0=(None,))
+        _equal_lengths(self, dict.fromkeys(("t", "system", "sat", "used")))
+
+    def __len__(self) -> int:
+        return len(self.t)
 
     __reduce__ = _rebuild
 
@@ -502,6 +536,7 @@ class Sensed:
     initial: InitialState
     truth: SensorTruth
     events: Events  # outages and faults of this run
+    sky: SkyView | None = None  # of a measurement-level receiver
 
     __reduce__ = _rebuild
 

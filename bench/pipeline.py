@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -109,6 +109,7 @@ def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[E
         solution,
         evaluation_from=profile.evaluation_from,
         outages=profile.sensors.gnss_outages,
+        faults=profile.sensors.faults,
     )
 
 
@@ -173,6 +174,12 @@ def _check_times(profile: Profile, end: float) -> None:
         for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
         if stop > end
     ]
+    wrong += [
+        f"{profile.name}: [[fault]] {k} ({fault.kind}): its end at {fault.end:g} s is outside the flight, "
+        f"0 to {end:g} s"
+        for k, fault in enumerate(profile.sensors.faults, 1)
+        if fault.end > end
+    ]
     if profile.evaluation_from >= end:
         wrong.append(
             f"{profile.name}: [evaluation] from_s = {profile.evaluation_from:g} s is outside the flight, "
@@ -188,4 +195,5 @@ def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | Non
     if asked is None:
         return None
     on_board = profile.sensors
-    return list(asked(AssumedSpecs(imu=on_board.imu, gnss=on_board.gnss, baro=on_board.baro)))
+    units = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
+    return list(asked(AssumedSpecs(**units)))

@@ -53,6 +53,16 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
         "bench.navigation.fusion:Loose",
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
+    "gnss-only": (
+        "position and velocity from the fixes, without IMU",
+        "bench.navigation.gnss_only:GnssOnly",
+        {},
+    ),
+    "ukf": (
+        "the states of loose-15 by sigma points, slow",
+        "bench.navigation.unscented:Unscented",
+        {},
+    ),
     "classic-22": (
         "the source's 22 states step by step, slow: the oracle of loose-22",
         "bench.navigation.classic:Classic22",

@@ -139,6 +139,8 @@ def unmodelled(specs: AssumedSpecs, *, gnss: bool, baro: bool, gnss_markov: bool
             found.append("GNSS latency")
     if baro and specs.baro is not None and specs.baro.quantization > 0:
         found.append("barometer quantization")
+    if baro and specs.baro is not None and specs.baro.physical is not None:
+        found.append("barometer errors with height, airspeed and incidence")
     return tuple(found)
 
 

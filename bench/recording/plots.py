@@ -370,6 +370,7 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
     keep = thin(truth.t, SLOW)
     t, vel_n = truth.t[keep], truth.vel_n[keep]
     air, controls, fixes, baro = truth.air, truth.controls, sensed.data.fixes, sensed.data.baro
+    mag, pitot = sensed.data.mag, sensed.data.airspeed
     euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb[keep])))
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
@@ -384,6 +385,14 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
         _line("calibrated_airspeed", air.t, air.airspeed_calibrated, "calibrated airspeed", grey),
         _line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", colour),
     ]
+    if pitot is not None:
+        speed.append(_dots("airspeed", pitot.t, pitot.airspeed_true, "airspeed unit", red))
+    field = []
+    if mag is not None:
+        field = [
+            _line(axis, mag.t, 1e6 * mag.field_b[:, k], axis, AXIS_COLOURS[k])
+            for k, axis in enumerate(("forward", "right", "down"))
+        ]
     attitude = [
         _line(name, t, euler[:, k], name, AXIS_COLOURS[k]) for k, name in enumerate(("roll", "pitch"))
     ]
@@ -412,6 +421,7 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
             ("throttle", "Throttle [%]", power),
             ("engine", "Engine speed [rpm]", engine),
         ],
+        [("magnetic_field", "Magnetic field measured [uT]", field)],
     ]
     told = [  # a truth that was brought as a table says nothing of the air and the controls
         [(name, title, [line for line in series if len(line.t)]) for name, title, series in group]

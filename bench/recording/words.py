@@ -103,7 +103,8 @@ def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Map
 def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
     """Return what is said of a flight above its metrics."""
     sensors = profile.sensors
-    units = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    units: list[tuple[str, Any]] = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    units += [("magnetometer", sensors.mag), ("airspeed", sensors.airspeed)]
     lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
     return [
         f"- profile `{profile.name}`, seed {profile.seed}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -17,6 +18,7 @@ FIRST_YEAR, LAST_YEAR = 2010.0, 2030.0
 
 _CELL = 5000.0  # edge of a cell of the Earth-fixed grid [m]; see Notes for what it costs
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
+_ONE_NUMBER = np.array([1, 1 << 20, 1 << 40])  # tells cells apart, 2.6 million km around
 _NANOTESLA = 1e-9  # [T]
 
 
@@ -56,15 +58,27 @@ def field_n(lla: ArrayLike, date: float) -> FloatArray:
     place = earth.to_ecef(lla) / _CELL
     cell = np.floor(place).astype(np.int64)
     inside = place - cell
+    _, first, kind = np.unique(cell @ _ONE_NUMBER, return_index=True, return_inverse=True)
     field_e = np.zeros((len(lla), 3))
     for corner in _CORNERS:
-        at, row = np.unique(cell + corner, axis=0, return_inverse=True)
-        values = np.array([_corner(float(date), *map(int, c)) for c in at]).reshape(-1, 3)
+        values = np.array([_corner(float(date), *map(int, c)) for c in cell[first] + corner]).reshape(-1, 3)
         weight = np.prod(np.where(corner, inside, 1.0 - inside), axis=1)
-        field_e += weight[:, None] * values[row.reshape(-1)]
+        field_e += weight[:, None] * values[kind]
     to_n = np.swapaxes(earth.matrix_en(lla[:, 0], lla[:, 1]), -1, -2)
     turned: FloatArray = np.einsum("kij,kj->ki", to_n, field_e)
     return turned
+
+
+def decimal_year(day: datetime.date) -> float:
+    """Return a day, at its beginning, as a decimal year.
+
+    Examples
+    --------
+    >>> decimal_year(datetime.date(2026, 1, 1)), decimal_year(datetime.date(2024, 7, 2))
+    (2026.0, 2024.5)
+    """
+    first = datetime.date(day.year, 1, 1)
+    return day.year + (day - first).days / (datetime.date(day.year + 1, 1, 1) - first).days
 
 
 def _check(date: float) -> None:

@@ -11,11 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TypeVar
 
 import numpy as np
 
 from bench.data import (
     AirData,
+    AirspeedData,
     BaroData,
     Controls,
     ErrorSeries,
@@ -24,6 +26,7 @@ from bench.data import (
     GnssObservations,
     ImuData,
     Innovations,
+    MagData,
     NavSolution,
     RunResult,
     Sensed,
@@ -32,6 +35,7 @@ from bench.data import (
 from bench.store import columns, parquet
 from bench.store.start import START, start_document
 
+_T = TypeVar("_T")
 RESULT = "result.json"
 OBSERVATIONS = "sensors-observations.parquet"
 
@@ -101,9 +105,16 @@ def save(
         parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
     if sensed.data.observations is not None:
         _save_observations(folder / OBSERVATIONS, sensed.data.observations)
+    if sensed.sky is not None:
+        parquet.write(folder / "sensors-sky.parquet", sensed.sky, columns.SKY)
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
     write_json(folder / START, start_document(sensed.data, sensed.initial))
+    if sensed.data.mag is not None:
+        date = sensed.data.date
+        parquet.write(folder / "sensors-mag.parquet", sensed.data.mag, columns.MAG, date=date)
+    if sensed.data.airspeed is not None:
+        parquet.write(folder / "sensors-airspeed.parquet", sensed.data.airspeed, columns.AIRSPEED)
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
         layout = columns.solution(solution.extra_names)
@@ -168,14 +179,22 @@ def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
     )
 
 
-def load_sensors(folder: str | os.PathLike[str]) -> tuple[ImuData, GnssFixes | None, BaroData | None]:
-    """Read the sensor records of a results folder back."""
+def load_sensors(
+    folder: str | os.PathLike[str],
+) -> tuple[ImuData, GnssFixes | None, BaroData | None, MagData | None, AirspeedData | None]:
+    """Read the sensor records of a results folder back; what was not on board is None."""
     folder = Path(folder)
-    gnss, baro = folder / "sensors-gnss.parquet", folder / "sensors-baro.parquet"
+
+    def found(name: str, record: type[_T], layout: columns.Layout) -> _T | None:
+        path = folder / f"sensors-{name}.parquet"
+        return record(**parquet.read(path, layout)) if path.exists() else None
+
     return (
         ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU)),
-        GnssFixes(**parquet.read(gnss, columns.GNSS)) if gnss.exists() else None,
-        BaroData(**parquet.read(baro, columns.BARO)) if baro.exists() else None,
+        found("gnss", GnssFixes, columns.GNSS),
+        found("baro", BaroData, columns.BARO),
+        found("mag", MagData, columns.MAG),
+        found("airspeed", AirspeedData, columns.AIRSPEED),
     )
 
 

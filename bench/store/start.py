@@ -23,13 +23,14 @@ def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
 
     ``initial``: time, position, velocity, attitude and their covariance (9, 9) of (pos_n m, vel_n m/s,
     phi_n rad) errors; null is not known. ``antenna_b_m``: GNSS antenna from the IMU, forward, right, down.
-    ``assumed``: the datasheets, fields as in `bench.specs`, of the IMU, the receiver and the barometer.
+    ``assumed``: the datasheets, fields as in `bench.specs`, by kind of sensor. ``date``: decimal year.
     """
     lat, lon, alt = initial.lla
     assumed = dataclasses.asdict(data.specs)
     if assumed["gnss"] and assumed["gnss"]["sky"]:
         for system in _ORBITS:
             del assumed["gnss"]["sky"][system]
+        assumed["gnss"]["sky"]["day"] = assumed["gnss"]["sky"]["day"].isoformat()
     return {
         "initial": {
             "t_s": initial.t,
@@ -43,6 +44,7 @@ def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
             "align_for_s": initial.align_for,
             "drift_sd_rad": initial.drift_sd,
         },
+        "date": data.date,
         "antenna_b_m": data.antenna_b,
         "assumed": assumed,
     }

@@ -28,6 +28,8 @@ _SUMMARY = (
     "heading_rmse_deg",
     "heading_convergence_s",
     "outage_",
+    "fault_",
+    "false_alarms_",
     "nees_mean",
     "nees_states",
     "nees_inside_95",
@@ -46,7 +48,7 @@ def result(console: Console, profile: Profile, run: RunResult) -> None:
 def metrics(
     console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
 ) -> None:
-    """Print the main metrics, a column for each estimator, how they aligned and what they do not model."""
+    """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
     table = _table("metric", *measured)
     names = dict.fromkeys(name for values in measured.values() for name in values)
     for start in _SUMMARY:
@@ -141,13 +143,15 @@ def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
 def choices(console: Console, kind: str | None = None) -> None:
     """Print the profiles, aircraft, sensors and estimators there are, or those of one kind.
 
-    Of the sensors alone also where their figures are from, and which of them are assumed.
+    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed.
     """
-    sensors = list_sensors()
+    sensors, aircraft = list_sensors(), list_aircraft()
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": list_profiles(),
-        "Aircraft (aircraft = NAME)": list_aircraft(),
-        "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
+        "Aircraft (aircraft = NAME)": [row[:2] for row in aircraft]
+        if kind is None
+        else [(name, f"{title}: {figures}") for name, title, figures in aircraft],
+        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
         "Estimators (use = NAME, or 'module:Class' of your own)": [

@@ -34,7 +34,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
             f"{folder}: no results folder, there is no {store.RESULT} in it; 'bench run' writes one"
         )
     with reading(folder):
-        imu, fixes, baro = store.load_sensors(folder)
+        imu, fixes, baro, *_ = store.load_sensors(folder)
         start = store.load_start(folder)
         observations = store.load_observations(folder)
         tracks: dict[str, Track] = {}
