@@ -150,18 +150,19 @@ class Session:
     def __init__(self, spec: LogSpec, recorded: Recording, initial: InitialState) -> None:
         fixes, imu = recorded.fixes, recorded.imu
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
-        good = fixes.valid & (fixes.t > newest) & (fixes.t > initial.t) & (fixes.t <= imu.t.max())
+        begun = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
+        good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
         self.fixes = taken(fixes, good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
-        first, last = initial.t, float(imu.t.max())
+        last = float(imu.t.max())
         if spec.evaluation_from >= last:
             raise ConfigError(
                 f"{spec.name}.toml: [evaluation] from_s = {spec.evaluation_from:g} s is outside the "
                 f"recording, 0 to {last:.2f} s"
             )
-        self.first, self.last = max(first, spec.evaluation_from), last
+        self.first, self.last = max(initial.t, spec.evaluation_from), last
 
     def grid(self) -> FloatArray:
         """Return the instants at which solutions are wanted [s]."""
