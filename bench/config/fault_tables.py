@@ -317,4 +317,5 @@ def _has_noise(unit: Any, sensor: str) -> bool:
         return bool(getattr(unit, sensor).random_walk > 0)
     if isinstance(unit, GnssSpec) and unit.sky is not None:
         return unit.sky.dll_bandwidth > 0 or unit.sky.fll_bandwidth > 0
-    return bool(getattr(unit, "white_sd", 0.0) > 0 or getattr(unit, "pressure_white_sd", 0.0) > 0)
+    names = ("white_sd", "pressure_white_sd", "pos_h_white_sd", "pos_v_white_sd", "vel_white_sd")
+    return any(getattr(unit, name, 0.0) > 0 for name in names)
