@@ -690,11 +690,12 @@ class SensorsSpec:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """An estimator by its built-in name or ``module:Class``, with the keywords of its constructor."""
+    """An estimator by its name, ``module:Class``, ``file:`` or ``command:``, and the keywords it takes."""
 
     use: str
     label: str  # unique in the profile; names files and report columns
     options: Mapping[str, Any] = field(default_factory=dict)
+    beside: Path = Path()  # where the relative paths of "file:" and "command:" begin
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -119,6 +119,23 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         raise EstimatorError(
             f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
         )
+    return construct(use, factory, options, fixed)
+
+
+def construct(
+    use: str,
+    factory: Callable[..., Estimator],
+    options: Mapping[str, Any],
+    fixed: Mapping[str, Any] | None = None,
+) -> Estimator:
+    """Build an estimator from the keywords it takes.
+
+    Raises
+    ------
+    EstimatorError
+        When it has no such option or refuses one, in one line.
+    """
+    fixed = fixed or {}
     keywords = {**fixed, **options}
     known = inspect.signature(factory).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in known.values())
@@ -127,10 +144,9 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         offered = ", ".join(name for name in known if name not in fixed) or "none"
         raise EstimatorError(f"estimator {use!r}: unknown option {unknown[0]!r}; known options: {offered}")
     try:
-        built: Estimator = factory(**keywords)
+        return factory(**keywords)
     except (ValueError, TypeError) as error:
         raise EstimatorError(f"estimator {use!r}: {error}") from error
-    return built
 
 
 def check_needs(estimator: Estimator, name: str, records: Collection[str]) -> None:

@@ -38,6 +38,7 @@ _SUMMARY = (
     "nis_mean_",
 )
 """Metrics of the table, or how their names begin; all the others are in result.json."""
+_COVERAGE = "output_coverage"  # shown where one is not 1
 
 
 def result(console: Console, profile: Profile, run: RunResult) -> None:
@@ -62,7 +63,13 @@ def metrics(
         for begun, end, text in solutions[label].events.of("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
         if not values["converged"]:
-            console.print(f"{label} diverged: {values['reason']}", style="bold red")
+            reason = values["reason"]
+            text = reason if reason.startswith("failed: ") else f"diverged: {reason}"
+            console.print(f"{label} {text}", style="bold red")
+        if values.get("program"):
+            said = values["program"]["stderr"]
+            last = f"; stderr ends: {said.splitlines()[-1][:200]}" if said else ""
+            console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
         if values.get("unmodelled"):
             remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
     for text, labels in remarks.items():
@@ -85,6 +92,8 @@ def _metrics(results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, 
                     for values in results.values()
                 ]
                 table.add_row(name, *cells)
+    if any(values.get(_COVERAGE) not in (None, 1.0) for values in results.values()):
+        table.add_row(_COVERAGE, *(_number(values.get(_COVERAGE)) for values in results.values()))
     return table
 
 
