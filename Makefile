@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test check perf
+.PHONY: run test check perf oracle
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -19,6 +19,9 @@ check: .venv/ready
 
 perf: .venv/perf
 	$(BIN)/python tests/perf/ratios.py
+
+oracle: .venv/ready
+	$(BIN)/python tests/oracle.py
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv

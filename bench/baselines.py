@@ -11,6 +11,7 @@ to compare with, not a pooled RMSE.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -41,6 +42,8 @@ RELATIVE_TOLERANCE = 0.02
 CONVERGED = "converged"
 """Name of the fraction of runs that converged, which stands in every baseline."""
 
+_PATH = ".toml"
+
 Direction = Literal["lower", "higher", "both"]
 Progress = Callable[[str, int, int], None]
 """Called with the profile's name, the runs done and the runs wanted."""
@@ -58,7 +61,7 @@ class Limit(Table):
 
 
 class _File(Table):
-    profile: str  # name of a shipped profile, or path of a .toml
+    profile: str  # name of a shipped profile, or path of a .toml from the folder of the baseline
     seed: int
     runs: Annotated[int, Field(ge=2)]
     versions: dict[str, str]
@@ -201,15 +204,18 @@ def _fly(profile: Profile, runs: int, progress: Progress | None) -> list[RunResu
 
 
 def write(directory: Path, baseline: Mapping[str, Any]) -> Path:
-    """Write a baseline into a folder, atomically, and return its file."""
-    path = directory / f"{Path(baseline['profile']).stem}.json"
+    """Write a baseline into a folder, atomically, and return its file; it names its profile from there."""
+    source = str(baseline["profile"])
+    path = directory / f"{Path(source).stem}.json"
     directory.mkdir(parents=True, exist_ok=True)
-    store.write_json(path, baseline)
+    if source.endswith(_PATH):
+        source = os.path.relpath(source, directory)
+    store.write_json(path, {**baseline, "profile": source})
     return path
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return a baseline.
+    """Return a baseline, its profile as :func:`bench.config.load_profile` finds it.
 
     Raises
     ------
@@ -236,6 +242,8 @@ def read(path: Path) -> dict[str, Any]:
         wrong.append(f"{path}: [estimators] holds no limit; 'bench check --record' writes some")
     if wrong:
         raise ConfigError(*wrong)
+    if baseline["profile"].endswith(_PATH):
+        baseline["profile"] = os.path.normpath(path.parent / baseline["profile"])
     return baseline
 
 

@@ -48,6 +48,17 @@ def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...
     return values
 
 
+def _durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
+    """Read durations in seconds, with commas between."""
+    try:
+        values = tuple(float(text) for text in given.split(",")) if given else ()
+    except ValueError:
+        values = (0.0,)
+    if not all(0.0 < value <= 3600.0 for value in values):
+        raise click.BadParameter(f"{given!r} must be seconds up to 3600, such as 10,30,60", ctx, param)
+    return tuple(dict.fromkeys(values))
+
+
 _set = click.option(
     "--set",
     "overrides",
@@ -187,12 +198,33 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
 def list_all(kind: str | None) -> int:
     """List the profiles, aircraft, sensors and estimators there are.
 
-    KIND is one of these words and lists only those; bench list sensors also says where
-    the figures of each sensor are from, and which of them no source states.
+    KIND is one of these words and lists only those; bench list sensors and bench list
+    aircraft also say what is known of each, where from, and what no source states.
     """
     from bench.workbench.show import choices
 
     choices(_console(), kind)
+    return DONE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
+@click.argument("name")
+def new(kind: str, name: str) -> int:
+    """Write a starting point that works, to be changed.
+
+    \b
+    estimator NAME writes, in the present folder:
+      NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
+      test_NAME.py   its test: the contract of the bench, and that it finds its way
+
+    \b
+    Example:
+      bench new estimator mine && bench run figure-eight -e mine:Mine
+    """
+    from bench.workbench.new import new_estimator
+
+    new_estimator(name, console=_console())
     return DONE
 
 
@@ -238,16 +270,39 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
 
 
 @commands.command(epilog=_STATUS)
+@click.argument("log", required=False, metavar="[LOG.toml]")
+@click.option(
+    "-e",
+    "--estimator",
+    "estimators",
+    multiple=True,
+    metavar="NAME",
+    help="of a log: use only this one, of the file, built in or 'module:Class'; repeat for more",
+)
+@click.option(
+    "--outages",
+    callback=_durations,
+    metavar="S,S,...",
+    help="of a log: cut GNSS for so many seconds and judge by the fixes that were cut out",
+)
+@click.option(
+    "--places",
+    type=click.IntRange(2, 1000),
+    default=10,
+    show_default=True,
+    metavar="N",
+    help="of a log: places where each outage is cut",
+)
+@click.option("--no-rrd", is_flag=True, help="of a log: write no recording")
+@click.option("--force", is_flag=True, help="of a log: replace an existing results folder")
 @click.option(
     "--observations",
-    required=True,
     type=click.Path(path_type=Path),
     metavar="FILE.obs",
     help="RINEX 2 or 3 observation file",
 )
 @click.option(
     "--navigation",
-    required=True,
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE.nav",
@@ -290,12 +345,26 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
     show_default=True,
     help="of the positions in --out",
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE.csv", help="write the fixes")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR|FILE.csv",
+    help="folder for the results of a log, or file for the fixes",
+)
 @click.option(
     "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
 )
+@click.pass_context
 def navigate(
-    observations: Path,
+    ctx: click.Context,
+    log: str | None,
+    estimators: tuple[str, ...],
+    outages: tuple[float, ...],
+    places: int,
+    no_rrd: bool,
+    force: bool,
+    observations: Path | None,
     navigation: tuple[Path, ...],
     systems: Any,
     ionosphere: Any,
@@ -306,19 +375,54 @@ def navigate(
     out: Path | None,
     as_json: bool,
 ) -> int:
-    """Solve the observations of a real GNSS receiver.
+    """Run estimators on a recording, or solve the observations of a GNSS receiver.
 
-    Position from the code, velocity from the Doppler where there is one, GPS
-    and GLONASS. Errors are against the position in the header of the file.
+    LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
+    mounted, and the datasheets the filters believe (README, "Your own log"). What looks
+    wrong in the recording is said first. Every fifth fix is kept from the filters and judges
+    them; --outages cuts GNSS at several places and judges the drift by what was cut out.
+    Writes the folder of bench run, without truth.
+
+    With --observations and --navigation the RINEX files of a receiver are solved: position
+    from the code, velocity from the Doppler where there is one, GPS and GLONASS. Errors are
+    against the position in the header of the file.
 
     \b
-    Example:
+    Examples:
+      bench navigate drive.toml -e loose-15 --outages 10,30,60
       bench navigate --observations site.rnx --navigation brdc.rnx -o fixes.csv
     """
+    from bench.store import to_json
+
+    console = _console(stderr=as_json)
+    given = {
+        name
+        for name in ctx.params
+        if ctx.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE
+    }
+    if log is not None:
+        _refuse(given - {"log", "out", "as_json", *_OF_A_LOG}, "is for --observations, not for a LOG.toml")
+        from bench.workbench.log import navigate as navigate_log
+
+        summary = navigate_log(
+            log,
+            console=console,
+            estimators=estimators or None,
+            durations=outages,
+            places=places,
+            out=out,
+            recording=not no_rrd,
+            force=force,
+        )
+        if as_json:
+            click.echo(to_json(summary), nl=False)
+        return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
+    if observations is None or not navigation:
+        raise click.UsageError("give a LOG.toml, or --observations and --navigation")
+    _refuse(given & _OF_A_LOG, "is for a LOG.toml, not for --observations")
     from math import radians
 
     from bench.signals.receiver import Processing
-    from bench.store import to_json
     from bench.workbench.fixes import navigate as navigate_files
 
     processing = Processing(
@@ -328,11 +432,21 @@ def navigate(
         mask=radians(mask_deg),
         without=frozenset(without),
     )
-    console = _console(stderr=as_json)
     figures = navigate_files(console, observations, navigation, processing, datum, out)
     if as_json:
         click.echo(to_json(figures), nl=False)
     return DONE if figures["fixes"] else NEGATIVE
+
+
+_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force"})
+"""Options of bench navigate that need a LOG.toml."""
+
+
+def _refuse(given: set[str], why: str) -> None:
+    """Raise UsageError when an option was given that would not be read."""
+    if given:
+        name = min(given).replace("estimators", "estimator").replace("_", "-")
+        raise click.UsageError(f"--{name} {why}")
 
 
 @commands.command(epilog=_STATUS)
@@ -372,6 +486,61 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     from bench.workbench.allan import allan_of
 
     return DONE if allan_of(unit, log, out=out, seed=seed, console=_console()) else NEGATIVE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.option(
+    "--to",
+    "kind",
+    required=True,
+    type=click.Choice(
+        ["csv", "parquet", "mat", "kf-gins", "navego", "python-ins", "nmea", "kml", "tum", "rosbag2"]
+    ),
+    help="the format",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder for the files  [default: RUN-FORMAT beside RUN]",
+)
+@click.option(
+    "--with",
+    "wanted",
+    multiple=True,
+    metavar="NAME",
+    help="truth or solution:NAME, beside the sensors; repeat for more",
+)
+@click.option("--force", is_flag=True, help="replace an export that is there")
+def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], force: bool) -> int:
+    """Write the sensors of a run in the format another tool reads.
+
+    RUN is a results folder of bench run. The truth and the solutions go out only
+    when asked for by name.
+
+    \b
+    Formats:
+      csv, parquet, mat  a table per sensor, columns named by unit; MATLAB
+      kf-gins, navego, python-ins  for these filters, with their configuration
+      nmea, kml          the fixes as sentences, or on a globe
+      tum                poses for evo: --with truth or --with solution:NAME
+      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[ros]')
+
+    \b
+    Examples:
+      bench export runs/figure-eight-20260101 --to kf-gins
+      bench export runs/figure-eight-20260101 --to tum --with truth --with solution:loose-15
+
+    \b
+    Writes to DIR the files of the format and a README.md that says what is in
+    them: columns, units, frames, row counts.
+    """
+    from bench.workbench.export import export as export_run
+
+    export_run(folder, kind, console=_console(), out=out, wanted=wanted, force=force)
+    return DONE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, Shape, as_float, as_kind
-from bench.specs import AssumedSpecs
+from bench.specs import DEFAULT_DATE, AssumedSpecs
 
 
 def _freeze(record: object, *, finite: bool = False, **shapes: Shape) -> None:
@@ -351,6 +351,7 @@ class SensorData:
     observations: GnssObservations | None = None
     mag: MagData | None = None
     airspeed: AirspeedData | None = None
+    date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
 
     def __post_init__(self) -> None:
         _freeze(self, finite=True, antenna_b=(3,))
@@ -361,18 +362,24 @@ class SensorData:
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """Where the estimator is told to start, and how well that is known."""
+    """Where the estimator is told to start, and how well that is known.
+
+    What it is not told is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
+    """
 
     t: float  # [s]
     lla: FloatArray  # (3,) [rad, rad, m]
     vel_n: FloatArray  # (3,) [m/s], n
     q_nb: FloatArray  # (4,)
     cov: FloatArray  # (9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
-    alignment: str  # "given"
+    alignment: str  # what is told: "given" all, "level" the position of a standstill, "course" nothing
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
 
     def __post_init__(self) -> None:
         for name, shape in {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}.items():
-            _store(self, name, as_float(_label(self, name), getattr(self, name), shape))
+            told = self.alignment == "given"
+            _store(self, name, as_float(_label(self, name), getattr(self, name), shape, finite=told))
 
     __reduce__ = _rebuild
 
@@ -385,9 +392,43 @@ class SensorTruth:
     gyro_bias_b: FloatArray  # (B, 3) [rad/s], b
     accel_bias_b: FloatArray  # (B, 3) [m/s^2], b
     baro_bias: FloatArray  # (B,) [m]
+    mag_bias_b: FloatArray | None = None  # (B, 3) hard iron [T], b; None becomes NaN
+    airspeed_bias: FloatArray | None = None  # (B,) [m/s]; None becomes NaN
 
     def __post_init__(self) -> None:
+        if self.mag_bias_b is None:
+            object.__setattr__(self, "mag_bias_b", np.full((len(self.t), 3), np.nan))
+        if self.airspeed_bias is None:
+            object.__setattr__(self, "airspeed_bias", np.full(len(self.t), np.nan))
         _freeze(self, t=(None,), gyro_bias_b=(None, 3), accel_bias_b=(None, 3), baro_bias=(None,))
+        _freeze(self, t=(None,), mag_bias_b=(None, 3), airspeed_bias=(None,))
+
+    __reduce__ = _rebuild
+
+
+@dataclass(frozen=True, slots=True)
+class SkyView:
+    """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
+
+    Received or not. For the recording and the report, never a filter.
+    """
+
+    t: FloatArray  # (K,) [s]
+    system: IntArray  # (K,) GPS or GLONASS
+    sat: IntArray  # (K,) number within its system
+    azimuth: FloatArray  # (K,) [rad]
+    elevation: FloatArray  # (K,) [rad]
+    cn0: FloatArray  # (K,) on the first carrier [dB-Hz]; NaN: not received
+    used: BoolArray  # (K,) in the fix of the epoch
+
+    def __post_init__(self) -> None:
+        _freeze_kind(self, np.int64, system=(None,), sat=(None,))
+        _freeze_kind(self, np.bool_, used=(None,))
+        _freeze(self, t=(None,), azimuth=(None,), elevation=(None,), cn0=(None,))
+        _equal_lengths(self, dict.fromkeys(("t", "system", "sat", "used")))
+
+    def __len__(self) -> int:
+        return len(self.t)
 
     __reduce__ = _rebuild
 
@@ -495,6 +536,7 @@ class Sensed:
     initial: InitialState
     truth: SensorTruth
     events: Events  # outages and faults of this run
+    sky: SkyView | None = None  # of a measurement-level receiver
 
     __reduce__ = _rebuild
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -109,6 +109,7 @@ def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[E
         solution,
         evaluation_from=profile.evaluation_from,
         outages=profile.sensors.gnss_outages,
+        faults=profile.sensors.faults,
     )
 
 
@@ -134,6 +135,7 @@ def run(
     """
     built = {c.label: estimator.load(c.use, c.options) for c in profile.estimators}  # fails before the flight
     clock = {"fly": time.process_time()}
+    given = truth is not None
     if truth is None:
         truth = fly(profile, progress=progress)
     _check_times(profile, float(truth.t[-1]))
@@ -147,6 +149,8 @@ def run(
     judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
     clock["end"] = time.process_time()
     steps = list(clock)
+    hashes = {"truth": None if given else store.truth_key(profile.flight)}
+    hashes["sensors"] = store.spec_hash(profile.sensors)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
     result = RunResult(
         profile=profile.document,
@@ -158,7 +162,7 @@ def run(
         },
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
-        provenance={**store.provenance(), "cpu_s": cpu_s},
+        provenance={**store.provenance(), "inputs": hashes, "cpu_s": cpu_s},
     )
     return Run(result, truth, sensed)
 
@@ -169,6 +173,12 @@ def _check_times(profile: Profile, end: float) -> None:
         f"{profile.name}: [[gnss_outage]] {k}: its end at {stop:g} s is outside the flight, 0 to {end:g} s"
         for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
         if stop > end
+    ]
+    wrong += [
+        f"{profile.name}: [[fault]] {k} ({fault.kind}): its end at {fault.end:g} s is outside the flight, "
+        f"0 to {end:g} s"
+        for k, fault in enumerate(profile.sensors.faults, 1)
+        if fault.end > end
     ]
     if profile.evaluation_from >= end:
         wrong.append(
@@ -185,4 +195,5 @@ def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | Non
     if asked is None:
         return None
     on_board = profile.sensors
-    return list(asked(AssumedSpecs(imu=on_board.imu, gnss=on_board.gnss, baro=on_board.baro)))
+    units = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
+    return list(asked(AssumedSpecs(**units)))

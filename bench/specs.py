@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
+DEFAULT_DATE = 2026.0
+"""Date of a flight that does not say it: 1 January 2026 [decimal years]."""
 
 
 def stream(seed: int, run: int, name: str) -> np.random.Generator:
@@ -34,15 +37,19 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 # --- the flight ---------------------------------------------------------------------------------------
 
 
+MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
+"""Simple shape in the recording of each class of aircraft."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunwaySpec:
     """How an aircraft is taken off and landed."""
 
-    height: float  # of the IMU above the ground at rest [m]
+    height: float  # of the centre of gravity above the ground at rest [m]
     rotate_speed: float  # true airspeed at which the nose is raised [m/s]
     take_off_pitch: float  # [rad]
     approach_speed: float  # true airspeed on the glide path [m/s]
-    flare_height: float  # of the IMU above the ground where the glide is broken off [m]
+    flare_height: float  # of the centre of gravity above the ground where the glide is broken off [m]
     touch_down_sink: float  # the flare aims at [m/s]
 
 
@@ -52,7 +59,6 @@ class ForeignSpec:
 
     root: Path  # JSBSim root: holds engine/ and systems/
     properties: Mapping[str, float]  # of the model, set before the start: mixture, gear ...
-    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
     guided: bool = False  # its model has the guidance system of the bench already
 
 
@@ -60,7 +66,8 @@ class ForeignSpec:
 class AircraftSpec:
     """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it.
 
-    aircraft.toml gives positions relative to the centre of gravity; here the antenna is relative to the IMU.
+    aircraft.toml gives positions relative to the centre of gravity; here antenna and static port are
+    relative to the IMU.
     """
 
     name: str
@@ -73,9 +80,11 @@ class AircraftSpec:
     max_climb: float  # largest climb rate a leg may ask for [m/s]
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
-    mesh: str  # class of the simple shape in the recording: "uav", "light-single", "jet"
+    category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
     foreign: ForeignSpec | None = None  # how it is flown when it was not made for the bench
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # relative to the IMU [m], b
+    trims: tuple[tuple[float, float], ...] = ()  # altitude [m] and true airspeed [m/s] it is trimmed at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
 
@@ -361,7 +370,7 @@ class FlightSpec:
     @property
     def mesh(self) -> str:
         """Class of the simple shape in the recording."""
-        return self.aircraft.mesh
+        return MESH_OF_CLASS[self.aircraft.category]
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +384,7 @@ class ScriptSpec:
     rate: float  # truth and IMU output rate [Hz]
     duration: float | None  # the script is stopped there [s]; None: flown to its end
     turbulence_seed: int  # of JSBSim's random numbers, unless the script sets its own
-    category: str  # "uav", "light", "transport" or "fighter": what its sanity report goes by
+    category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
 
     @property
     def label(self) -> str:
@@ -385,7 +394,7 @@ class ScriptSpec:
     @property
     def mesh(self) -> str:
         """Class of the simple shape in the recording."""
-        return {"uav": "uav", "light": "light-single"}.get(self.category, "jet")
+        return MESH_OF_CLASS[self.category]
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,6 +487,13 @@ class ImuSpec:
     accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: along b
     accel_arms: tuple[tuple[float, float, float], ...] = ()  # of the x, y, z accelerometer [m], b
 
+    @property
+    def feels_air(self) -> bool:
+        """Whether an error follows the temperature, the gusts or the engine of the flight."""
+        v = self.vibration
+        shaken = max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
+        return shaken or max(self.gyro.temperature_sd, self.accel.temperature_sd) > 0
+
 
 @dataclass(frozen=True, slots=True)
 class SkySpec:
@@ -486,7 +502,8 @@ class SkySpec:
     Standard deviations and decays of processes that are off are 0.
     """
 
-    gps_t0: float  # GPS time of the start of the run, seconds since a GPS midnight [s]
+    day: date  # of the flight
+    gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
     gps: KeplerSets | None  # times since that midnight; None: the nominal constellation
     glonass: KeplerSets | GlonassSets | None  # the same
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
@@ -517,6 +534,7 @@ class SkySpec:
     clock_drift_sd: float  # [m/s]
     glonass_offset_sd: float  # GLONASS against GPS time in the receiver [m]
     clock_h_0: float  # white frequency noise, one-sided power-law coefficient [s]
+    clock_h_m1: float  # flicker of frequency [1]
     clock_h_m2: float  # random walk of frequency [1/s]
     clock_g: float  # fractional frequency per specific force along the down axis of the body [s^2/m]
     false_alarm: float  # of the residual test of one epoch [1]
@@ -542,6 +560,24 @@ class GnssSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class StaticPressureSpec:
+    """An altimeter by what it feels: static pressure, its port, the weather. What there is not is 0."""
+
+    white_sd: float = 0.0  # of the pressure [Pa]
+    bias_sd: float = 0.0  # absolute accuracy of the pressure [Pa]
+    temperature_sd: float = 0.0  # pressure per kelvin of the air from 25 degC [Pa/K]
+    isa_deviation: float = 0.0  # what the air of the day is warmer than standard at every height [K]
+    isa_deviation_sd: float = 0.0  # of the same, drawn for each run [K]
+    qnh_sd: float = 0.0  # of the setting at the start [Pa]
+    qnh_walk: float = 0.0  # of the pressure at sea level since [Pa/sqrt(s)]
+    position_error: float = 0.0  # of the port, over the dynamic pressure, at no incidence [1]
+    position_error_alpha: float = 0.0  # the same, per angle of attack [1/rad]
+    position_error_beta2: float = 0.0  # the same, per squared sideslip [1/rad^2]
+    lag: float = 0.0  # time constant of ports and lines, first order [s]
+    quantization: float = 0.0  # least bit of the pressure [Pa]
+
+
+@dataclass(frozen=True, slots=True)
 class BaroSpec:
     """Barometric altitude: white noise and a bias that walks (A-5.3.1, A-5.3.2)."""
 
@@ -552,6 +588,64 @@ class BaroSpec:
     bias_walk: float  # [m/sqrt(s)]
     quantization: float = 0.0  # least bit [m]
     latency: float = 0.0  # [s]
+    physical: StaticPressureSpec | None = None  # the errors above are then what filters assume
+
+
+@dataclass(frozen=True, slots=True)
+class MagSpec:
+    """A magnetometer where it is mounted, after its calibration. What it does not have is 0."""
+
+    name: str
+    rate: float  # [Hz]
+    white_sd: float  # each axis [T]
+    hard_iron_sd: float = 0.0  # offset left of the unit and of the iron around it, each axis [T]
+    soft_iron_sd: float = 0.0  # each element of the symmetric matrix left of the iron around it [1]
+    scale_factor_sd: float = 0.0  # each axis [1]
+    misalignment_sd: float = 0.0  # of each axis towards each other one [rad]
+    range: float = 0.0  # largest field of an axis, 0 none; beyond it the sample is clipped and flagged [T]
+    quantization: float = 0.0  # least bit [T]
+    latency: float = 0.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class AirspeedSpec:
+    """A pitot tube with its differential pressure sensor and the computer that makes true airspeed of it.
+
+    What it does not have is 0; ``bench.signals.air.airspeed_sd`` has the white noise as a speed.
+    """
+
+    name: str
+    rate: float  # [Hz]
+    pressure_white_sd: float = 0.0  # of the differential pressure [Pa]
+    white_sd: float = 0.0  # of the true airspeed [m/s]
+    pressure_bias_sd: float = 0.0  # zero of the differential pressure [Pa]
+    bias_sd: float = 0.0  # of the true airspeed [m/s]
+    scale_factor_sd: float = 0.0  # of the true airspeed [1]
+    lag: float = 0.0  # time constant of tube and lines, first order [s]
+    range: float = 0.0  # largest differential pressure, 0 none; beyond it the sample is clipped, flagged [Pa]
+    quantization: float = 0.0  # least bit of the differential pressure [Pa]
+    min_speed: float = 0.0  # true airspeed below which the unit flags its samples [m/s]
+    latency: float = 0.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
+
+    kind: str  # as in the profile
+    sensor: str  # "gnss", "baro", "imu", "gyro" or "accel"
+    start: float  # [s]
+    end: float  # [s]
+    text: str  # in words, as in the profile
+    satellites: tuple[tuple[int, int], ...] = ()  # system and number
+    step: tuple[float, ...] = ()  # from the start on, in SI: n, b or a single value
+    ramp: tuple[float, ...] = ()  # growth of the step, per s
+    loss: float = 0.0  # of C/N0 [dB]
+    delay: float = 0.0  # [s]
+    times: float = 0.0  # noise over the white noise of the unit [1]
+    share: float = 1.0  # of the samples that are struck [1]
+    axes: tuple[int, ...] = (0, 1, 2)  # of a triad
+    coherent: bool = True  # the velocity follows the ramp
 
 
 @dataclass(frozen=True, slots=True)
@@ -561,6 +655,8 @@ class AssumedSpecs:
     imu: ImuSpec
     gnss: GnssSpec | None
     baro: BaroSpec | None
+    mag: MagSpec | None = None
+    airspeed: AirspeedSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -578,6 +674,15 @@ class SensorsSpec:
     initial_tilt_sd: float  # north and east component of phi_n [rad]
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
+    mag: MagSpec | None = None
+    airspeed: AirspeedSpec | None = None
+    date: float = DEFAULT_DATE  # of the flight [decimal years]
+    alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
+    qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
+    faults: tuple[Fault, ...] = ()  # as the profile numbers them
 
 
 # --- the estimators and the judgement ------------------------------------------------------------------

@@ -6,6 +6,7 @@ The runs are made up here: what is flown is the business of the pipeline's tests
 """
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -274,13 +275,20 @@ def test_check_takes_the_profiles_and_runs_asked_for(bench_of, tmp_path):
     assert {verdict.profile for verdict in check(tmp_path)} == {"loiter", "survey"}
 
 
-def test_a_profile_of_ones_own_is_found_again_by_its_path(bench_of, tmp_path):
+def test_a_profile_of_ones_own_is_found_again_from_any_folder(bench_of, tmp_path, monkeypatch):
     flown = bench_of(usual())
-    path = write(tmp_path, record(PROFILE, 2, source="flights/survey.toml"))
+    limits, elsewhere = tmp_path / "limits", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(tmp_path)
+    path = write(limits, record(PROFILE, 2, source="flights/survey.toml"))
     assert path.name == "survey.json"
+    assert json.loads(path.read_text())["profile"] == "../flights/survey.toml"
+    monkeypatch.chdir(elsewhere)
     flown.clear()
-    assert check(tmp_path)[0].profile == "survey"
-    assert flown[0] == ("fly", "flights/survey.toml")
+    assert check(limits)[0].profile == "survey"
+    assert flown[0] == ("fly", str(tmp_path / "flights" / "survey.toml"))
+    assert check(Path("../limits"))[0].profile == "survey"
+    assert flown[-3] == ("fly", "../flights/survey.toml")
 
 
 def test_a_write_that_fails_leaves_the_old_baseline_and_nothing_else(bench_of, tmp_path, monkeypatch):

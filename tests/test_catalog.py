@@ -13,7 +13,7 @@ from synthetic import still
 import bench
 from bench.cli import main
 from bench.config import ConfigError
-from bench.config.datasheets import read_baro, read_gnss, read_imu
+from bench.config.datasheets import SENSORS, read_baro, read_gnss, read_imu
 from bench.sensors import imu
 from bench.specs import ThermalSpec
 
@@ -22,7 +22,9 @@ FILES = sorted(CATALOG.glob("*/*.toml"))
 TABLES = {
     "imu": ("gyro", "accel", "thermal", "vibration", "layout"),
     "gnss": ("gnss", "sky"),
-    "baro": ("baro",),
+    "baro": ("baro", "physical"),
+    "mag": ("mag",),
+    "airspeed": ("airspeed",),
 }
 CHOICES = (
     "bias_model", "dead_zone_kind",
@@ -61,8 +63,7 @@ def test_every_figure_has_a_source_or_is_marked_assumed(path):
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_entry_becomes_a_spec_by_its_name(path):
-    read = {"imu": read_imu, "gnss": read_gnss, "baro": read_baro}[path.parent.name]
-    assert read(path, path.name).name == path.stem
+    assert SENSORS[path.parent.name](path, path.name).name == path.stem
 
 
 def test_twelve_real_imus_and_more_over_four_classes_each_with_its_confidence():

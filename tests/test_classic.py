@@ -294,6 +294,11 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"covariance_hz": 0.0}, "covariance_hz = 0.0 must be a positive number"),
         ({"discretization": "exact"}, "discretization = 'exact' must be 'van-loan' or 'euler'"),
         ({"rows": 6}, "rows = 6 must be 7 or 8"),
+        ({"form": "qr"}, "form = 'qr' must be 'joseph', 'potter' or 'carlson'"),
+        (
+            {"form": "potter", "rows": 8},
+            "form = 'potter' needs rows = 7: the noise of eight rows is not indep",
+        ),
         ({"floor": 1.5}, "floor = 1.5 must lie in 0 to 1"),
         ({"integrity": "nis"}, "integrity = 'nis' must be a list of 'nis', 'trace', 'tolerance'"),
         ({"integrity": ["chi"]}, "must be a list of 'nis', 'trace', 'tolerance'"),
@@ -306,7 +311,10 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"jump_white_sd": [1.0]}, "jump_white_sd = [1.0] must be three numbers, 0 or more"),
         ({"trace_limit": -1}, "trace_limit = -1 must be a positive number"),
         ({"admissible_deg": True}, "admissible_deg = True must be a positive number"),
-        ({"gate": 3}, "unknown option 'gate'; known options: covariance_hz, discretization, rows, floor,"),
+        (
+            {"gate": 3},
+            "unknown option 'gate'; known options: covariance_hz, discretization, rows, form, floor",
+        ),
     ],
 )
 def test_a_wrong_option_says_why_in_one_line(options, message):

@@ -199,6 +199,10 @@ WRONG = [
         "error: short.toml: the results folder cannot be there, it is",
     ),
     (["run", "short.toml", "-o", "short.toml/a"], "error: short.toml/a: no folder can be made in "),
+    (
+        ["run", "short.toml", "-o", "a" * 300],
+        f"error: {'a' * 300}: no folder can be made there: File name too long",
+    ),
     (["run", "short.toml", "-o", ".", "--force"], "error: .: not replaced, it is no results folder"),
     (["view"], "error: runs: no recording in any folder; 'bench run figure-eight' makes one"),
     (["view", "x"], "error: x: no flight.rrd in it"),

@@ -8,6 +8,7 @@ import math
 import shutil
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -86,8 +87,8 @@ def test_a_profile_becomes_si(tmp_path):
     assert sensors.antenna_b == flight.aircraft.antenna_b
 
 
-def test_the_antenna_is_handed_on_relative_to_the_imu(tmp_path):
-    """aircraft.toml has both relative to the centre of gravity."""
+def test_antenna_and_static_port_are_handed_on_relative_to_the_imu(tmp_path):
+    """aircraft.toml has all of them relative to the centre of gravity."""
     folder = config.load_profile(write(tmp_path)).flight.aircraft.folder
     own = tmp_path / "aircraft" / "kite"
     shutil.copytree(folder, own)
@@ -102,6 +103,8 @@ def test_the_antenna_is_handed_on_relative_to_the_imu(tmp_path):
     assert off_cg.flight.aircraft.imu_b == (0.5, -0.25, 0.125)
     moved = [a - b for a, b in zip(at_cg.sensors.antenna_b, off_cg.sensors.antenna_b, strict=True)]
     assert moved == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
+    ports = at_cg.flight.aircraft.static_port_b, off_cg.flight.aircraft.static_port_b
+    assert [a - b for a, b in zip(*ports, strict=True)] == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
     (own / "aircraft.toml").write_text(shipped + imu.replace("right_m = -0.25", "rigth_m = 200"))
     assert errors(profile) == [
         "kite/aircraft.toml: [imu] right_m is missing",
@@ -248,6 +251,10 @@ def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     assert (seeded.seed, seeded.flight.turbulence_seed) == (9, 9)
     typed = config.load_profile(name, {"seed": 5, "leg.0.duration_s": 12, "evaluation.from_s": 20.0})
     assert (typed.seed, typed.flight.turbulence_seed) == (5, 4)
+    both = config.load_profile(name, {"seed": 5}, seed=9)
+    assert (both.seed, both.flight.turbulence_seed) == (5, 5)
+    told = config.load_profile(name, {"seed": 5, "turbulence_seed": 6}, seed=9)
+    assert (told.seed, told.flight.turbulence_seed) == (5, 6)
     assert typed.flight.legs[0] == Straight(12.0)
     assert typed.evaluation_from == 20.0
     assert config.load_profile(write(tmp_path), seed=None).flight.turbulence_seed == 0
@@ -336,7 +343,10 @@ def test_the_messages_of_the_conventions(tmp_path):
 
 NAN, INF = float("nan"), float("inf")
 ONE_THING_WRONG = [
-    ({"wnd": {}}, "unknown key 'wnd'. Did you mean 'wind'?\n  known keys: aircraft, duration_s, "),
+    (
+        {"wnd": {}},
+        "unknown key 'wnd'. Did you mean 'wind'?\n  known keys: aircraft, alignment, date, duration_s, ",
+    ),
     ({"start.alt_ft": 3000.0}, "[start]: unknown key 'alt_ft'. Did you mean 'alt_m'?\n  known keys: alt_m,"),
     ({"sensors.assumed.imx": "a"}, "[sensors.assumed]: unknown key 'imx'. Did you mean 'imu'?"),
     ({"estimator.0.us": "a"}, "[[estimator]] 1: unknown key 'us'. Did you mean 'use'?"),
@@ -423,26 +433,46 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         "kite/aircraft.toml: [limits]: unknown key 'min_sped_mps'. Did you mean 'min_speed_mps'?\n"
         "  known keys: max_bank_deg, max_climb_mps, max_descent_mps, max_speed_mps, min_speed_mps",
     ]
-    (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', '"jetliner"'))
-    assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [
-        "kite/aircraft.toml: mesh = 'jetliner' must be 'uav', 'light-single' or 'jet'"
-    ]
     (own / "aircraft.toml").write_text(shipped.read_text())
     assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == ["kite/kite.xml: no such file"]
     (own / "kite.xml").write_text("<fdm_config/>")
+    for good, bad, message in (
+        ('"uav"', '"jetliner"', "class = 'jetliner' must be 'uav', 'light', 'transport' or 'fighter'"),
+        ("speed_mps = 28.0", "speed_mps = 30.0", "[[trim]] 3: speed_mps = 30 m/s is outside [limits]"),
+        ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is no table of it"),
+    ):
+        (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
+        assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]
+    (own / "aircraft.toml").write_text(shipped.read_text())
     assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.folder == own
 
 
-def test_every_mesh_class_a_file_may_ask_for_has_a_shape(tmp_path):
+def test_every_class_has_a_shape_and_limits(tmp_path):
+    from bench.config.profile_tables import Category
+    from bench.flight.sanity import LIMITS
     from bench.recording.meshes import MESHES
 
     own = tmp_path / "aircraft" / "kite"
     own.mkdir(parents=True)
     shipped = config.load_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
     (own / "kite.xml").write_text("<fdm_config/>")
-    for mesh in MESHES:
-        (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', f'"{mesh}"'))
-        assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.mesh == mesh
+    shapes = {}
+    for category in get_args(Category):
+        (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', f'"{category}"'))
+        shapes[category] = config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.mesh
+    assert shapes.keys() == LIMITS.keys()
+    assert set(shapes.values()) == MESHES.keys()
+
+
+def test_a_start_without_airspeed_is_the_trim_nearest_in_altitude(tmp_path):
+    bare = PROFILE.replace("speed_mps = 25\n", "", 1)
+    rows = config.load_profile("figure-eight").flight.aircraft.trims
+    for alt, speed in rows:
+        profile = config.load_profile(
+            write(tmp_path, bare), {"start.alt_m": alt + 10, "leg.1.to_alt_m": 1300}
+        )
+        assert profile.flight.speed == profile.document["start"]["speed_mps"] == speed
+    assert len({speed for _, speed in rows}) > 1
 
 
 def test_everything_wrong_is_said_at_once(tmp_path):
@@ -518,7 +548,8 @@ def test_an_override_that_leads_nowhere(tmp_path, key, message):
 
 
 def test_shipped_files_parse_and_have_titles():
-    shelves = [*config.list_profiles(), *config.list_aircraft(), *(row[1:3] for row in config.list_sensors())]
+    shelves = [*config.list_profiles(), *(row[:2] for row in config.list_aircraft())]
+    shelves += [row[1:3] for row in config.list_sensors()]
     assert all(name and title for name, title in shelves)
     for path in PACKAGE.glob("profiles/*.toml"):
         assert tomllib.loads(path.read_text())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bench
+from bench import pipeline
 from bench.config import ConfigError
 
 SHORT = {
@@ -29,6 +30,9 @@ def test_run_is_fly_sense_navigate_judge(profile):
     np.testing.assert_array_equal(result.errors["loose-15"].pos_n, errors.pos_n)
     assert {k: v for k, v in result.metrics["loose-15"].items() if k != "unmodelled"} == metrics
     assert result.seed == 3
+    assert result.provenance["inputs"]["truth"]
+    given = pipeline.run(profile, truth=truth).result.provenance["inputs"]
+    assert given == {**result.provenance["inputs"], "truth": None}
 
 
 def test_another_draw_is_another_result(profile):

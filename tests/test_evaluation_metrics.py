@@ -11,6 +11,7 @@ from bench import rotation
 from bench.data import Events, Innovations
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, judge, metric_of
+from bench.specs import Fault
 from bench.unit_names import unit_of
 from tests.solutions import COV, weaving_truth, without, wrong_solution
 
@@ -22,8 +23,8 @@ def truth():
     return weaving_truth()
 
 
-def metrics_of(truth, solution, evaluation_from=0.0, outages=()):
-    return judge(truth, solution, evaluation_from=evaluation_from, outages=outages)[1]
+def metrics_of(truth, solution, evaluation_from=0.0, outages=(), faults=()):
+    return judge(truth, solution, evaluation_from=evaluation_from, outages=outages, faults=faults)[1]
 
 
 def some_innovations():
@@ -314,7 +315,8 @@ def full_run(truth):
 
 
 def test_every_row_of_the_table_gives_plain_numbers_under_its_name(truth):
-    found = metrics_of(truth, full_run(truth), 3.0, OUTAGES)
+    fault = Fault("spoofing", "gnss", 4.0, 6.0, "spoofing")
+    found = metrics_of(truth, full_run(truth), 3.0, OUTAGES, [fault])
     assert found.pop("converged") is True
     assert found.pop("reason") is None
     rows = {metric_of(name) for name in found}

@@ -16,7 +16,7 @@ from scipy.special import gammaincinv
 from synthetic import still, turning
 
 from bench.data import AirData
-from bench.sensors import imu, imu_terms, vibration
+from bench.sensors import imu, imu_terms, processes, vibration
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
 
 TAIL = 0.0005  # each side of a 99.9 % band
@@ -500,7 +500,7 @@ def test_compiled_kernels_agree_with_their_own_python():
         (imu_terms._along_kernel, (x, v, np.diff(t), nine, nine), np.empty((n, 3))),
         (imu_terms._response_kernel, (x, 2.3, 30.0, step, 0.01, 0.05, False), np.empty((n, 3))),
         (imu_terms._following_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
-        (imu_terms._lag_kernel, (t, values, 1.0, 0.2), np.empty(n + 1)),
+        (processes.lag_kernel, (t, values, 1.0, 0.2), np.empty(n + 1)),
         (imu_terms._turned_kernel, (nine, x), np.empty((n, 3))),
         (vibration._resampled_kernel, (t, coarse, values[:8]), np.empty(n + 1)),
         (vibration._mode_kernel, (step, step, 0.1, rng.normal(size=(n + 1, 2))), np.empty(n + 1)),

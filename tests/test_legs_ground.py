@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import cos, radians, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.config import load_profile
 from bench.flight import FlightError, fly
-from bench.specs import Approach, Flare, LandingRoll, Runway, Static, Straight, TakeOff
+from bench.specs import AircraftSpec, Approach, Flare, LandingRoll, Runway, Static, Straight, TakeOff
 from tests.plans import AEROSONDE, plan
 
 LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)
@@ -18,7 +19,7 @@ RUNWAY = Runway(LAT, LON, GROUND, ALONG)
 
 
 def standing(*legs, **changes):
-    return plan(*legs, on_ground=True, runway=RUNWAY, alt=GROUND, speed=24.0, **changes)
+    return plan(*legs, on_ground=True, runway=RUNWAY, alt=GROUND, **{"speed": 24.0, **changes})
 
 
 def runway_frame(truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -28,10 +29,45 @@ def runway_frame(truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return ned @ [c, s], ned @ [-s, c], truth.lla[:, 2] - GROUND
 
 
+class Kind(NamedTuple):
+    """What one aircraft does on a runway."""
+
+    aircraft: AircraftSpec
+    climb: tuple[float, float]  # rate and airspeed [m/s]
+    run: float  # longest take-off run [m]
+    touch: float  # furthest touch-down beyond the threshold [m]
+    before: tuple[float, float]  # an approach begins so far before the threshold, so high above it [m]
+    sink: float  # most at touch-down [m/s]
+    wheels: float  # a wheel touches below: the gear stretched and the nose up [m]
+
+
+NAVION = load_profile("circuit-navion").flight.aircraft
+KINDS = {
+    "aerosonde": Kind(AEROSONDE, (2.5, 24.0), 200.0, 250.0, (1800.0, 80.0), 1.5, 0.35),
+    "navion": Kind(NAVION, (3.0, 46.0), 400.0, 300.0, (2700.0, 120.0), 1.0, 1.36),
+}
+
+
+def height_of_cg(truth, aircraft) -> np.ndarray:
+    """Height of the centre of gravity above the ground [m]; truth is of the IMU."""
+    return truth.lla[:, 2] - GROUND + rotation.rotate(truth.q_nb, np.array(aircraft.imu_b))[:, 2]
+
+
+def final(kind: Kind) -> dict[str, Any]:
+    """Start of an approach, on the extended centreline."""
+    before, above = kind.before
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + above, "heading": ALONG}
+    return {**start, "speed": kind.climb[1], "aircraft": kind.aircraft, "runway": RUNWAY}
+
+
 @pytest.mark.parametrize("wind_speed", [0.0, 5.0])
-def test_what_stands_does_not_move(wind_speed):
+@pytest.mark.parametrize("name", KINDS)
+def test_what_stands_does_not_move(name, wind_speed):
     """In wind across too: brakes hold, the gear has given way before the first instant."""
-    truth = fly(standing(Static(20.0), wind_from=radians(175.0), wind_speed=wind_speed))
+    kind = KINDS[name]
+    wind = {"wind_from": radians(175.0), "wind_speed": wind_speed}
+    truth = fly(standing(Static(20.0), aircraft=kind.aircraft, speed=kind.climb[1], **wind))
     moved = np.linalg.norm(earth.difference_n(truth.lla, truth.lla[0]), axis=1)
     assert moved.max() < 1e-6
     assert np.abs(truth.vel_n).max() < 1e-6
@@ -48,63 +84,79 @@ def test_a_resting_imu_reads_minus_gravity_and_the_rate_of_the_earth():
     assert_allclose(w_n, np.broadcast_to(expected, w_n.shape), atol=5e-8)  # 0.01 deg/h
 
 
-def test_the_height_of_the_imu_on_its_wheels_is_the_one_of_the_aircraft_file():
+@pytest.mark.parametrize("name", KINDS)
+def test_the_height_on_its_wheels_is_the_one_of_the_aircraft_file(name):
+    aircraft = KINDS[name].aircraft
+    truth = fly(standing(Static(1.0), aircraft=aircraft, speed=KINDS[name].climb[1]))
+    assert_allclose(height_of_cg(truth, aircraft), aircraft.runway.height, atol=2e-3)
+
+
+def test_it_stands_where_and_as_the_plan_says():
     truth = fly(standing(Static(1.0)))
-    assert_allclose(truth.lla[:, 2] - GROUND, AEROSONDE.runway.height, atol=2e-3)
     assert_allclose(truth.lla[0, :2], [LAT, LON], atol=1e-8)
     assert_allclose(rotation.to_euler(truth.q_nb)[2], ALONG, atol=1e-4)
 
 
 @pytest.mark.parametrize("across", [0.0, -4.0, 4.0])
-def test_take_off_and_landing_keep_to_the_runway(across):
-    """Sink at touch-down below 1.5 m/s, less than 5 m off the centreline, in up to 4 m/s across it."""
+@pytest.mark.parametrize("name", KINDS)
+def test_take_off_and_landing_keep_to_the_runway(name, across):
+    """Soft at touch-down, less than 5 m off the centreline, in up to 4 m/s across it."""
+    kind = KINDS[name]
+    on_wheels = kind.wheels
     wind = {"wind_from": ALONG + radians(90.0), "wind_speed": abs(across)}
     if across < 0:
         wind["wind_from"] = ALONG - radians(90.0)
-    up = fly(standing(Static(2.0), TakeOff(40.0, 2.5, 24.0), Straight(2.0), **wind))
-    along, off, height = runway_frame(up)
-    on_wheels = height < 0.35
-    assert np.abs(off[on_wheels]).max() < 5.0
-    assert along[on_wheels].max() < 200.0
+    rate, speed = kind.climb
+    start = {**wind, "aircraft": kind.aircraft, "speed": speed}
+    up = fly(standing(Static(2.0), TakeOff(40.0, rate, speed), Straight(2.0), **start))
+    along, off, _ = runway_frame(up)
+    height = height_of_cg(up, kind.aircraft)
+    assert np.abs(off[height < on_wheels]).max() < 5.0
+    assert along[height < on_wheels].max() < kind.run
     assert_allclose(height[-1], 40.0, atol=2.5)
-    assert np.diff(height)[~on_wheels[1:]].min() > -0.02  # it does not come down again
+    assert np.diff(height)[height[1:] > on_wheels].min() > -0.02  # it does not come down again
 
-    before = 1800.0
-    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
-    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
-    down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(3.0), runway=RUNWAY, **start, **wind))
-    along, off, height = runway_frame(down)
+    down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0), **final(kind), **wind))
+    along, off, _ = runway_frame(down)
     touch = round(down.events.of("leg")[1][1] / down.t[1])
     sink = down.vel_n[touch - 30 : touch, 2]  # the last 0.3 s; wheels may touch 0.05 s before the leg ends
-    assert height[touch] < AEROSONDE.runway.height + 0.05
-    assert sink.max() < 1.5
-    assert sink.max() > 0.1
+    assert height_of_cg(down, kind.aircraft)[touch] < on_wheels
+    assert 0.1 < sink.max() < kind.sink
     assert np.abs(off[touch:]).max() < 5.0
-    assert 0.0 < along[touch] < 250.0
+    assert 0.0 < along[touch] < kind.touch
     assert np.linalg.norm(down.vel_n[-1]) < 1e-4
     assert "touch-down at" in down.events.of("leg")[1][2]
 
 
 def test_the_glide_path_is_flown():
-    before = 1800.0
-    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
-    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
-    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), runway=RUNWAY, **start))
+    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), **final(KINDS["aerosonde"])))
     along, _, height = runway_frame(truth)
-    final = (along > -900) & (along < -150)
+    steady = (along > -900) & (along < -150)
     path = AEROSONDE.runway.height + (60.0 - along) * np.tan(radians(3.5))
-    assert_allclose(height[final], path[final], atol=1.5)
+    assert_allclose(height[steady], path[steady], atol=1.5)
 
 
-def test_the_shipped_circuit_lands_as_it_should():
-    truth = fly(load_profile("circuit").flight)
-    _, off, height = runway_frame(truth)
-    low = height < 0.35
-    assert np.abs(off[low]).max() < 5.0
+def test_an_approach_rolls_in_without_a_step():
+    """From 300 m beside the centreline: no further than the bank of an approach, at the rate of a turn."""
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [300.0, -2500.0, 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
+    truth = fly(plan(Approach(radians(3.5), 60.0), runway=RUNWAY, **start))
+    assert np.abs(rotation.to_euler(truth.q_nb)[0]).max() < radians(32.0)
+    assert np.abs(truth.dtheta_b[:, 0]).max() / truth.t[1] < radians(25.0)
+
+
+@pytest.mark.parametrize("profile", ["circuit", "circuit-navion"])
+def test_a_shipped_circuit_lands_as_it_should(profile):
+    spec = load_profile(profile).flight
+    kind = KINDS[spec.aircraft.name]
+    truth = fly(spec)
+    _, off, _ = runway_frame(truth)
+    height = height_of_cg(truth, spec.aircraft)
+    assert np.abs(off[height < kind.wheels]).max() < 5.0
     assert height.max() > 75.0
     assert np.linalg.norm(truth.vel_n[[0, -1]], axis=1).max() < 1e-4
     texts = [text for _, _, text in truth.events.of("leg")]
-    assert float(texts[6].split("touch-down at ")[1].split()[0]) < 1.5
+    assert float(texts[6].split("touch-down at ")[1].split()[0]) < kind.sink
 
 
 # --- what cannot be flown -----------------------------------------------------------------------------

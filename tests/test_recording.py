@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import earth, recording, rotation
 from bench.data import (
     AirData,
+    AirspeedData,
     BaroData,
     Controls,
     ErrorSeries,
@@ -22,6 +23,7 @@ from bench.data import (
     ImuData,
     InitialState,
     Innovations,
+    MagData,
     NavSolution,
     Sensed,
     SensorData,
@@ -34,6 +36,7 @@ from bench.evaluation.errors import error_series
 from bench.recording import words
 from bench.specs import (
     AircraftSpec,
+    AirspeedSpec,
     AssumedSpecs,
     BaroSpec,
     EstimatorChoice,
@@ -41,6 +44,7 @@ from bench.specs import (
     FlightSpec,
     GnssSpec,
     ImuSpec,
+    MagSpec,
     Profile,
     SensorsSpec,
     TriadSpec,
@@ -235,7 +239,7 @@ def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
     gnss, baro = GnssSpec("demo-gnss", 1.0, 1.5, 3.0, 0.05), BaroSpec("demo-baro", 10.0, 1.0, 5.0, 0.01)
     specs = AssumedSpecs(imu, gnss, baro)
     aircraft = AircraftSpec(
-        "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), mesh="uav"
+        "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), "uav"
     )
     three = (1.0, 1.0, 1.0)
     profile = Profile(
@@ -562,6 +566,28 @@ def test_every_view_has_something_to_show(run, tmp_path, labels):
     titles = [n["ViewBlueprint:display_name"] for n in views]
     for label in labels:
         assert f"{label}: north position error [m]" in titles
+
+
+def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(run, flight, tmp_path):
+    t = np.arange(0.1, 30.0, 0.1)
+    field_b = 1e-6 * np.column_stack([20 + t, 3 - t, 43 + 0 * t])
+    mag = MagData(t, t, np.ones(len(t), bool), field_b, np.full(len(t), 1e-7))
+    pitot = AirspeedData(t, t, np.ones(len(t), bool), 25 + np.sin(t), np.full(len(t), 0.1))
+    path = tmp_path / "both.rrd"
+    recording.write(path, **only(run, ["one"], mag=mag, airspeed=pitot))
+    for k, axis in enumerate(("forward", "right", "down")):
+        shown, drawn = recording.column(path, f"/flight/magnetic_field/{axis}", SCALARS)
+        assert_allclose(drawn[:, 0], np.interp(shown, t, 1e6 * field_b[:, k]), rtol=1e-9)
+    shown, drawn = recording.column(path, "/flight/speed/airspeed", SCALARS)
+    assert_allclose(drawn[:, 0], np.interp(shown, t, pitot.airspeed_true), rtol=1e-9)
+    assert len(shown) > 100
+    with pytest.raises(KeyError):
+        recording.column(flight, "/flight/magnetic_field/down", SCALARS)
+    sensors = replace(
+        run["profile"].sensors, mag=MagSpec("demo-mag", 10.0, 1e-7), airspeed=AirspeedSpec("demo-pitot", 10.0)
+    )
+    said = words.summary(replace(run["profile"], sensors=sensors), run["truth"], run["metrics"])
+    assert "- magnetometer `demo-mag`\n- airspeed `demo-pitot`" in said
 
 
 def test_a_flight_without_gnss_and_barometer_is_recorded_too(run, tmp_path):

@@ -133,7 +133,7 @@ def test_truth_is_a_fixed_point_of_the_body_while_the_tanks_empty(take_off, tmp_
 )
 def test_a_script_that_trims_on_the_way_is_flown_from_trim_to_trim_and_says_so(tmp_path, name, least, said):
     category = "light" if name.startswith("c172") else "transport"
-    truth = fly(profile(tmp_path, f'script = "{name}"\ncategory = "{category}"').flight)
+    truth = fly(profile(tmp_path, f'script = "{name}"\nclass = "{category}"').flight)
     assert truth.t[-1] >= least
     assert said in sanity(truth)
     distance, angle = replay(truth, 200.0)
@@ -144,9 +144,7 @@ def test_a_script_that_trims_on_the_way_is_flown_from_trim_to_trim_and_says_so(t
 
 
 def test_the_doublet_is_beyond_a_transport_which_the_report_says(tmp_path):
-    text = (
-        'script = "c172_elevator_doublet"\ncategory = "transport"\nduration_s = 15\n[evaluation]\nfrom_s = 0'
-    )
+    text = 'script = "c172_elevator_doublet"\nclass = "transport"\nduration_s = 15\n[evaluation]\nfrom_s = 0'
     said = sanity(fly(profile(tmp_path, text).flight))
     wanted = r"load factor -2\.\d\d to 5\.\d\d is beyond -1 to 2\.5 of the class transport \(14 CFR 25\.337\)"
     assert re.search(wanted, said)

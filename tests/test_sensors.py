@@ -14,7 +14,18 @@ from synthetic import still, turning
 from bench import earth, rotation
 from bench.sensors import initial, sense
 from bench.sensors.timing import output_times
-from bench.specs import AssumedSpecs, BaroSpec, GnssSpec, ImuSpec, SensorsSpec, TriadSpec, stream
+from bench.specs import (
+    AirspeedSpec,
+    AssumedSpecs,
+    BaroSpec,
+    GnssSpec,
+    ImuSpec,
+    MagSpec,
+    SensorsSpec,
+    StaticPressureSpec,
+    TriadSpec,
+    stream,
+)
 
 TRIAD = TriadSpec(
     random_walk=4e-5,
@@ -72,6 +83,50 @@ def test_leaving_out_one_sensor_leaves_the_others_bit_identical(turn):
     without_imu_errors = sense(turn, replace(SPEC, imu=ImuSpec("ideal", TriadSpec(), TriadSpec())), 1, 0)
     assert_array_equal(without_imu_errors.data.fixes.lla, whole.data.fixes.lla)
     assert_array_equal(without_imu_errors.data.baro.alt_baro, whole.data.baro.alt_baro)
+
+
+def test_a_magnetometer_and_an_airspeed_unit_leave_the_others_bit_identical(turn):
+    mag = MagSpec("mag", 20.0, 2e-7, hard_iron_sd=5e-7)
+    pitot = AirspeedSpec("pitot", 20.0, pressure_white_sd=2.0, bias_sd=0.3)
+    bare, whole = sense(turn, SPEC, 1, 0), sense(turn, replace(SPEC, mag=mag, airspeed=pitot), 1, 0)
+    equal = [
+        (bare.data.imu.dtheta_b, whole.data.imu.dtheta_b),
+        (bare.data.fixes.lla, whole.data.fixes.lla),
+        (bare.data.baro.alt_baro, whole.data.baro.alt_baro),
+        (bare.initial.lla, whole.initial.lla),
+    ]
+    for one, other in equal:
+        assert_array_equal(one, other)
+    assert bare.data.mag is None
+    assert bare.data.airspeed is None
+    assert np.isnan(bare.truth.mag_bias_b).all()
+    assert np.isnan(bare.truth.airspeed_bias).all()
+    other = sense(turn, replace(SPEC, mag=mag), 1, 0)
+    assert_array_equal(other.data.mag.field_b, whole.data.mag.field_b)
+    offset = whole.truth.mag_bias_b
+    assert offset.any()
+    assert (offset == offset[0]).all()
+    assert_allclose(whole.truth.airspeed_bias, whole.truth.airspeed_bias[0])  # 25 m/s all along
+    assert whole.truth.airspeed_bias[0] != 0
+
+
+def test_the_date_of_the_flight_reaches_the_magnetometer_and_the_estimators(turn):
+    mag = MagSpec("mag", 20.0, 0.0)
+    early, late = (sense(turn, replace(SPEC, mag=mag, date=date), 1, 0) for date in (2025.0, 2026.0))
+    assert (early.data.date, late.data.date) == (2025.0, 2026.0)
+    assert np.abs(late.data.mag.field_b - early.data.mag.field_b).max() > 1e-8
+
+
+def test_a_physical_barometer_is_the_one_with_a_physical_part(turn):
+    """The setting and the port reach it; its bias has no noise."""
+    felt = replace(BARO, physical=StaticPressureSpec(white_sd=5.0))
+    plain = sense(turn, replace(SPEC, baro=felt), 1, 0)
+    assert_allclose(plain.data.baro.alt_baro.mean(), 1190.0, atol=15.0)  # 87700 Pa
+    moved = sense(turn, replace(SPEC, baro=felt, qnh=100325.0), 1, 0).data.baro.alt_baro
+    assert_allclose(moved - plain.data.baro.alt_baro, -83.6, atol=0.5)
+    below = sense(turn, replace(SPEC, baro=felt, static_port_b=(0.0, 0.0, 2.0)), 1, 0).data.baro.alt_baro
+    assert_allclose(below - plain.data.baro.alt_baro, -2.0 * np.cos(0.65), atol=0.05)
+    assert np.ptp(plain.truth.baro_bias) < 1e-6 < np.ptp(plain.data.baro.alt_baro)
 
 
 def test_an_estimator_gets_the_believed_specs_the_lever_arm_and_the_outage_only_as_silence(turn):

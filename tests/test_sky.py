@@ -19,7 +19,7 @@ from bench import config, earth, rotation
 from bench.config import ConfigError
 from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
-from bench.sensors import gnss, sky
+from bench.sensors import clock, gnss, sky
 from bench.signals import delays, orbits, receiver
 from bench.specs import SkySpec, stream
 
@@ -32,7 +32,7 @@ OFF = {
     f.name: 0.0
     for f in fields(SkySpec)
     if f.name.endswith("_sd")
-    or f.name in ("dll_bandwidth", "fll_bandwidth", "clock_h_0", "clock_h_m2", "clock_g")
+    or f.name in ("dll_bandwidth", "fll_bandwidth", "clock_h_0", "clock_h_m1", "clock_h_m2", "clock_g")
 }
 QUIET = replace(FULL, **OFF)
 
@@ -72,6 +72,7 @@ def test_without_errors_a_fix_is_the_antenna(turn, bands):
         "clock_drift_sd": 100.0,
         "glonass_offset_sd": 10.0,
         "clock_h_0": 2e-19,
+        "clock_h_m1": 7e-21,
         "clock_h_m2": 2e-20,
         "clock_g": 5e-11,
     }
@@ -264,14 +265,16 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
     rows = np.arange(1, 20001)
     for h_0, h_m2, tau in ((2e-19, 0.0, 1), (2e-19, 0.0, 16), (0.0, 2e-20, 4), (0.0, 2e-20, 16)):
         what = replace(QUIET, clock_h_0=h_0, clock_h_m2=h_m2)
-        offset, _ = sky._clock(truth, rows, what, 1, 0)
+        offset, _ = clock.receiver_clock(truth, rows, what, 1, 0)
         x = offset / orbits.C
         second = x[2 * tau :: tau] - 2 * x[tau:-tau:tau] + x[: -2 * tau : tau]
         variance = np.mean(second**2) / (2 * tau**2)
         expected = h_0 / (2 * tau) + 2 * np.pi**2 / 3 * h_m2 * tau
         spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbours of second differences are correlated
         assert abs(variance / expected - 1) < spread
-    one, two = (sky._clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0] for h in (2e-19, 8e-20))
+    one, two = (
+        clock.receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0] for h in (2e-19, 8e-20)
+    )
     assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
 
 
@@ -279,7 +282,7 @@ def test_specific_force_bends_the_clock(turn):
     """0.5 ppb/g in a turn of 1.26 g along down: drift c y, and the offset is its integral."""
     what = replace(QUIET, clock_g=0.5e-9 / 9.80665)
     rows = np.arange(0, 2401, 20)[1:]
-    offset, drift = sky._clock(turn, rows, what, 1, 0)
+    offset, drift = clock.receiver_clock(turn, rows, what, 1, 0)
     f_down = turn.dvel_b[0, 2] * 20.0
     assert f_down < -9.9
     assert_allclose(drift, orbits.C * what.clock_g * f_down, rtol=1e-9)
@@ -294,13 +297,15 @@ def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, monkeypa
         return stream(seed, run, name)
 
     monkeypatch.setattr(sky, "stream", recorded)
+    monkeypatch.setattr(clock, "stream", recorded)
     measure(turn, QUIET)
     assert drawn == []
-    measure(turn, replace(FULL, bands=2))
+    measure(turn, replace(FULL, bands=2, clock_h_m1=7e-21))
     names = [
         "clock.offset",
         "clock.drift",
         "clock.noise",
+        "clock.flicker",
         "glonass_offset",
         "space",
         "ionosphere",

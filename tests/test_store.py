@@ -21,6 +21,7 @@ from synthetic import turning
 
 from bench import config, store
 from bench.data import (
+    AirspeedData,
     BaroData,
     ErrorSeries,
     Events,
@@ -28,6 +29,7 @@ from bench.data import (
     ImuData,
     InitialState,
     Innovations,
+    MagData,
     NavSolution,
     RunResult,
     Sensed,
@@ -109,9 +111,14 @@ def sensed(truth: Trajectory) -> Sensed:
         antenna_b=np.zeros(3),
         specs=profile.sensors.assumed,
         output_t=np.arange(41) / 10,
+        mag=MagData(t, t + 0.05, flags, RNG.normal(size=(m, 3)), np.full(m, 1e-7)),
+        airspeed=AirspeedData(t, t, flags, RNG.normal(size=m), np.full(m, 0.3)),
+        date=2025.5,
     )
     initial = InitialState(0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(9), "given")
-    drawn = SensorTruth(t, RNG.normal(size=(m, 3)), RNG.normal(size=(m, 3)), RNG.normal(size=m))
+    drawn = SensorTruth(
+        t, *RNG.normal(size=(2, m, 3)), RNG.normal(size=m), RNG.normal(size=(m, 3)), RNG.normal(size=m)
+    )
     outage = Events(np.array([2.0]), np.array([3.0]), ("gnss_outage",), ("scripted",))
     return Sensed(data, initial, drawn, outage)
 
@@ -163,6 +170,10 @@ def saved(tmp_path, result, truth, sensed) -> Path:
     return tmp_path / "runs" / "one"
 
 
+def units(data):
+    return data.imu, data.fixes, data.baro, data.mag, data.airspeed
+
+
 def test_what_is_saved_comes_back(saved, result, truth, sensed):
     again = store.load(saved)
     for name in ("profile", "seed", "run", "metrics", "provenance"):
@@ -172,21 +183,20 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
         equal(again.solutions[label], result.solutions[label])
         equal(again.errors[label], result.errors[label])
     equal(store.load_truth(saved), truth)
-    imu, fixes, baro = store.load_sensors(saved)
-    equal(imu, sensed.data.imu)
-    equal(fixes, sensed.data.fixes)
-    equal(baro, sensed.data.baro)
+    for again, before in zip(store.load_sensors(saved), units(sensed.data), strict=True):
+        equal(again, before)
 
 
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
-    bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, fixes=None, baro=None))
+    none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
+    bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))
     store.save(tmp_path, result, truth, bare)
-    assert store.load_sensors(tmp_path)[1:] == (None, None)
+    assert store.load_sensors(tmp_path)[1:] == (None, None, None, None)
 
 
 def test_every_column_has_a_unit_and_every_vector_a_frame(saved):
     files = list(saved.glob("*.parquet"))
-    assert len(files) == 17
+    assert len(files) == 19
     for path in files:
         for field in pq.read_schema(path):
             metadata = {key.decode(): value.decode() for key, value in field.metadata.items()}
@@ -261,6 +271,18 @@ def test_provenance_names_what_can_move_a_number():
     said = store.provenance()
     assert set(said["versions"]) == {"bench", "python", "numpy", "scipy", "numba", "jsbsim"}
     json.dumps(said)
+
+
+def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
+    sensors = config.load_profile("figure-eight").sensors
+    said = store.spec_hash(sensors)
+    assert said == store.spec_hash(config.load_profile("figure-eight").sensors)
+    for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
+        spec = getattr(sensors, name)
+        before = getattr(spec, figure)
+        moved = ((0.01, 0.0, 0.0),) * 3 if figure == "accel_arms" else before + 1e-9
+        other = dataclasses.replace(sensors, **{name: dataclasses.replace(spec, **{figure: moved})})
+        assert store.spec_hash(other) != said, name
 
 
 # --- the truth cache ----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import quantity, suggest
 from bench.navigation.estimator import BUILT_IN
+from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
@@ -51,6 +52,74 @@ def outages(table: ExperimentTable) -> list[str]:
     if table.evaluation.from_s >= length:
         what = quantity("from_s", table.evaluation.from_s)
         wrong.append(f"[evaluation] {what} is outside the flight, 0 to {length:g} s")
+    return wrong
+
+
+def alignment(table: ExperimentTable) -> list[str]:
+    """Check that an alignment has what it needs, and ends before the judgement begins."""
+    asked = table.alignment
+    wrong = []
+    kind = f"kind = '{asked.kind}'"
+    if asked.kind == "given" and asked.duration_s is not None:
+        wrong.append(f"[alignment] duration_s is for kind = 'level' or 'course'; {kind} takes no time")
+    if asked.kind != "course" and asked.drift_deg is not None:
+        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if asked.kind == "course" and table.sensors.gnss is None:
+        wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
+    if asked.kind != "given" and align_for(table) > table.evaluation.from_s:
+        wrong.append(
+            f"[alignment] {quantity('duration_s', align_for(table))} must not go beyond [evaluation] "
+            f"{quantity('from_s', table.evaluation.from_s)}"
+        )
+    return wrong
+
+
+def align_for(table: ExperimentTable) -> float:
+    """Return how long an alignment may take: a minute at rest, 10 s of a course."""
+    given = table.alignment.duration_s
+    return float((10.0 if table.alignment.kind == "course" else 60.0) if given is None else given)
+
+
+def units(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> list[str]:
+    """Check that what is said of a sensor has one to work on.
+
+    Parameters
+    ----------
+    table : ExperimentTable
+        The profile.
+    sensors : mapping
+        Spec of each kind on board, or None.
+    felt : bool
+        Whether the truth says anything of the air.
+    """
+    wrong = [
+        f"[sensors.assumed] {kind} = {name!r} has no effect: there is no {kind} in [sensors]"
+        for kind, name in table.sensors.assumed
+        if name is not None and getattr(table.sensors, kind) is None
+    ]
+    physical = sensors["baro"] is not None and sensors["baro"].physical is not None
+    if table.sensors.qnh_hpa is not None and not physical:
+        what = quantity("qnh_hpa", table.sensors.qnh_hpa)
+        wrong.append(f"[sensors] {what} has no effect: it is the setting of a baro with [physical]")
+    sky = None if sensors["gnss"] is None else sensors["gnss"].sky
+    if sky is not None and table.date not in (None, sky.day):
+        wrong.append(
+            f"date = {table.date} is not that of gnss = {table.sensors.gnss!r}, {sky.day}; leave it out"
+        )
+    elif sky is not None and table.sensors.mag is not None and not FIRST_YEAR <= sky.day.year < LAST_YEAR:
+        wrong.append(
+            f"[sensors] mag = {table.sensors.mag!r}: the magnetic field is known from {FIRST_YEAR:g} to "
+            f"{LAST_YEAR - 1:g}; gnss = {table.sensors.gnss!r} starts {sky.day}"
+        )
+    if not felt:
+        imu = sensors["imu"]
+        feels = {"baro": physical, "airspeed": True, "imu": imu is not None and imu.feels_air}
+        wrong += [
+            f"[sensors] {kind} = {getattr(table.sensors, kind)!r} feels the air, of which a trajectory table "
+            "says nothing"
+            for kind, does in feels.items()
+            if does and sensors[kind] is not None
+        ]
     return wrong
 
 

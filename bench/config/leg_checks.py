@@ -75,7 +75,7 @@ def _start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
             )
         return wrong
     if start.speed_mps is None:
-        return ["[start] speed_mps is missing"]
+        return [f"[start] speed_mps is missing, and the {aircraft.name} has no [[trim]]"]
     if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:
         return [f"[start] {_speed(start.speed_mps, aircraft)}"]
     return []
@@ -140,6 +140,15 @@ def _order(leg: LegTable, before: LegTable | None, *, low: bool) -> list[str]:
     if low and not isinstance(leg, StaticTable | TakeOffTable | LandingRollTable):
         return ["is flown in the air; a take-off must come before it"]
     return []
+
+
+def with_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
+    """Return the profile with the airspeed of its start: what it says, or the trim nearest in altitude."""
+    start = table.start
+    if start.on_ground or start.speed_mps is not None or not aircraft.trims:
+        return table
+    _, speed = min(aircraft.trims, key=lambda trim: abs(trim[0] - start.alt_m))
+    return table.model_copy(update={"start": start.model_copy(update={"speed_mps": speed})})
 
 
 def first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:

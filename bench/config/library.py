@@ -12,7 +12,9 @@ from pydantic import Field
 
 from bench.config import brought
 from bench.config.datasheets import SENSORS
-from bench.config.tables import ROWS, ConfigError, Table, between, checked, read, suggest
+from bench.config.leg_tables import Altitude, Speed
+from bench.config.profile_tables import Category
+from bench.config.tables import ROWS, ConfigError, Table, between, checked, quantity, read, suggest
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
 
@@ -51,12 +53,23 @@ class _Runway(Table):
     touch_down_mps: Annotated[float, between(0.05, 3)]
 
 
+class _Trim(Table):
+    """A steady level flight."""
+
+    alt_m: Altitude
+    speed_mps: Speed
+
+
 class _AircraftTable(Table):
     title: str
-    mesh: Literal["uav", "light-single", "jet"] = "uav"
+    category: Category = Field(alias="class")
+    source: str = ""
+    assumed: Annotated[tuple[str, ...], ROWS] = ()
     limits: _Limits
+    trim: Annotated[tuple[_Trim, ...], ROWS] = ()
     imu: _Position = _AT_CG
     antenna: _Position
+    static_port: _Position = _AT_CG
     runway: _Runway | None = None
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     guidance: dict[str, float] = Field(default_factory=dict)
@@ -82,7 +95,6 @@ def profile_file(name: str) -> tuple[Path, str]:
 
 
 class _ForeignTable(_AircraftTable):
-    category: Literal["uav", "light", "transport", "fighter"] = "light"
     properties: dict[str, float] = Field(default_factory=dict)
 
 
@@ -100,7 +112,7 @@ def aircraft_folder(name: str, beside: Path) -> Path:
     folder = next((place / name for place in places if (place / name).is_dir()), None)
     if folder is None:
         searched = ", ".join(str(place) for place in places)
-        known = [name for name, _ in list_aircraft(beside)]
+        known = [row[0] for row in list_aircraft(beside)]
         raise ConfigError(
             f"aircraft = {name!r} is not found{suggest(name, known, 'aircraft')}\n  searched: {searched}"
         )
@@ -163,16 +175,24 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
 
 def _foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
     if isinstance(table, _ForeignTable):
-        return ForeignSpec(root, table.properties, table.category)
-    return ForeignSpec(root, {}, table.mesh, guided=True)
+        return ForeignSpec(root, table.properties)
+    return ForeignSpec(root, {}, guided=True)
 
 
 def _aircraft(
     table: _AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
 ) -> AircraftSpec:
-    limits, imu, antenna = table.limits, table.imu, table.antenna
+    limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:
         raise ConfigError(f"{shown}: [limits] min_speed_mps must be below max_speed_mps")
+    for number, row in enumerate(table.trim, 1):
+        if not limits.min_speed_mps <= row.speed_mps <= limits.max_speed_mps:
+            raise ConfigError(
+                f"{shown}: [[trim]] {number}: {quantity('speed_mps', row.speed_mps)} is outside [limits]"
+            )
+    missing = [name for name in table.assumed if not hasattr(table, name)]
+    if missing:
+        raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is no table of it")
     systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:
@@ -187,17 +207,20 @@ def _aircraft(
         max_bank=math.radians(limits.max_bank_deg),
         max_climb=limits.max_climb_mps,
         max_descent=limits.max_descent_mps,
-        antenna_b=(
-            antenna.forward_m - imu.forward_m,
-            antenna.right_m - imu.right_m,
-            antenna.down_m - imu.down_m,
-        ),
-        mesh=table.mesh,
+        antenna_b=_from_imu(table.antenna, imu),
+        category=table.category,
         foreign=foreign,
-        imu_b=(imu.forward_m, imu.right_m, imu.down_m),
+        imu_b=_from_imu(imu, _AT_CG),
+        static_port_b=_from_imu(table.static_port, imu),
+        trims=tuple((float(row.alt_m), float(row.speed_mps)) for row in table.trim),
         runway=_runway(table.runway) if table.runway else None,
         configuration=table.configuration,
     )
+
+
+def _from_imu(place: _Position, imu: _Position) -> tuple[float, float, float]:
+    """Return a place on board relative to the IMU [m], b."""
+    return (place.forward_m - imu.forward_m, place.right_m - imu.right_m, place.down_m - imu.down_m)
 
 
 def _runway(table: _Runway) -> RunwaySpec:
@@ -217,7 +240,7 @@ def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     Parameters
     ----------
     kind : str
-        "imu", "gnss" or "baro".
+        "imu", "gnss", "baro", "mag" or "airspeed".
     name : str
         Name in the catalog, or a path ending in ``.toml``, relative to the profile.
     beside : Path
@@ -251,15 +274,28 @@ def list_profiles() -> list[tuple[str, str]]:
     ]
 
 
-def list_aircraft(beside: Path | None = None) -> list[tuple[str, str]]:
-    """Return the name and title of every aircraft that a profile can ask for."""
+def list_aircraft(beside: Path | None = None) -> list[tuple[str, str, str]]:
+    """Return name, title and figures of every aircraft that a profile can ask for, sorted by name."""
     found = {}
     for place in reversed(_aircraft_places(beside)):
         for path in place.glob("*/aircraft.toml"):
-            found[path.parent.name] = str(read(path, f"{path.parent.name}/aircraft.toml").get("title", ""))
+            found[path.parent.name] = read(path, f"{path.parent.name}/aircraft.toml")
         for path in place.glob("jsbsim/*.toml"):
-            found[f"{JSBSIM}{path.stem}"] = str(read(path, f"jsbsim/{path.name}").get("title", ""))
-    return sorted(found.items())
+            found[f"{JSBSIM}{path.stem}"] = read(path, f"jsbsim/{path.name}")
+    return [(name, str(sheet.get("title", "")), _figures(sheet)) for name, sheet in sorted(found.items())]
+
+
+def _figures(sheet: Mapping[str, Any]) -> str:
+    """Say in a line what an aircraft can do, where it is from, and what of it is assumed."""
+    limits = sheet.get("limits", {})
+    said = [f"class {sheet.get('class')}"]
+    said.append(f"{limits.get('min_speed_mps', 0):g} to {limits.get('max_speed_mps', 0):g} m/s")
+    said += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
+    said.append("takes off and lands" if "runway" in sheet else "in the air only")
+    said += ["IMU off the centre of gravity"] if "imu" in sheet else []
+    said += [f"source: {sheet['source']}"] if "source" in sheet else []
+    said += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []
+    return "; ".join(said)
 
 
 def list_sensors() -> list[tuple[str, str, str, str]]:

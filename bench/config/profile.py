@@ -6,10 +6,11 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from bench.config import brought, checks, leg_checks
+from bench.config import brought, checks, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.leg_tables import to_leg
 from bench.config.library import (
@@ -22,6 +23,8 @@ from bench.config.library import (
 )
 from bench.config.profile_tables import SEVERITY, ExperimentTable, ProfileTable, RunwayTable, StartTable
 from bench.config.tables import ConfigError, checked, noting, read
+from bench.signals.air import SEA_LEVEL_PRESSURE
+from bench.signals.magnetic import decimal_year
 from bench.specs import (
     AircraftSpec,
     AssumedSpecs,
@@ -34,6 +37,10 @@ from bench.specs import (
     SensorsSpec,
     WindLayer,
 )
+
+_DRIFT_DEG = 10.0  # a crosswind of a sixth of the airspeed; 1 sigma of what nobody told the filter
+DEFAULT_DAY = date(2026, 1, 1)
+"""When a flight is flown that does not say it."""
 
 
 def load_profile(
@@ -64,9 +71,11 @@ def load_profile(
     """
     path, shown = profile_file(str(name))
     document = read(path, shown)
+    overrides = dict(overrides or {})
     if seed is not None:
-        document |= {"seed": seed} | ({} if "trajectory" in document else {"turbulence_seed": seed})
-    for key, value in (overrides or {}).items():
+        both = overrides.pop("seed", seed)  # an override wins, of both
+        document |= {"seed": both} | ({} if "trajectory" in document else {"turbulence_seed": both})
+    for key, value in overrides.items():
         document = _override(document, key, value)
     beside, wrong = path.parent, list[str]()
     flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
@@ -90,13 +99,18 @@ def load_profile(
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
+        table = leg_checks.with_speed(table, aircraft)
         across = leg_checks.legs(table, aircraft) + leg_checks.air(table)
         if not across:
             flight = _flight(table, aircraft)
     elif bring is not None:
         with noting(wrong, f"{shown}: "):
             flight = bring[1](table, beside)
-    across += checks.rates(table, on_board) + checks.outages(table)
+    across += checks.rates(table, on_board) + checks.outages(table) + checks.alignment(table)
+    across += checks.units(table, on_board, felt="trajectory" not in document)
+    across += fault_tables.wrong(
+        table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
+    )
     across += checks.estimators(choices) + checks.asked(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
@@ -117,7 +131,7 @@ def load_profile(
         sensors=_sensors(table, aircraft, on_board, assumed),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
-        document=_document(table, path.stem, choices),
+        document=_document(table, path.stem, choices, _day(table, on_board)),
     )
 
 
@@ -229,7 +243,12 @@ def _sensors(
         imu=on_board["imu"],
         gnss=on_board["gnss"],
         baro=on_board["baro"],
-        assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
+        mag=on_board["mag"],
+        airspeed=on_board["airspeed"],
+        assumed=AssumedSpecs(**assumed),
+        date=decimal_year(_day(table, on_board)),
+        qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,
+        static_port_b=_static_port(aircraft),
         antenna_b=brought.antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple((float(start), float(end)) for start, end in outages),
         initial_pos_sd=initial.pos_m,
@@ -237,12 +256,38 @@ def _sensors(
         initial_tilt_sd=math.radians(initial.tilt_deg),
         initial_heading_sd=math.radians(initial.heading_deg),
         output_rate=float(table.evaluation.output_hz),
+        alignment=table.alignment.kind,
+        align_for=checks.align_for(table),
+        drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
+        faults=tuple(fault_tables.to_fault(row) for row in table.fault),
     )
 
 
-def _document(table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
+def _day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
+    """Return the day of the flight: that of the profile, else of the receiver's sky, else the usual one."""
+    gnss = on_board["gnss"]
+    if table.date is None and gnss is not None and gnss.sky is not None:
+        return cast(date, gnss.sky.day)
+    return table.date or DEFAULT_DAY
+
+
+def _static_port(aircraft: AircraftSpec | None) -> tuple[float, float, float]:
+    """Return the static port relative to the centre of gravity [m], b."""
+    if aircraft is None:
+        return (0.0, 0.0, 0.0)
+    imu_b, port_b = aircraft.imu_b, aircraft.static_port_b
+    return (imu_b[0] + port_b[0], imu_b[1] + port_b[1], imu_b[2] + port_b[2])
+
+
+def _document(
+    table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice], day: date
+) -> dict[str, Any]:
     """Return the profile as flown: the file with the overrides and every default filled in."""
-    document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
+    document: dict[str, Any] = {
+        "title": name,
+        **table.model_dump(mode="json", exclude_none=True, by_alias=True),
+        "date": day.isoformat(),
+    }
     if "turbulence_seed" in type(table).model_fields:
         document.setdefault("turbulence_seed", table.seed)
     sensors = document["sensors"]

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
+from datetime import date
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from bench.config.fault_tables import FaultTable
 from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
 from bench.config.tables import ROWS, Table, between
+from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
 """Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
@@ -51,6 +55,28 @@ Metres3 = Annotated[
     ROWS,
 ]
 Seed = Annotated[int, between(0, 2**53)]
+Category = Literal["uav", "light", "transport", "fighter"]
+"""Class of an aircraft."""
+
+
+def _modelled(value: date) -> date:
+    if not FIRST_YEAR <= value.year < LAST_YEAR:
+        wanted = (
+            f"must be from {FIRST_YEAR:g}-01-01 to {LAST_YEAR - 1:g}-12-31: the magnetic field is known then"
+        )
+        raise PydanticCustomError("message", wanted)
+    return value
+
+
+def _written(value: object) -> object:
+    """Take the text of a profile as flown, which is JSON, for a date; leave what is none to its check."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return date.fromisoformat(value)
+    return value
+
+
+Date = Annotated[date, BeforeValidator(_written), AfterValidator(_modelled)]
 
 
 class StartTable(Table):
@@ -112,6 +138,8 @@ class AssumedTable(Table):
     imu: str | None = None
     gnss: str | None = None
     baro: str | None = None
+    mag: str | None = None
+    airspeed: str | None = None
 
 
 class SensorsTable(Table):
@@ -120,6 +148,9 @@ class SensorsTable(Table):
     imu: str
     gnss: str | None = None
     baro: str | None = None
+    mag: str | None = None
+    airspeed: str | None = None
+    qnh_hpa: Annotated[float, between(850, 1100)] | None = None
     assumed: AssumedTable = AssumedTable()
 
 
@@ -137,6 +168,17 @@ class InitialErrorSdTable(Table):
     vel_mps: Metres3 = (0.2, 0.2, 0.2)
     tilt_deg: Annotated[float, between(1e-4, 30)] = 0.5
     heading_deg: Annotated[float, between(1e-4, 180)] = 2.0
+
+
+class AlignmentTable(Table):
+    """What the estimators are told of the start, and what they have to find by themselves.
+
+    ``given``: all of it. ``level``: the position of a standstill. ``course``: nothing.
+    """
+
+    kind: Literal["given", "level", "course"] = "given"
+    duration_s: Annotated[float, between(1, 3600)] | None = None
+    drift_deg: Annotated[float, between(0, 90)] | None = None
 
 
 class EstimatorTable(Table):
@@ -168,10 +210,13 @@ class ExperimentTable(Table):
     title: str | None = None
     rate_hz: Literal[100, 200, 400] = 200
     seed: Seed = 0
+    date: Date | None = None
     duration_s: Seconds | None = None
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
+    fault: Annotated[tuple[Annotated[FaultTable, Field(discriminator="kind")], ...], ROWS] = ()
     initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
+    alignment: AlignmentTable = AlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
     evaluation: EvaluationTable = EvaluationTable()
 
@@ -205,7 +250,7 @@ class ScriptTable(_BroughtTable):
     script: str
     jsbsim_root: str | None = None
     turbulence_seed: Seed | None = None
-    category: Literal["uav", "light", "transport", "fighter"] = "light"
+    category: Category = Field(default="light", alias="class")
 
 
 class TrajectoryTable(_BroughtTable):

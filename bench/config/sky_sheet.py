@@ -59,6 +59,7 @@ class SkyTable(Table):
     clock_drift_sd_mps: Figure = 0.0
     glonass_offset_sd_m: Figure = 0.0
     clock_h_0_s: Figure = 0.0
+    clock_h_m1: Figure = 0.0
     clock_h_m2_hz: Figure = 0.0
     clock_g_ppb: float = 0.0  # per g along down
     false_alarm: Annotated[float, between(0, 0.5)] = 1e-3
@@ -111,6 +112,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     }
     return SkySpec(
         **seconds,
+        day=table.start.date(),
         gps_t0=of_day,
         gps=gps,
         glonass=glonass,
@@ -138,6 +140,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
         clock_drift_sd=table.clock_drift_sd_mps,
         glonass_offset_sd=table.glonass_offset_sd_m,
         clock_h_0=table.clock_h_0_s,
+        clock_h_m1=table.clock_h_m1,
         clock_h_m2=table.clock_h_m2_hz,
         clock_g=table.clock_g_ppb * 1e-9 / _G,
         false_alarm=table.false_alarm,

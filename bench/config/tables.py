@@ -168,6 +168,7 @@ def _wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
         "model_attributes_type": "a table",
         "dict_type": "a table",
         "tuple_type": "a list",
+        "date_type": "a date, as 2026-01-31",
     }
     return f"must be {wanted[kind]}" if kind in wanted else f"is wrong: {message}"
 

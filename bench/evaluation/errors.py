@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
 import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
+
+_Series = TypeVar("_Series", NavSolution, ErrorSeries)
 
 BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 """Rows of ``NavSolution.cov``."""
@@ -220,6 +225,21 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
                 f"more than {DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} m"
             )
     return True, None
+
+
+def aligning(solution: NavSolution, until: float) -> int:
+    """Return the number of leading epochs before ``until`` [s] that are NaN throughout."""
+    said = solution.t >= until
+    for column in (solution.lla, solution.vel_n, solution.q_nb, solution.cov):
+        said |= ~np.isnan(column.reshape(len(column), -1)).all(axis=1)
+    return int(np.argmax(said)) if said.any() else 0
+
+
+def from_row(record: _Series, first: int) -> _Series:
+    """Return the epochs of a solution or error series from a row on; innovations and events are kept."""
+    columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
+    later: dict[str, Any] = {name: c[first:] for name, c in columns.items() if isinstance(c, np.ndarray)}
+    return replace(record, **later)
 
 
 def _not_finite(values: FloatArray) -> BoolArray:

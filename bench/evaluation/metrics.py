@@ -15,8 +15,18 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
+from bench.evaluation import detection
 from bench.evaluation.consistency import SensorNis, chi2_quantile, mean_nis, nis_by_sensor
-from bench.evaluation.errors import BLOCKS, converged, error_series, estimated_blocks, heading_sd
+from bench.evaluation.errors import (
+    BLOCKS,
+    aligning,
+    converged,
+    error_series,
+    estimated_blocks,
+    from_row,
+    heading_sd,
+)
+from bench.specs import Fault
 
 Outages = Sequence[tuple[float, float]]
 Value = float | None
@@ -47,6 +57,10 @@ class Case:
     nis: Mapping[str, SensorNis]
     events: Mapping[str, int]  # what the estimator reported: number by kind
     outages: tuple[tuple[int, float, float], ...]  # number from 1, [start, end) [s]: those that start inside
+    faults: Mapping[str, Fault]  # number from 1: those that start inside
+    scripted: tuple[Fault, ...]  # all of the run
+    alarms: tuple[detection.Alarms, ...]  # of the whole run
+    from_s: float  # [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +203,40 @@ def heading_convergence(case: Case) -> Value:
     return None
 
 
+# --- faults -------------------------------------------------------------------------------------------
+
+
+def fault_detected(case: Case) -> Values:
+    """1 when an alarm came while the fault was there, else 0."""
+    return {k: float(detection.delay(f, case.alarms) is not None) for k, f in case.faults.items()}
+
+
+def fault_delay(case: Case) -> Values:
+    """Time from the start of the fault to its first alarm [s]; None when undetected."""
+    return {k: detection.delay(f, case.alarms) for k, f in case.faults.items()}
+
+
+def fault_max_h(case: Case) -> Values:
+    """Largest horizontal position error while the fault was there [m]."""
+    found: dict[str, Value] = {}
+    for key, fault in case.faults.items():
+        first, stop = np.searchsorted(case.t, [fault.start - SAME_TIME, fault.end - SAME_TIME])
+        if first < stop:
+            found[key] = float(_norm_h(case.pos_n[first:stop]).max())
+    return found
+
+
+def false_alarms(case: Case) -> Values:
+    """Number of alarms of each sensor that no fault explains; none are counted in a run without faults."""
+    if not case.scripted:
+        return {}
+    names = dict.fromkeys(one.name for one in case.alarms)
+    return {
+        name: float(detection.false_alarms(case.scripted, case.alarms, name, case.from_s - SAME_TIME))
+        for name in names
+    }
+
+
 # --- consistency --------------------------------------------------------------------------------------
 
 
@@ -284,6 +332,10 @@ METRICS: tuple[Metric, ...] = (
         "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at its last instant"
     ),
     Metric("outage_{}_growth_h_m", outage_growth_h, "m", "pos", "lower", "last minus first horizontal error"),
+    Metric("fault_{}_detected", fault_detected, "1", "", "both", "1: an alarm came while it was there"),
+    Metric("fault_{}_delay_s", fault_delay, "s", "", "lower", "from its start to its first alarm"),
+    Metric("fault_{}_max_h_m", fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"),
+    Metric("false_alarms_{}", false_alarms, "1", "", "", "alarms of a sensor that no fault explains"),
     Metric("nees_mean", nees_mean, "1", "", "both", "mean NEES; nees_states is expected"),
     Metric("nees_states", nees_states, "1", "", "", "states that NEES counts"),
     Metric("nees_inside_95", nees_inside_95, "1", "", "both", "epochs in the 95 % interval of NEES"),
@@ -303,7 +355,12 @@ METRICS: tuple[Metric, ...] = (
 
 
 def judge(
-    truth: Trajectory, solution: NavSolution, *, evaluation_from: float, outages: Outages
+    truth: Trajectory,
+    solution: NavSolution,
+    *,
+    evaluation_from: float,
+    outages: Outages,
+    faults: Sequence[Fault] = (),
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors and the metrics of one estimator in one run.
 
@@ -312,11 +369,14 @@ def judge(
     truth : Trajectory
         The motion as flown.
     solution : NavSolution
-        What the estimator made of the sensors.
+        What the estimator made of the sensors. Epochs before the end of the window at which it says nothing
+        at all, NaN throughout, are those of its alignment; ``x_all`` begins after them.
     evaluation_from : float
         End of the alignment window [s]; metrics ``x`` begin here, ``x_all`` at the start.
     outages : sequence of (start, end)
         Scripted GNSS outages, [start, end) [s], in order.
+    faults : sequence of Fault
+        Scripted faults, as the profile numbers them.
 
     Returns
     -------
@@ -335,10 +395,15 @@ def judge(
     if len(solution) == 0:
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
-    sound, reason = converged(errors, solution)
+    begun = aligning(solution, evaluation_from)
+    judged, solution = from_row(errors, begun), from_row(solution, begun)
+    sound, reason = converged(judged, solution)
+    if aligning(solution, np.inf):
+        first = solution.t[aligning(solution, np.inf)]
+        sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole = _values(case_from(errors, solution, -np.inf, outages), solution)
-        after = case_from(errors, solution, evaluation_from, outages)
+        whole = _values(case_from(judged, solution, -np.inf, outages, faults), solution)
+        after = case_from(judged, solution, evaluation_from, outages, faults)
         window = _values(after, solution) if len(after.t) else {}
     metrics: dict[str, Any] = {"converged": sound, "reason": reason}
     metrics.update({name: window.get(name) if sound else None for name in whole})
@@ -346,7 +411,9 @@ def judge(
     return errors, metrics
 
 
-def case_from(errors: ErrorSeries, solution: NavSolution, from_s: float, outages: Outages) -> Case:
+def case_from(
+    errors: ErrorSeries, solution: NavSolution, from_s: float, outages: Outages, faults: Sequence[Fault] = ()
+) -> Case:
     """Return what the metrics see of a run from an instant [s] on."""
     rows = errors.t >= from_s - SAME_TIME
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
@@ -367,6 +434,10 @@ def case_from(errors: ErrorSeries, solution: NavSolution, from_s: float, outages
         outages=tuple(
             (k, start, end) for k, (start, end) in enumerate(outages, 1) if start >= from_s - SAME_TIME
         ),
+        faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_TIME},
+        scripted=tuple(faults),
+        alarms=detection.alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
+        from_s=from_s,
     )
 
 

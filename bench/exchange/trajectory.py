@@ -13,11 +13,8 @@ are checked against it. Increments follow from it at 400 Hz or more by the recip
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +23,7 @@ from bench.arrays import FloatArray
 from bench.config.tables import ConfigError
 from bench.data import Events, Trajectory, no_air, no_controls
 from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
+from bench.exchange.tables import FACTORS, Columns, described, group, read_table
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
 from bench.specs import TableSpec
@@ -33,9 +31,6 @@ from bench.unit_names import split_unit
 
 MOST_ROWS = 3_000_000
 """Rows of a table, and samples of a truth made of one: two hours at 400 Hz."""
-_MOST_BYTES = 2_000_000_000  # of a file
-_MOST_HEADER = 1_000_000  # of the first line [byte]
-_BLOCK = 1 << 20  # read at a time [byte]
 _FEWEST = 8  # rows; a quintic spline needs 6
 _KNOT_RATE = 60.0  # rows the spline passes through, at most [Hz]
 _FINE_RATE = 400.0  # of the steps increments are made of, at least [Hz]
@@ -51,42 +46,24 @@ _OFF_TABLE = 1e-3  # a row is off the truth by more [m]
 _FORCE = 10.0  # specific force beyond most aircraft [g], assumed
 _STANDARD_G = 9.80665  # [m/s^2]
 
-_FACTORS = {"s": 1.0, "rad": 1.0, "deg": math.pi / 180.0, "mrad": 1e-3, "m": 1.0, "km": 1e3, "m/s": 1.0}
-_UNITS = {
-    "time": ("s",),
-    "angle": ("deg", "rad", "mrad"),
-    "length": ("m", "km"),
-    "speed": ("m/s",),
-    "": ("",),
-}
-
-
-def _group(dimension: str, *stems: str) -> dict[str, str]:
-    return dict.fromkeys(stems, dimension)
-
-
-_TIMES = (_group("time", "t"), _group("time", "time"))
+_TIMES = (group("time", "t"), group("time", "time"))
 _POSITIONS = (
-    {**_group("angle", "lat", "lon"), **_group("length", "alt")},
-    _group("length", "ecef_x", "ecef_y", "ecef_z"),
+    {**group("angle", "lat", "lon"), **group("length", "alt")},
+    group("length", "ecef_x", "ecef_y", "ecef_z"),
 )
 _ATTITUDES = (
-    _group("", "q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z"),
-    _group("", "q_eb_w", "q_eb_x", "q_eb_y", "q_eb_z"),
-    _group("angle", "roll", "pitch", "heading"),
-    _group("angle", "roll", "pitch", "yaw"),
+    group("", "q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z"),
+    group("", "q_eb_w", "q_eb_x", "q_eb_y", "q_eb_z"),
+    group("angle", "roll", "pitch", "heading"),
+    group("angle", "roll", "pitch", "yaw"),
 )
 _VELOCITIES = (
-    _group("speed", "vel_n", "vel_e", "vel_d"),
-    _group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
+    group("speed", "vel_n", "vel_e", "vel_d"),
+    group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
 )
 _KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": _VELOCITIES}
-_ENDING = {"time": "_s", "angle": "_deg", "length": "_m", "speed": "_mps", "": ""}
 
-COLUMNS = {
-    kind: " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in group.items()) for group in groups)
-    for kind, groups in _KINDS.items()
-}
+COLUMNS = {kind: described(groups) for kind, groups in _KINDS.items()}
 """What a table may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
 lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed WGS 84. roll, pitch, heading (or
@@ -114,7 +91,7 @@ def read_trajectory(spec: TableSpec) -> Trajectory:
     ConfigError
         When the table cannot be read or no truth can be made of it; one line says which row.
     """
-    table = _read(spec.path)
+    table = read_table(spec.path, _KINDS, ("velocity",), MOST_ROWS)
     rows = _checked(table, spec.path.name)
     fit = _fit(rows, spec.path.name)
     length = float(rows.t[-1])
@@ -141,126 +118,6 @@ def read_trajectory(spec: TableSpec) -> Trajectory:
     return replace(truth, events=Events.from_rows(events))
 
 
-# --- reading ------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The columns that are used, in SI, by kind and in the order of their group, and the other names."""
-
-    columns: Mapping[str, FloatArray]  # kind -> (N, k)
-    stems: Mapping[str, tuple[str, ...]]  # kind -> what its columns are
-    names: Mapping[str, tuple[str, ...]]  # kind -> what they are called
-    unused: tuple[str, ...]
-
-
-def _read(path: Path) -> _Table:
-    shown = path.name
-    import pyarrow as pa
-
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
-        names, batches = _open_csv(path) if path.suffix.lower() == ".csv" else _open_parquet(path)
-        chosen, unused = _choose(names, shown)
-        wanted = [name for group in chosen.values() for name in group]
-        columns: list[list[FloatArray]] = [[] for _ in wanted]
-        count = 0
-        for batch in batches(wanted):
-            count += batch.num_rows
-            if count > MOST_ROWS:
-                raise ConfigError(f"{shown}: more than {MOST_ROWS} rows")
-            for column, name in zip(columns, wanted, strict=True):
-                column.append(
-                    np.asarray(batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False))
-                )
-    except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
-    by_name = {
-        name: np.concatenate(parts) * _FACTORS.get(split_unit(name)[1], 1.0) if parts else np.empty(0)
-        for name, parts in zip(wanted, columns, strict=True)
-    }
-    return _Table(
-        columns={kind: np.stack([by_name[n] for n in group], axis=-1) for kind, group in chosen.items()},
-        stems={kind: tuple(split_unit(n)[0] for n in group) for kind, group in chosen.items()},
-        names=chosen,
-        unused=unused,
-    )
-
-
-def _open_csv(path: Path) -> tuple[list[str], Any]:
-    """Return the names of the header and what reads wanted columns of the rest, block by block."""
-    import pyarrow as pa
-    from pyarrow import csv as pa_csv
-
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        first = file.readline(_MOST_HEADER)
-    names = next(csv.reader([first]), [])
-
-    def batches(wanted: Sequence[str]) -> Iterator[Any]:
-        reader = pa_csv.open_csv(
-            path,
-            read_options=pa_csv.ReadOptions(
-                use_threads=False, block_size=_BLOCK, skip_rows=1, column_names=names
-            ),
-            convert_options=pa_csv.ConvertOptions(
-                include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.float64())
-            ),
-        )
-        with reader:
-            yield from reader
-
-    return names, batches
-
-
-def _open_parquet(path: Path) -> tuple[list[str], Any]:
-    """As ``_open_csv``, of a Parquet file whose footer does not promise too much."""
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    def batches(wanted: Sequence[str]) -> Iterator[Any]:
-        with pq.ParquetFile(path) as file:
-            facts, schema = file.metadata, file.schema_arrow
-            if facts.num_rows > MOST_ROWS:
-                raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
-            for name in wanted:
-                kind = schema.field(name).type
-                if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                    raise ConfigError(f"{path.name}: column {name!r} holds {kind}, not numbers")
-            yield from file.iter_batches(batch_size=1 << 16, columns=list(wanted), use_threads=False)
-
-    with pq.ParquetFile(path) as file:
-        return list(file.schema_arrow.names), batches
-
-
-def _choose(names: Sequence[str], shown: str) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """Return the columns of each kind: the first group that is complete."""
-    by_stem: dict[str, list[str]] = {}
-    for name in names:
-        by_stem.setdefault(split_unit(name)[0], []).append(name)
-    chosen: dict[str, tuple[str, ...]] = {}
-    for kind, groups in _KINDS.items():
-        group = next((group for group in groups if all(stem in by_stem for stem in group)), None)
-        if group is None:
-            if kind == "velocity":
-                continue
-            there = ", ".join(names[:30])[:300]
-            raise ConfigError(f"{shown}: no columns for {kind}: {COLUMNS[kind]}; there are {there or 'none'}")
-        for stem, dimension in group.items():
-            if len(by_stem[stem]) > 1:
-                raise ConfigError(f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity")
-            unit = split_unit(by_stem[stem][0])[1]
-            if unit not in _UNITS[dimension]:
-                wanted = " or ".join(f"{stem}_{u.replace('m/s', 'mps')}" for u in _UNITS[dimension])
-                raise ConfigError(
-                    f"{shown}: column {by_stem[stem][0]!r} must be named by its unit: {wanted or stem}"
-                )
-        chosen[kind] = tuple(by_stem[stem][0] for stem in group)
-    used = {name for group in chosen.values() for name in group}
-    return chosen, tuple(name for name in names if name not in used)
-
-
 # --- checking -----------------------------------------------------------------------------------------
 
 
@@ -275,7 +132,7 @@ class _Rows:
     notes: list[tuple[float, float, str, str]]
 
 
-def _checked(table: _Table, shown: str) -> _Rows:
+def _checked(table: Columns, shown: str) -> _Rows:
     """Return the rows as a motion.
 
     Raises
@@ -314,7 +171,7 @@ def _checked(table: _Table, shown: str) -> _Rows:
     return _Rows(t - t[0], pos_e, q_eb, vel_e, notes)
 
 
-def _positions(table: _Table, shown: str) -> FloatArray:
+def _positions(table: Columns, shown: str) -> FloatArray:
     position, names = table.columns["position"], table.names["position"]
     if table.stems["position"][0] == "lat":
         limits = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))
@@ -322,7 +179,7 @@ def _positions(table: _Table, shown: str) -> FloatArray:
             off = (position[:, k] < low - 1e-12) | (position[:, k] > high + 1e-12)
             if off.any():
                 row = int(np.argmax(off))
-                factor = _FACTORS[split_unit(names[k])[1]]
+                factor = FACTORS[split_unit(names[k])[1]]
                 value, a, b = position[row, k] / factor, low / factor, high / factor
                 raise ConfigError(
                     f"{shown}: row {row + 1}: {names[k]} = {value:.9g} is outside {a:.6g} to {b:.6g}"
@@ -340,7 +197,7 @@ def _positions(table: _Table, shown: str) -> FloatArray:
 
 
 def _attitudes(
-    table: _Table, shown: str, q_en: FloatArray, t: FloatArray, notes: list[tuple[float, float, str, str]]
+    table: Columns, shown: str, q_en: FloatArray, t: FloatArray, notes: list[tuple[float, float, str, str]]
 ) -> FloatArray:
     attitude, stems = table.columns["attitude"], table.stems["attitude"]
     if stems[0] == "roll":

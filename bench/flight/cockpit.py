@@ -60,7 +60,7 @@ class Cockpit:
         self.direct = {name: writer(f"{name}-direct-norm") for name in SURFACES}
         self.direct_share = {name: writer(f"{name}-direct-share") for name in SURFACES}
         self.surface = {name: reader(f"fcs/{name}-cmd-norm") for name in SURFACES}
-        self._integrator = switch("simulation/integrator/rate/translational")
+        self._integrators = {name: switch(f"simulation/integrator/{name}") for name in ON_WHEELS}
         self._brakes = [switch(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right")]
         self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
         self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
@@ -123,8 +123,9 @@ class Cockpit:
             write(share)
 
     def on_ground(self, standing: bool) -> None:
-        """Integrate the velocity as wheels on the ground need it, or as flight does."""
-        self._integrator(ON_WHEELS if standing else INTEGRATORS["rate/translational"])
+        """Integrate the rates as wheels on the ground need it, or as flight does."""
+        for name, write in self._integrators.items():
+            write((ON_WHEELS if standing else INTEGRATORS)[name])
 
     def start_speed(self, speed: float) -> None:
         """Begin to hold an airspeed [m/s] without a jump of the throttle."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from itertools import chain, repeat
 
 from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs_air import climb_ramp, level_off
 from bench.flight.model import FlightError
 from bench.flight.paths import Follower, Path
-from bench.flight.shaping import Steps, clip, smooth, ticks, wait
+from bench.flight.shaping import Steps, clip, roll_time, smooth, ticks, wait
 from bench.specs import Approach, LandingRoll, Runway, RunwaySpec, Static, TakeOff
 
 _POWER = 2.0  # in which brakes are released and power is set [s]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
 _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
+_NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTRE = 0.02  # heading back to the centreline per distance off it [rad/m] ...
 _CENTRE_MOST = math.radians(10.0)  # ... and the most of it [rad]
@@ -54,7 +56,25 @@ def take_off(cockpit: Cockpit, leg: TakeOff) -> Steps:
         centre.steer()
         yield
     yield from _roll_to(cockpit, centre, figures.rotate_speed)
-    cockpit.start_speed(leg.speed)
+    yield from _with_full_power(cockpit, leg.speed, _climb_out(cockpit, leg, centre))
+
+
+def _with_full_power(cockpit: Cockpit, speed: float, steps: Steps) -> Steps:
+    """Leave the power as it is until the airspeed [m/s] has nearly come, then hold that."""
+    cockpit.set_speed(speed)  # what lacks of it is taken off the climb already
+    held = False
+    for _ in steps:
+        if not held and cockpit.speed() > speed - _NEAR:
+            cockpit.start_speed(speed)
+            held = True
+        yield
+    if not held:
+        cockpit.start_speed(speed)
+
+
+def _climb_out(cockpit: Cockpit, leg: TakeOff, centre: _Centreline) -> Steps:
+    """Raise the nose, leave the ground, climb to the height of the leg."""
+    runway, figures = _runway(cockpit)
     begun = cockpit.pitch()
     cockpit.set_pitch(begun)
     cockpit.lon_mode(1)
@@ -107,10 +127,12 @@ def approach(cockpit: Cockpit, leg: Approach) -> Steps:
     if above() < 0:
         raise FlightError(f"an approach begins below the glide path; this is {-above():.0f} m above it")
     cockpit.change_speed(figures.approach_speed)
-    follower = Follower(cockpit, plane, line, min(_FINAL_BANK, cockpit.aircraft.max_bank))
+    bank = min(_FINAL_BANK, cockpit.aircraft.max_bank)
+    follower = Follower(cockpit, plane, line, bank)
+    limits = chain((share * bank for share in smooth(roll_time(bank))), repeat(bank))  # no step to begin with
     rate = 0.0
     while above() > rate * (0.5 * climb_ramp(rate) + cockpit.climb_lag):
-        follower.steer()
+        follower.steer(next(limits))
         yield
         rate = slope * plane.track()[1]
         if rate > limit:
@@ -123,7 +145,7 @@ def approach(cockpit: Cockpit, leg: Approach) -> Steps:
         share, k = captured[min(k, len(captured) - 1)], k + 1
         rate = slope * plane.track()[1]
         cockpit.set_climb(share * (gain * above() * share - rate))
-        follower.steer()
+        follower.steer(next(limits))
         if above() < -50.0:
             raise FlightError(f"{-above():.0f} m above the glide path: {cockpit.state()}")
         yield

@@ -39,8 +39,8 @@ INTEGRATORS = {  # AB2, AB2, local linearization, AB4: five times finer than the
     "position/rotational": 8,
     "position/translational": 4,
 }
-ON_WHEELS = 1
-"""Integrator of the velocity on the ground, Euler: JSBSim's friction expects it; wheels creep with others."""
+ON_WHEELS = {"rate/rotational": 1, "rate/translational": 1}
+"""Euler for the rates on the ground: JSBSim's friction expects it; wheels creep and shiver with others."""
 _ACCELERATIONS = (
     ("accelerations/udot-ft_sec2", FT),
     ("accelerations/vdot-ft_sec2", FT),

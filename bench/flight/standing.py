@@ -32,7 +32,7 @@ def stand(fdm: Any, condition: Condition) -> None:
     _evaluate(fdm)
     fdm["ic/h-agl-ft"] = 10.0 - min(wheel.get_double_value() for wheel in wheels) + _DROP / FT
     _evaluate(fdm)
-    for name, number in {**INTEGRATORS, "rate/translational": ON_WHEELS}.items():  # run_ic resets them
+    for name, number in {**INTEGRATORS, **ON_WHEELS}.items():  # run_ic resets them
         fdm[f"simulation/integrator/{name}"] = number
     set_wind(fdm, np.asarray(condition.wind_n))
     for surface in SURFACES:

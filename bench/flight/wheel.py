@@ -94,7 +94,7 @@ def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
         tape.step()
     motion, ticks = motion_of(dt, tape.columns(), spec.aircraft.imu_b), tape.ticks()
     events = [(leg.start, leg.end, "leg", leg.text) for leg in flown]
-    events += sanity.report(motion, ticks, spec.aircraft.foreign.category)
+    events += sanity.report(motion, ticks, spec.aircraft.category)
     return with_air(truth_of(motion, substeps, events), ticks)
 
 

@@ -33,7 +33,7 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.earth import RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
-from bench.navigation import timeline
+from bench.navigation import alignment, square_root, timeline
 from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
 from bench.navigation.state_model import unmodelled
@@ -590,6 +590,9 @@ class Classic22:
         Measurements in the update. With 8, the published vector (A-5.4.3), whose S is singular and gets its
         pseudo-inverse: the answer is that of 7. Epochs with a part missing or refused use what is left of
         the 7.
+    form : {"joseph", "potter", "carlson"}
+        Of (5.4.5): Joseph's with all rows at once, or a square root of P a row at a time
+        (`bench.navigation.square_root`); the answer is the same.
     floor : float
         No standard deviation of a state falls below this part of its value at the start (A-5.4.F); 0: no
         floor.
@@ -628,6 +631,7 @@ class Classic22:
         covariance_hz: float = 20.0,
         discretization: str = "van-loan",
         rows: int = 7,
+        form: str = "joseph",
         floor: float = 0.0,
         integrity: Sequence[str] = ("nis",),
         gate_probability: float = 1e-5,
@@ -656,6 +660,10 @@ class Classic22:
             raise ValueError(f"discretization = {discretization!r} must be 'van-loan' or 'euler'")
         if rows not in (7, 8) or isinstance(rows, bool):
             raise ValueError(f"rows = {rows!r} must be 7 or 8")
+        if form not in ("joseph", "potter", "carlson"):
+            raise ValueError(f"form = {form!r} must be 'joseph', 'potter' or 'carlson'")
+        if form != "joseph" and rows == 8:
+            raise ValueError(f"form = {form!r} needs rows = 7: the noise of eight rows is not independent")
         if not (_is_number(floor) and 0 <= floor < 1):
             raise ValueError(f"floor = {floor!r} must lie in 0 to 1, a part of the spread at the start")
         unknown = [test for test in integrity if test not in ("nis", "trace", "tolerance")]
@@ -681,6 +689,7 @@ class Classic22:
         self.covariance_hz = covariance_hz
         self.discretization = discretization
         self.rows = rows
+        self.form = form
         self.floor = floor
         self.integrity = tuple(integrity)
         self.gates = {name: nis_limit(len(rows), gate_probability) for name, rows in _ROWS.items()}
@@ -704,7 +713,9 @@ class Classic22:
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+        initial, aligned = alignment.complete(sensors, initial)
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        events += aligned
         t = sensors.imu.t[rows]
         aids: dict[int, list[tuple[int | None, int | None]]] = {}
         fixes, baro = sensors.fixes, sensors.baro
@@ -878,7 +889,14 @@ class _Flight:
         if self.settings.rows == 8 and len(use) == 7:
             use = list(range(8))
             self.kf.inv = pseudo_inverse
-        self.kf.update(Y[use, None], R=R[np.ix_(use, use)], H=H[use])  # Joseph form
+        if self.settings.form == "joseph":
+            self.kf.update(Y[use, None], R=R[np.ix_(use, use)], H=H[use])
+        else:
+            step = square_root.potter if self.settings.form == "potter" else square_root.carlson
+            x, root = self.kf.x[:, 0], square_root.upper_root(self.kf.P)
+            for k in use:
+                x, root = step(x, root, H[k], float(Y[k]), float(R[k, k]))
+            self.kf.x, self.kf.P = x[:, None], root @ root.T
         self.kf.inv = np.linalg.inv
         covariance_floor(self.kf.P, self.floor)
         found = H[:, :15] @ self.kf.x[:15, 0] - error

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import InitialState
+from bench.data import AirspeedData, InitialState, MagData
 from bench.navigation.error_state import StateLayout
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, TriadSpec
@@ -162,6 +162,24 @@ def fix_variance(specs: AssumedSpecs, *, gnss_markov: bool) -> FloatArray:
     return np.array([h, h, v, s, s, s])
 
 
+def airspeed_variance(record: AirspeedData, specs: AssumedSpecs) -> FloatArray:
+    """Return the variance (M, 1) taken as white in an airspeed: with bias and scale factor."""
+    a = known(specs.airspeed, "airspeed")
+    scale = (a.scale_factor_sd * record.airspeed_true) ** 2
+    variance: FloatArray = (record.sd**2 + a.bias_sd**2 + scale)[:, None]
+    return variance
+
+
+def field_variance(record: MagData, specs: AssumedSpecs) -> FloatArray:
+    """Return the variance (M, 3) taken as white in a magnetic field, what calibration left too."""
+    m = known(specs.mag, "mag")
+    size2 = np.sum(record.field_b**2, axis=1)
+    left = m.scale_factor_sd**2 + m.soft_iron_sd**2 + m.misalignment_sd**2
+    total = record.sd**2 + m.hard_iron_sd**2 + left * size2
+    variance: FloatArray = np.repeat(total[:, None], 3, axis=1)
+    return variance
+
+
 def known(spec: Any, name: str) -> Any:
     """Return the spec of a sensor in use, or say that none is assumed."""
     if spec is None:
@@ -178,6 +196,8 @@ def unmodelled(
     mems: bool = False,
     tight: bool = False,
     latency: bool = False,
+    airspeed: bool = False,
+    magnetometer: bool = False,
 ) -> tuple[str, ...]:
     """Name the errors of these units that the states have no room for, in words.
 
@@ -229,8 +249,20 @@ def unmodelled(
                 found.append("time-correlated GNSS velocity error")
         if specs.gnss.latency > 0 and not latency:
             found.append("GNSS latency")
+    if airspeed and specs.airspeed is not None:
+        a = specs.airspeed
+        if max(a.bias_sd, a.pressure_bias_sd, a.scale_factor_sd) > 0:
+            found.append("airspeed bias and scale factor")
+        if a.lag > 0:
+            found.append("airspeed lag")
+    if magnetometer and specs.mag is not None:
+        m = specs.mag
+        if max(m.hard_iron_sd, m.soft_iron_sd, m.scale_factor_sd, m.misalignment_sd) > 0:
+            found.append("magnetometer calibration")
     if baro and specs.baro is not None and specs.baro.quantization > 0:
         found.append("barometer quantization")
+    if baro and specs.baro is not None and specs.baro.physical is not None:
+        found.append("barometer errors with height, airspeed and incidence")
     return tuple(found)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.config.log import LogSpec
 from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
 from bench.recording import layout, plots, space, words
 from bench.recording.plots import TIMELINE
@@ -22,8 +23,8 @@ from bench.specs import Profile
 
 def write(
     path: Path,
-    profile: Profile,
-    truth: Trajectory,
+    profile: Profile | LogSpec,
+    truth: Trajectory | None,
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
@@ -35,10 +36,10 @@ def write(
     ----------
     path : Path
         The file to write, ``flight.rrd``; it appears complete or not at all.
-    profile : Profile
+    profile : Profile or LogSpec
         The experiment, for the summary.
-    truth, sensed : Trajectory, Sensed
-        The flight and one draw of the sensors.
+    truth, sensed : Trajectory or None, Sensed
+        The flight and one draw of the sensors; without a truth the first estimator carries the vehicle.
     solutions, errors, metrics : mappings by estimator
         What the estimators made of it. The first is the main one: the overview shows it.
 
@@ -57,8 +58,8 @@ def write(
 
 
 def _record(
-    profile: Profile,
-    truth: Trajectory,
+    profile: Profile | LogSpec,
+    truth: Trajectory | None,
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
@@ -70,8 +71,9 @@ def _record(
     """
     import rerun as rr
 
-    tabs = plots.tabs(truth, sensed, solutions, errors, profile.evaluation_from)
-    scene = space.scene(truth, sensed, solutions)
+    motion = plots.carrier(solutions) if truth is None else truth
+    tabs = plots.tabs(motion, sensed, solutions, errors, profile.evaluation_from)
+    scene = space.scene(motion, sensed, solutions)
     outages = [(start, end) for start, end, _ in sensed.events.of("gnss_outage")]
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
@@ -79,9 +81,12 @@ def _record(
         stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()
         stream.send_blueprint(layout.blueprint(scene, tabs, next(iter(solutions), "")))
-        stream.send_recording_name(f"{profile.name}, seed {profile.seed}")
-        space.send(stream, profile.flight.mesh, truth, sensed, solutions)
-        words.send(stream, profile, truth, sensed, solutions, metrics)
+        title, mesh = profile.name, None
+        if isinstance(profile, Profile):
+            title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
+        stream.send_recording_name(title)
+        space.send(stream, mesh, motion, sensed, solutions)
+        words.send(stream, profile, motion, sensed, solutions, metrics)
         for plot in plots.every(tabs):
             plots.send(stream, plot, outages)
         return memory.drain_as_bytes()

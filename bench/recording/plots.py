@@ -10,12 +10,51 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, Innovations, NavSolution, Sensed, Trajectory
+from bench.data import (
+    AirData,
+    Controls,
+    ErrorSeries,
+    Events,
+    Innovations,
+    NavSolution,
+    Sensed,
+    Trajectory,
+    no_air,
+    no_controls,
+    no_events,
+)
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
 
 TIMELINE = "flight_time"
 
 Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """The motion that carries the vehicle where there is no truth."""
+
+    t: FloatArray  # (N,) [s]
+    lla: FloatArray  # (N, 3)
+    vel_n: FloatArray  # (N, 3) [m/s], n
+    q_nb: FloatArray  # (N, 4)
+    air: AirData
+    controls: Controls
+    events: Events
+
+
+Motion = Trajectory | Carrier
+
+
+def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
+    """Return the motion the first estimator says there was, where it is finite."""
+    first = next(iter(solutions.values()))
+    good = np.isfinite(np.hstack([first.lla, first.vel_n, first.q_nb])).all(axis=1)
+    if not good.any():
+        raise ValueError("no solution has a finite row to show")
+    rows = (first.t[good], first.lla[good], first.vel_n[good], first.q_nb[good])
+    return Carrier(*rows, no_air(), no_controls(), no_events())
+
 
 TRUTH: Colour = (110, 190, 90)
 FIX: Colour = (255, 205, 50)
@@ -169,7 +208,7 @@ def _three_sigma(
 
 
 def tabs(
-    truth: Trajectory,
+    truth: Motion,
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
@@ -186,7 +225,7 @@ def tabs(
     for label, solution in solutions.items():
         colour, error = colours[label], errors[label]
         with np.errstate(invalid="ignore"):  # a diverged covariance is a result: its sigma is NaN
-            sd = np.sqrt(np.einsum("kii->ki", solution.cov))
+            sd = np.sqrt(np.einsum("kii->ki", solution.cov))[np.searchsorted(solution.t, error.t)]
         for tab, unit, values, sigma in (
             ("Position", "m", error.pos_n, sd[:, :3]),
             ("Velocity", "m/s", error.vel_n, sd[:, 3:6]),
@@ -266,7 +305,8 @@ def _bias_rows(label: str, sensed: Sensed, solution: NavSolution, colour: Colour
                 (colour, pale, pale),
                 (1.5, 1.0, 1.0),
             )
-            series = (estimated, _line("true", drawn.t, unit * true, "true", TRUTH))
+            drawn_line = [_line("true", drawn.t, unit * true, "true", TRUTH)] if len(drawn.t) else []
+            series = (estimated, *drawn_line)
             row.append(Plot(entity("estimators", label, "bias", name), f"{label}: {title}", series))
         if row:
             rows.append(row)
@@ -326,13 +366,16 @@ def _chi_square(path: str, title: str, squares: Series, dof: int) -> Plot:
     return Plot(path, f"{title} ({dof} expected)", (band, squares))
 
 
-def _flight_rows(truth: Trajectory, sensed: Sensed) -> Rows:
+def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
     keep = thin(truth.t, SLOW)
     t, vel_n = truth.t[keep], truth.vel_n[keep]
     air, controls, fixes, baro = truth.air, truth.controls, sensed.data.fixes, sensed.data.baro
+    mag, pitot = sensed.data.mag, sensed.data.airspeed
     euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb[keep])))
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
-    altitude = [_line("true", t, truth.lla[keep, 2], "true (ellipsoidal)", TRUTH)]
+    known = isinstance(truth, Trajectory)
+    what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
+    altitude = [_line(what, t, truth.lla[keep, 2], f"{what} (ellipsoidal)", colour)]
     if baro is not None:
         altitude.append(_line("baro", baro.t, baro.alt_baro, "barometer", grey))
     if fixes is not None:
@@ -340,8 +383,16 @@ def _flight_rows(truth: Trajectory, sensed: Sensed) -> Rows:
     speed = [
         _line("true_airspeed", air.t, air.airspeed_true, "true airspeed", blue),
         _line("calibrated_airspeed", air.t, air.airspeed_calibrated, "calibrated airspeed", grey),
-        _line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", TRUTH),
+        _line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", colour),
     ]
+    if pitot is not None:
+        speed.append(_dots("airspeed", pitot.t, pitot.airspeed_true, "airspeed unit", red))
+    field = []
+    if mag is not None:
+        field = [
+            _line(axis, mag.t, 1e6 * mag.field_b[:, k], axis, AXIS_COLOURS[k])
+            for k, axis in enumerate(("forward", "right", "down"))
+        ]
     attitude = [
         _line(name, t, euler[:, k], name, AXIS_COLOURS[k]) for k, name in enumerate(("roll", "pitch"))
     ]
@@ -370,6 +421,7 @@ def _flight_rows(truth: Trajectory, sensed: Sensed) -> Rows:
             ("throttle", "Throttle [%]", power),
             ("engine", "Engine speed [rpm]", engine),
         ],
+        [("magnetic_field", "Magnetic field measured [uT]", field)],
     ]
     told = [  # a truth that was brought as a table says nothing of the air and the controls
         [(name, title, [line for line in series if len(line.t)]) for name, title, series in group]

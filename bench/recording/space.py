@@ -19,6 +19,7 @@ from bench.recording.plots import (
     TIMELINE,
     TRUTH,
     Colour,
+    Motion,
     entity,
     estimator_colours,
     round_number,
@@ -48,7 +49,7 @@ class Scene:
         return round_number(self.size / 5.0)
 
 
-def scene(truth: Trajectory, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
+def scene(truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
     """Return what the views in space show; estimators after the first are switched off."""
     path = earth.local_ned(truth.lla[thin(truth.t)], truth.lla[0])
     others = list(solutions)[1:]
@@ -65,9 +66,12 @@ def scene(truth: Trajectory, sensed: Sensed, solutions: Mapping[str, NavSolution
 
 
 def send(
-    stream: Any, mesh: str, truth: Trajectory, sensed: Sensed, solutions: Mapping[str, NavSolution]
+    stream: Any, mesh: str | None, truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]
 ) -> None:
-    """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map."""
+    """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map.
+
+    Without a mesh there is no truth: the vehicle is a set of body axes where the first estimator has it.
+    """
     import rerun as rr
 
     origin = truth.lla[0]
@@ -88,37 +92,27 @@ def send(
         ),
         static=True,
     )
-    _send_path(stream, "/truth", lla, origin, TRUTH)
+    if isinstance(truth, Trajectory):
+        _send_path(stream, "/truth", lla, origin, TRUTH)
     for label, solution in solutions.items():
         sound = solution.lla[np.isfinite(solution.lla).all(axis=1)]
         if len(sound):
             _send_path(stream, entity("estimators", label), sound, origin, colours[label])
 
     time = [rr.TimeColumn(TIMELINE, duration=t)]
-    vertices, triangles, paint = MESHES[mesh]()
-    vertices = vertices * max(1.0, 0.12 * size)
-    corners = vertices[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    stream.log(
-        "/world/truth/aircraft",
-        rr.Mesh3D(
-            vertex_positions=corners.reshape(-1, 3),
-            vertex_normals=np.repeat(normals, 3, axis=0),
-            vertex_colors=np.repeat(paint, 3, axis=0),
-        ),
-        static=True,
-    )
+    vehicle = "truth/aircraft" if isinstance(truth, Trajectory) else "vehicle"
+    _send_vehicle(stream, f"/world/{vehicle}", mesh, size)
     q_sb = _in_start_frame(truth.q_nb[keep], lla, origin)
     stream.send_columns(
-        "/world/truth/aircraft",
+        f"/world/{vehicle}",
         time,
         rr.Transform3D.columns(translation=pos, quaternion=rotation.to_scalar_last(q_sb)),
     )
-    stream.log("/map/truth/aircraft", rr.GeoPoints.from_fields(colors=[TRUTH], radii=[-7.0]), static=True)
+    colour = TRUTH if isinstance(truth, Trajectory) else next(iter(colours.values()))
+    stream.log(f"/map/{vehicle}", rr.GeoPoints.from_fields(colors=[colour], radii=[-7.0]), static=True)
     slow = thin(truth.t, SLOW)
     stream.send_columns(
-        "/map/truth/aircraft",
+        f"/map/{vehicle}",
         [rr.TimeColumn(TIMELINE, duration=truth.t[slow])],
         rr.GeoPoints.columns(positions=np.rad2deg(truth.lla[slow, :2])),
     )
@@ -135,6 +129,31 @@ def send(
         stream.send_columns(
             "/map/gnss/fixes", time, rr.GeoPoints.columns(positions=np.rad2deg(fixes.lla[good, :2]))
         )
+
+
+def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:
+    """Send the shape that moves: an aircraft, or body axes."""
+    import rerun as rr
+
+    scale = max(1.0, 0.12 * size)
+    if mesh is None:
+        axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLOURS)
+        stream.log(place, axes, static=True)
+        return
+    vertices, triangles, paint = MESHES[mesh]()
+    vertices = vertices * scale
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    stream.log(
+        place,
+        rr.Mesh3D(
+            vertex_positions=corners.reshape(-1, 3),
+            vertex_normals=np.repeat(normals, 3, axis=0),
+            vertex_colors=np.repeat(paint, 3, axis=0),
+        ),
+        static=True,
+    )
 
 
 def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, colour: Colour) -> None:

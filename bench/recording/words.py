@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import NavSolution, Sensed, Trajectory
+from bench.config.log import LogSpec
+from bench.data import NavSolution, Sensed
 from bench.evaluation.metrics import metric_of
-from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour
+from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour, Motion
 from bench.specs import Flight, FlightSpec, Profile
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
@@ -18,8 +19,8 @@ WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged"
 
 def send(
     stream: Any,
-    profile: Profile,
-    truth: Trajectory,
+    profile: Profile | LogSpec,
+    truth: Motion,
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     metrics: Mapping[str, Mapping[str, Any]],
@@ -51,7 +52,8 @@ def send(
 
     legs = [(start, text) for start, _, text in truth.events.of("leg")]
     legs.append((float(truth.t[-1]), ""))
-    _send_phase(stream, "/phase/leg", legs, {})
+    if legs[:-1]:
+        _send_phase(stream, "/phase/leg", legs, {})
     if sensed.data.fixes is not None:
         changes = [(float(truth.t[0]), "available")]
         for start, end, _ in sensed.events.of("gnss_outage"):
@@ -72,25 +74,13 @@ def _send_phase(
     stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=t)], rr.StateChange.columns(state=states))
 
 
-def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[str, Any]]) -> str:
+def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
-    sensors = profile.sensors
-    units = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
     colours = ", ".join(
         f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )
-    lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
-    lines = [
-        f"# {profile.title}",
-        "",
-        f"- profile `{profile.name}`, seed {profile.seed}",
-        f"- {_flight(profile.flight, truth)}",
-        *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
-        *([f"- GNSS outage {lost}"] if lost else []),
-        "",
-        f"Truth is green, GNSS yellow; {colours}. ±3σ is what a filter claims about itself. Plots are "
-        f"hatched where GNSS is lost, and scaled to what comes after {profile.evaluation_from:g} s.",
-    ]
+    told = _log(profile, colours) if isinstance(profile, LogSpec) else _run(profile, truth, colours)
+    lines = [f"# {profile.title}", "", *told]
     for label, values in metrics.items():
         if values.get("reason"):
             lines += ["", f"**{label}** did not converge: {values['reason']}."]
@@ -110,7 +100,38 @@ def summary(profile: Profile, truth: Trajectory, metrics: Mapping[str, Mapping[s
     return "\n".join(lines) + "\n"
 
 
-def _flight(flight: Flight, truth: Trajectory) -> str:
+def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
+    """Return what is said of a flight above its metrics."""
+    sensors = profile.sensors
+    units: list[tuple[str, Any]] = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
+    units += [("magnetometer", sensors.mag), ("airspeed", sensors.airspeed)]
+    lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
+    return [
+        f"- profile `{profile.name}`, seed {profile.seed}",
+        f"- {_flight(profile.flight, truth)}",
+        *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
+        *([f"- GNSS outage {lost}"] if lost else []),
+        "",
+        f"Truth is green, GNSS yellow; {colours}. ±3σ is what a filter claims about itself. Plots are "
+        f"hatched where GNSS is lost, and scaled to what comes after {profile.evaluation_from:g} s.",
+    ]
+
+
+def _log(log: LogSpec, colours: str) -> list[str]:
+    """Return what is said of a recording above its metrics."""
+    assumed = [("IMU", log.assumed.imu), ("GNSS", log.assumed.gnss), ("barometer", log.assumed.baro)]
+    kept = f"every {log.withhold}. fix" if log.withhold else "no fix"
+    return [
+        f"- recording `{log.name}`",
+        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in assumed if unit is not None],
+        "",
+        f"GNSS is yellow; {colours}. There is no truth: {kept} was kept from the filters, and errors are "
+        "estimate minus these fixes, at the antenna. ±3σ is what a filter claims about itself. Plots are "
+        f"scaled to what comes after {log.evaluation_from:g} s.",
+    ]
+
+
+def _flight(flight: Flight, truth: Motion) -> str:
     length = f"{truth.t[-1] - truth.t[0]:.0f} s"
     if not isinstance(flight, FlightSpec):
         beyond = len(truth.events.of("sanity"))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
+from bench.sensors import faults
 from bench.sensors.processes import gauss_markov
 from bench.sensors.timing import epoch_rows, interval_rows
-from bench.specs import GnssSpec, stream
+from bench.specs import Fault, GnssSpec, stream
 
 SATELLITES_UNKNOWN = -1
 """What ``GnssFixes.satellites`` holds here: a position-level receiver has no sky to count in."""
@@ -22,6 +25,7 @@ def measure(
     outages: tuple[tuple[float, float], ...],
     seed: int,
     run: int,
+    scripted: Sequence[Fault] = (),
 ) -> GnssFixes:
     """Return the fixes of the receiver, those inside an outage left out.
 
@@ -38,6 +42,8 @@ def measure(
         Without fixes in [start, end) [s].
     seed, run : int
         Which draw of the errors.
+    scripted : sequence of Fault
+        What goes wrong.
 
     Returns
     -------
@@ -64,13 +70,16 @@ def measure(
     pos_err_n += _markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
     vel_err_n = _white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
     vel_err_n += _markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
+    if scripted:
+        pos_added, vel_added = faults.fix_errors(t, spec, scripted, seed, run)
+        pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
 
     seen = np.ones(len(truth.t), bool)
     for start, end in outages:
         seen[slice(*interval_rows(truth.t, start, end))] = False
     kept = seen[rows]
     count = int(kept.sum())
-    return GnssFixes(
+    fixes = GnssFixes(
         t=t[kept],
         t_arrival=t[kept] + spec.latency,
         valid=np.ones(count, bool),
@@ -80,6 +89,7 @@ def measure(
         cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2), (count, 1, 1)),
         satellites=np.full(count, SATELLITES_UNKNOWN),
     )
+    return faults.put_out(fixes, faults.reported(fixes.t, scripted, "gnss", seed, run))
 
 
 def antenna(

@@ -15,6 +15,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData
+from bench.sensors.processes import lagged
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec
 
 Draw = Callable[[str], np.random.Generator]
@@ -312,21 +313,4 @@ def temperature(t: FloatArray, air: AirData, spec: ThermalSpec) -> FloatArray:
     constant; at once when that is 0.
     """
     final = np.interp(t, air.t, air.temperature) + spec.self_heating
-    if spec.time_constant <= 0:
-        return final
-    out = np.empty_like(t)
-    _lag_kernel(t, final, final[0] - spec.self_heating, spec.time_constant, out)
-    return out
-
-
-@kernel
-def _lag_kernel(t: FloatArray, wanted: FloatArray, start: float, time: float, out: FloatArray) -> None:
-    """First-order lag of wanted (B,), linear between the instants t (B,)."""
-    x = start
-    out[0] = x
-    for k in range(1, len(t)):
-        dt = t[k] - t[k - 1]
-        decay = np.exp(-dt / time)
-        slope = (wanted[k] - wanted[k - 1]) / dt
-        x = wanted[k] - slope * time + (x - wanted[k - 1] + slope * time) * decay
-        out[k] = x
+    return lagged(t, final, final[0] - spec.self_heating, spec.time_constant)

@@ -17,7 +17,8 @@ def draw(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialSt
     truth : Trajectory
         The motion; its first instant counts.
     spec : SensorsSpec
-        Standard deviations of the initial position, velocity and attitude errors.
+        Standard deviations of the initial position, velocity and attitude errors; and what of these is told,
+        the rest is NaN with infinite variance.
     seed, run : int
         Which draw of the error.
     """
@@ -31,11 +32,17 @@ def draw(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialSt
         ]
     )
     error = sd * stream(seed, run, "initial").standard_normal(9)
+    told = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # of the nine states, in their order
+    sd[told:] = np.inf
     return InitialState(
         t=float(truth.t[0]),
-        lla=earth.displace(truth.lla[0], error[:3]),
-        vel_n=truth.vel_n[0] + error[3:6],
-        q_nb=rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0]),
+        lla=earth.displace(truth.lla[0], error[:3]) if told else np.full(3, np.nan),
+        vel_n=truth.vel_n[0] + error[3:6] if told > 3 else np.full(3, np.nan),
+        q_nb=rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
+        if told > 6
+        else np.full(4, np.nan),
         cov=np.diag(sd**2),
-        alignment="given",
+        alignment=spec.alignment,
+        align_for=spec.align_for,
+        drift_sd=spec.drift_sd,
     )

@@ -1,4 +1,4 @@
-"""Correlated random processes: Gauss-Markov stages and the flicker of a bias made of them."""
+"""What changes slowly: Gauss-Markov stages, the flicker of a bias made of them, and first-order lags."""
 
 from __future__ import annotations
 
@@ -118,3 +118,37 @@ def noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covarian
     if triad.rate_random_walk > 0:
         terms["rate random walk"] = allan.rate_walk(triad.rate_random_walk, step)
     return terms
+
+
+@kernel
+def lag_kernel(t: FloatArray, wanted: FloatArray, start: float, time: float, out: FloatArray) -> None:
+    """First-order lag of wanted (B,), linear between the instants t (B,)."""
+    x = start
+    out[0] = x
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        decay = np.exp(-dt / time)
+        slope = (wanted[k] - wanted[k - 1]) / dt
+        x = wanted[k] - slope * time + (x - wanted[k - 1] + slope * time) * decay
+        out[k] = x
+
+
+def lagged(t: FloatArray, wanted: FloatArray, start: float, time: float) -> FloatArray:
+    """Return what follows a quantity with a time constant; at once when that is 0.
+
+    Parameters
+    ----------
+    t : (B,) array
+        Instants [s].
+    wanted : (B,) array
+        What is followed, linear between the instants; the answer is exact for that.
+    start : float
+        Where it starts, in the unit of ``wanted``.
+    time : float
+        Time constant [s].
+    """
+    if time <= 0:
+        return wanted
+    out = np.empty_like(wanted)
+    lag_kernel(t, wanted, start, time, out)
+    return out

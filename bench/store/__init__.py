@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
-from bench.store.provenance import provenance
+from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
     RESULT,
     load,
     load_observations,
     load_sensors,
+    load_solution,
     load_truth,
     results_folder,
     save,
+    solutions_of,
     to_json,
     write_json,
 )
-from bench.store.truth_cache import truth_cached, truth_pieces, truth_said
+from bench.store.start import START, initial_state, load_start, start_document
+from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth_said
 
 __all__ = [
     "RESULT",
+    "START",
+    "initial_state",
     "load",
     "load_observations",
     "load_sensors",
+    "load_solution",
+    "load_start",
     "load_truth",
     "provenance",
     "results_folder",
     "save",
+    "solutions_of",
+    "spec_hash",
+    "start_document",
     "to_json",
     "truth_cached",
+    "truth_key",
     "truth_pieces",
     "truth_said",
     "write_json",

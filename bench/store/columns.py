@@ -35,6 +35,11 @@ def _vector(stem: str, unit: str, frame: str) -> Columns:
     return Columns(names, tuple(unit_of(name) for name in names), frame, (3,))
 
 
+def _tesla(stem: str) -> Columns:
+    """Name the axes of a magnetic field, whose unit is too short to end names of others in."""
+    return Columns(tuple(f"{stem}_{axis}_t" for axis in _XYZ), ("T",) * 3, "b", (3,))
+
+
 def _matrix(stem: str, states: Sequence[tuple[str, str]], frame: str) -> Columns:
     """Name the elements of a covariance by their two states, each (name, unit)."""
     names = tuple(f"{stem}_{a}_{b}" for a, _ in states for b, _ in states)
@@ -102,12 +107,29 @@ def observations(bands: int) -> Layout:
     }
 
 
+SKY: Layout = {
+    **T,
+    "system": _one("system"),
+    "sat": _one("sat"),
+    "azimuth": _one("azimuth_rad", "n"),
+    "elevation": _one("elevation_rad", "n"),
+    "cn0": _one("cn0_dbhz"),
+    "used": _one("used"),
+}
 BARO: Layout = {**ARRIVAL, "alt_baro": _one("alt_baro_m"), "sd": _one("sd_m")}
+MAG: Layout = {**ARRIVAL, "field_b": _tesla("field"), "sd": Columns(("sd_t",), ("T",))}
+AIRSPEED: Layout = {**ARRIVAL, "airspeed_true": _one("airspeed_true_mps"), "sd": _one("sd_mps")}
 BIASES: Layout = {
     "gyro_bias_b": _vector("gyro_bias", "rad_s", "b"),
     "accel_bias_b": _vector("accel_bias", "m_s2", "b"),
 }
-DRAWN: Layout = {**T, **BIASES, "baro_bias": _one("baro_bias_m")}
+DRAWN: Layout = {
+    **T,
+    **BIASES,
+    "baro_bias": _one("baro_bias_m"),
+    "mag_bias_b": _tesla("mag_bias"),
+    "airspeed_bias": _one("airspeed_bias_mps"),
+}
 ERRORS: Layout = {
     **T,
     "pos_n": _vector("pos_err", "m", "n"),

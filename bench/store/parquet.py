@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pyarrow import csv
 
 from bench.store.columns import Layout
+
+DAMAGED = (pa.ArrowException, KeyError, TypeError, ValueError, OSError)
+"""What reading a file that is damaged, or none of ours, raises."""
 
 
 def write(path: Path, record: object, layout: Layout, **facts: Any) -> None:
@@ -22,6 +26,40 @@ def write(path: Path, record: object, layout: Layout, **facts: Any) -> None:
     OSError
         When the disk does not take it.
     """
+    pq.write_table(_table(record, layout, facts), path, compression="zstd", use_dictionary=False)
+
+
+def write_csv(path: Path, record: object, layout: Layout) -> None:
+    """Write the fields of a record that a layout names as CSV: a header, then every digit a number has.
+
+    Truth values are 1 and 0, what is missing is ``nan``. Errors as for `write`.
+    """
+    table = _table(record, layout, {})
+    for k, field in enumerate(table.schema):
+        if field.type == pa.bool_():
+            table = table.set_column(k, field.name, table.column(k).cast(pa.int8()))
+    with path.open("wb") as file:
+        file.write((",".join(table.column_names) + "\n").encode())
+        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+
+
+def write_frame(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns of numbers (N,) by name, as they are; errors as for `write`."""
+    pq.write_table(pa.table(dict(columns)), path, compression="zstd", use_dictionary=False)
+
+
+def write_text(path: Path, rows: Any) -> None:
+    """Write rows of numbers (N, k) as text: no header, a space between, every digit a number has.
+
+    Errors as for `write`.
+    """
+    columns = [np.ascontiguousarray(column) for column in np.asarray(rows).T]
+    table = pa.table(columns, names=[str(k) for k in range(len(columns))])
+    with path.open("wb") as file:
+        csv.write_csv(table, file, csv.WriteOptions(include_header=False, delimiter=" "))
+
+
+def _table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Table:
     fields, arrays = [], []
     for name, columns in layout.items():
         value = getattr(record, name)
@@ -34,9 +72,7 @@ def write(path: Path, record: object, layout: Layout, **facts: Any) -> None:
             metadata = {"unit": unit} | ({"frame": columns.frame} if columns.frame else {})
             fields.append(pa.field(column, array.type, nullable=False, metadata=metadata))
             arrays.append(array)
-    schema = pa.schema(fields, metadata={"bench": json.dumps(facts)})
-    table = pa.Table.from_arrays(arrays, schema=schema)
-    pq.write_table(table, path, compression="zstd", use_dictionary=False)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"bench": json.dumps(facts)}))
 
 
 def read(path: Path, layout: Layout) -> dict[str, Any]:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 import platform
 import subprocess
 from importlib.metadata import version
+from typing import Any
+
+import numpy as np
 
 import bench
 from bench.places import PACKAGE
@@ -21,6 +27,16 @@ def provenance() -> dict[str, object]:
         "platform": platform.platform(),
         "machine": platform.machine(),
     }
+
+
+def spec_hash(spec: Any) -> str:
+    """Return the hash of a frozen dataclass of specs and all its figures, whatever file they were read in."""
+    text = json.dumps(dataclasses.asdict(spec), sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
 def versions() -> dict[str, str]:

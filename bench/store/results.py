@@ -11,11 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TypeVar
 
 import numpy as np
 
 from bench.data import (
     AirData,
+    AirspeedData,
     BaroData,
     Controls,
     ErrorSeries,
@@ -24,13 +26,16 @@ from bench.data import (
     GnssObservations,
     ImuData,
     Innovations,
+    MagData,
     NavSolution,
     RunResult,
     Sensed,
     Trajectory,
 )
 from bench.store import columns, parquet
+from bench.store.start import START, start_document
 
+_T = TypeVar("_T")
 RESULT = "result.json"
 OBSERVATIONS = "sensors-observations.parquet"
 
@@ -76,23 +81,40 @@ def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> None:
+def save(
+    folder: Path,
+    result: RunResult,
+    truth: Trajectory | None,
+    sensed: Sensed,
+    more: Mapping[str, object] | None = None,
+) -> None:
     """Write one run into an existing, empty folder: Parquet tables, then ``result.json``.
+
+    A recording has no truth and nothing that was drawn; ``more`` is what else its ``result.json`` says.
 
     Raises
     ------
     OSError
         When the disk does not take it.
     """
-    _save_truth(folder, truth)
+    if truth is not None:
+        _save_truth(folder, truth)
+        parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
     parquet.write(folder / "sensors-imu.parquet", sensed.data.imu, columns.IMU)
     if sensed.data.fixes is not None:
         parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
     if sensed.data.observations is not None:
         _save_observations(folder / OBSERVATIONS, sensed.data.observations)
+    if sensed.sky is not None:
+        parquet.write(folder / "sensors-sky.parquet", sensed.sky, columns.SKY)
     if sensed.data.baro is not None:
         parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
-    parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
+    write_json(folder / START, start_document(sensed.data, sensed.initial))
+    if sensed.data.mag is not None:
+        date = sensed.data.date
+        parquet.write(folder / "sensors-mag.parquet", sensed.data.mag, columns.MAG, date=date)
+    if sensed.data.airspeed is not None:
+        parquet.write(folder / "sensors-airspeed.parquet", sensed.data.airspeed, columns.AIRSPEED)
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
         layout = columns.solution(solution.extra_names)
@@ -108,6 +130,7 @@ def save(folder: Path, result: RunResult, truth: Trajectory, sensed: Sensed) -> 
         "run": result.run,
         "metrics": result.metrics,
         "provenance": result.provenance,
+        **(more or {}),
     }
     write_json(folder / RESULT, summary)
 
@@ -138,7 +161,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
         run=summary["run"],
         metrics=summary["metrics"],
         errors={label: _load_errors(path) for label, path in _labelled(folder, "errors")},
-        solutions={label: _load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
+        solutions={label: load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
         provenance=summary["provenance"],
     )
 
@@ -156,14 +179,22 @@ def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
     )
 
 
-def load_sensors(folder: str | os.PathLike[str]) -> tuple[ImuData, GnssFixes | None, BaroData | None]:
-    """Read the sensor records of a results folder back."""
+def load_sensors(
+    folder: str | os.PathLike[str],
+) -> tuple[ImuData, GnssFixes | None, BaroData | None, MagData | None, AirspeedData | None]:
+    """Read the sensor records of a results folder back; what was not on board is None."""
     folder = Path(folder)
-    gnss, baro = folder / "sensors-gnss.parquet", folder / "sensors-baro.parquet"
+
+    def found(name: str, record: type[_T], layout: columns.Layout) -> _T | None:
+        path = folder / f"sensors-{name}.parquet"
+        return record(**parquet.read(path, layout)) if path.exists() else None
+
     return (
         ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU)),
-        GnssFixes(**parquet.read(gnss, columns.GNSS)) if gnss.exists() else None,
-        BaroData(**parquet.read(baro, columns.BARO)) if baro.exists() else None,
+        found("gnss", GnssFixes, columns.GNSS),
+        found("baro", BaroData, columns.BARO),
+        found("mag", MagData, columns.MAG),
+        found("airspeed", AirspeedData, columns.AIRSPEED),
     )
 
 
@@ -258,7 +289,14 @@ def _save_innovations(path: Path, innovations: Innovations) -> None:
     parquet.write(path, SimpleNamespace(**fields), columns.INNOVATIONS, sensors=list(names))
 
 
-def _load_solution(folder: Path, label: str) -> NavSolution:
+def solutions_of(folder: str | os.PathLike[str]) -> list[str]:
+    """Return the labels of the solutions in a results folder."""
+    return [label for label, _ in _labelled(Path(folder), "solution")]
+
+
+def load_solution(folder: str | os.PathLike[str], label: str) -> NavSolution:
+    """Read one solution of a results folder back."""
+    folder = Path(folder)
     path, other = folder / f"solution-{label}.parquet", folder / f"innovations-{label}.parquet"
     extra_names = tuple(parquet.facts(path)["extra_names"])
     names = tuple(parquet.facts(other)["sensors"])

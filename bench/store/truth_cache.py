@@ -41,6 +41,7 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 
 _SOURCES = (
     "flight",
+    "exchange/tables.py",
     "exchange/trajectory.py",
     "unit_names.py",
     "rotation.py",

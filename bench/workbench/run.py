@@ -98,13 +98,19 @@ def fly(
     console.print(f"Next: bench run {name}")
 
 
-def check_folder(folder: Path, *, force: bool) -> None:
-    """Raise ConfigError when results cannot go to a folder; before anything is flown."""
+def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None:
+    """Raise ConfigError when results cannot go to a folder; before anything is flown.
+
+    ``ours`` says whether what is there may be replaced; None: when it is a results folder.
+    """
     if folder.is_dir():
         empty = not any(folder.iterdir())
         if not force and not empty:
-            raise ConfigError(f"{folder}: the results folder exists; --force replaces it, -o names another")
-        if not empty and not (folder / store.RESULT).is_file():
+            what = "results folder" if ours is None else "folder"
+            raise ConfigError(f"{folder}: the {what} exists; --force replaces it, -o names another")
+        if ours is False and not empty:
+            raise ConfigError(f"{folder}: not replaced, it is no export")
+        if ours is None and not empty and not (folder / store.RESULT).is_file():
             raise ConfigError(f"{folder}: not replaced, it is no results folder (no {store.RESULT} in it)")
     elif folder.exists() or folder.is_symlink():
         raise ConfigError(f"{folder}: the results folder cannot be there, it is a file")
@@ -117,15 +123,30 @@ def check_folder(folder: Path, *, force: bool) -> None:
 
 def _write(folder: Path, profile: Profile, flown: pipeline.Run, *, recording: bool, force: bool) -> None:
     result = flown.result
+    with new_folder(folder, force=force) as partial:
+        store.save(partial, result, flown.truth, flown.sensed)
+        if recording:
+            from bench.recording import write
+
+            records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
+            write(partial / RECORDING, profile, *records)
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
+    """Give a folder to write results to; it takes its place when all went well, or nothing does.
+
+    Raises
+    ------
+    ConfigError
+        When another run made the folder meanwhile.
+    OSError
+        When the disk does not take it.
+    """
     replace = force or folder.is_dir()  # an empty one
     try:
         with store.results_folder(folder, replace=replace) as partial:
-            store.save(partial, result, flown.truth, flown.sensed)
-            if recording:
-                from bench.recording import write
-
-                records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
-                write(partial / RECORDING, profile, *records)
+            yield partial
     except FileExistsError:
         raise ConfigError(f"{folder}: the results folder was made by another run; not replaced") from None
     except OSError as error:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.baselines import Verdict
 from bench.config import list_aircraft, list_profiles, list_sensors
-from bench.data import RunResult
+from bench.data import NavSolution, RunResult
 from bench.evaluation.metrics import metric_of
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
@@ -28,6 +28,8 @@ _SUMMARY = (
     "heading_rmse_deg",
     "heading_convergence_s",
     "outage_",
+    "fault_",
+    "false_alarms_",
     "nees_mean",
     "nees_states",
     "nees_inside_95",
@@ -40,21 +42,28 @@ _SUMMARY = (
 def result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, a column for each estimator, and what they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
-    table = _table("metric", *run.metrics)
-    names = dict.fromkeys(name for metrics in run.metrics.values() for name in metrics)
+    metrics(console, run.metrics, run.solutions)
+
+
+def metrics(
+    console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
+) -> None:
+    """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
+    table = _table("metric", *measured)
+    names = dict.fromkeys(name for values in measured.values() for name in values)
     for start in _SUMMARY:
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
-                values = [
-                    _number(metrics.get(name)) + _band(name, metrics) for metrics in run.metrics.values()
-                ]
-                table.add_row(name, *values)
+                row = [_number(values.get(name)) + _band(name, values) for values in measured.values()]
+                table.add_row(name, *row)
     console.print(table)
-    for label, metrics in run.metrics.items():
-        if not metrics["converged"]:
-            console.print(f"{label} diverged: {metrics['reason']}", style="bold red")
-        if metrics.get("unmodelled"):
-            console.print(f"{label} does not model: {', '.join(metrics['unmodelled'])}")
+    for label, values in measured.items():
+        for begun, end, text in solutions[label].events.of("alignment"):
+            console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
+        if not values["converged"]:
+            console.print(f"{label} diverged: {values['reason']}", style="bold red")
+        if values.get("unmodelled"):
+            console.print(f"{label} does not model: {', '.join(values['unmodelled'])}")
 
 
 def _band(name: str, metrics: Mapping[str, Any]) -> str:
@@ -67,7 +76,10 @@ def _band(name: str, metrics: Mapping[str, Any]) -> str:
 def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
     """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.label}")
-    table = _table("from", "to", "leg")
+    table = Table()
+    for column in ("from", "to"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("leg", overflow="fold")
     for start, end, text in flown["legs"]:
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)
@@ -131,13 +143,15 @@ def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
 def choices(console: Console, kind: str | None = None) -> None:
     """Print the profiles, aircraft, sensors and estimators there are, or those of one kind.
 
-    Of the sensors alone also where their figures are from, and which of them are assumed.
+    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed.
     """
-    sensors = list_sensors()
+    sensors, aircraft = list_sensors(), list_aircraft()
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": list_profiles(),
-        "Aircraft (aircraft = NAME)": list_aircraft(),
-        "Sensors ([sensors] imu, gnss, baro = NAME)": [row[:3] for row in sensors]
+        "Aircraft (aircraft = NAME)": [row[:2] for row in aircraft]
+        if kind is None
+        else [(name, f"{title}: {figures}") for name, title, figures in aircraft],
+        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
         "Estimators (use = NAME, or 'module:Class' of your own)": [

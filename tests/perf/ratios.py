@@ -25,7 +25,16 @@ from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
 from bench.navigation.fusion import Loose
 from bench.navigation.mechanization import propagate
-from bench.specs import ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
+from bench.specs import (
+    FlightSpec,
+    ImuSpec,
+    Profile,
+    Straight,
+    ThermalSpec,
+    TriadSpec,
+    Turn,
+    VibrationSpec,
+)
 
 ROUNDS = 7
 
@@ -75,23 +84,38 @@ def flying(profile: Profile) -> list[Figure]:
     """Recording against stepping the same aircraft with its guidance, and the first flight as a whole."""
     from bench.flight import recorder
 
-    def record() -> None:
-        for _ in recorder.record(profile.flight):
+    def record(spec: FlightSpec) -> None:
+        for _ in recorder.record(spec):
             pass
 
-    def step() -> None:
-        _, dt = recorder.simulation_step(profile.flight.rate)
-        fdm, _ = recorder.prepare(profile.flight, dt)
-        for _ in range(round((profile.flight.duration or 600.0) / dt)):
+    def step(spec: FlightSpec) -> None:
+        _, dt = recorder.simulation_step(spec.rate)
+        fdm, _ = recorder.prepare(spec, dt)
+        for _ in range(round((spec.duration or 600.0) / dt)):
             fdm.run()
 
-    def fly() -> None:
-        recorder.fly(profile.flight)
+    def recording(name: str) -> Figure:
+        spec = turning(name)
+        cost = ratio(lambda: record(spec), lambda: step(spec), 5)
+        return Figure(f"recording a flight of the {spec.aircraft.name} / stepping it", cost, 1.4, "x")
 
+    whole = ratio(lambda: recorder.fly(profile.flight), lambda: step(profile.flight), 3)
     return [
-        Figure("recording a flight / stepping it", ratio(record, step, 3), 1.4, "x"),
-        Figure("first flight / stepping it", ratio(fly, step, 3), 4.0, "x"),
+        *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise")),
+        Figure("first flight / stepping it", whole, 4.0, "x"),
     ]
+
+
+def turning(name: str) -> FlightSpec:
+    """Return three minutes of straights and turns with the aircraft of a profile, at its first trim."""
+    spec = config.load_profile(name).flight
+    assert isinstance(spec, FlightSpec)
+    alt, speed = spec.aircraft.trims[0]
+    turns = (Turn(side * np.pi / 4, np.radians(20.0)) for side in (1, -1))
+    return replace(
+        spec, alt=alt, speed=speed, legs=(Straight(20.0), *turns, Straight(20.0)), duration=180.0,
+        on_ground=False, runway=None,
+    )  # fmt: skip
 
 
 def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:

@@ -1,0 +1,320 @@
+"""The ``[[fault]]`` tables of a profile: what goes wrong on board, and when -> ``bench.specs.Fault``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from bench.config.tables import ROWS, Table, between, quantity
+from bench.data import GLONASS, GPS
+from bench.specs import Fault, GnssSpec, ImuSpec
+
+_G = 9.80665  # standard gravity [m/s^2]
+_DEG_H = math.pi / 180 / 3600
+_SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
+"""Letter of a system -> its code, and the number of its last satellite."""
+
+
+def satellite(name: str) -> tuple[int, int]:
+    """Return system and number of a satellite by its RINEX name.
+
+    Raises
+    ------
+    ValueError
+        When it is no such name.
+
+    Examples
+    --------
+    >>> satellite("R12")
+    (1, 12)
+    """
+    system, last = _SYSTEMS.get(name[:1], (0, 0))
+    if not (len(name) == 3 and name[1:].isdecimal() and 1 <= int(name[1:]) <= last):
+        raise ValueError(f"{name!r} is no satellite: G01 to G32 are GPS, R01 to R24 GLONASS")
+    return system, int(name[1:])
+
+
+def _named(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        try:
+            satellite(name)
+        except ValueError as error:
+            raise PydanticCustomError("message", "is wrong: {why}", {"why": str(error)}) from None
+    if len(set(names)) < len(names):
+        raise PydanticCustomError("message", "names a satellite twice")
+    return names
+
+
+Satellites = Annotated[tuple[str, ...], ROWS, AfterValidator(_named), Field(min_length=1)]
+Metres = Annotated[float, between(-1e7, 1e7)]
+Speed = Annotated[float, between(-1e4, 1e4)]
+Share = Annotated[float, between(0.001, 1)]
+Times = Annotated[float, between(0.01, 1e4)]
+Three = Annotated[tuple[Metres, Metres, Metres], ROWS]
+ThreeSpeeds = Annotated[tuple[Speed, Speed, Speed], ROWS]
+_DegH = Annotated[float, between(-1e6, 1e6)]
+_Mg = Annotated[float, between(-1e5, 1e5)]
+Axes = Annotated[tuple[Literal["x", "y", "z"], ...], ROWS, Field(min_length=1)]
+
+Timed = Literal["gnss", "baro"]
+"""Sensors whose rows have a time of arrival."""
+
+
+class _FaultTable(Table):
+    start_s: Annotated[float, between(0, 86400)]
+    duration_s: Annotated[float, between(0.005, 86400)]
+
+
+class SatellitesLostTable(_FaultTable):
+    """Named satellites are not received."""
+
+    kind: Literal["satellites-lost"]
+    satellites: Satellites
+
+
+class JammingTable(_FaultTable):
+    """C/N0 of all satellites is lowered: noise grows, and what falls below the threshold is lost."""
+
+    kind: Literal["jamming"]
+    cn0_loss_db: Annotated[float, between(0.1, 60)]
+
+
+class SpoofingTable(_FaultTable):
+    """The receiver is made to believe another place: north, east, down.
+
+    The velocity follows the ramp when the false signals are coherent: code and Doppler fit each other.
+    """
+
+    kind: Literal["spoofing"]
+    step_m: Three = (0.0, 0.0, 0.0)
+    ramp_mps: ThreeSpeeds = (0.0, 0.0, 0.0)
+    coherent: bool = True
+
+
+class PseudorangeTable(_FaultTable):
+    """The pseudoranges of named satellites grow, their Doppler does not."""
+
+    kind: Literal["pseudorange"]
+    satellites: Satellites
+    step_m: Metres = 0.0
+    ramp_mps: Speed = 0.0
+
+
+class SatelliteClockTable(_FaultTable):
+    """The clocks of named satellites run away: pseudoranges and Doppler alike."""
+
+    kind: Literal["satellite-clock"]
+    satellites: Satellites
+    ramp_mps: Speed
+
+
+class ReceiverClockTable(_FaultTable):
+    """The clock of the receiver is off by a step."""
+
+    kind: Literal["receiver-clock"]
+    step_m: Metres
+
+
+class BaroStepTable(_FaultTable):
+    """The barometer is off by a step."""
+
+    kind: Literal["baro-step"]
+    step_m: Metres
+
+
+class GyroStepTable(_FaultTable):
+    """The bias of the gyros is off by a step: x, y, z."""
+
+    kind: Literal["gyro-step"]
+    step_deg_h: Annotated[tuple[_DegH, _DegH, _DegH], ROWS]
+
+
+class AccelStepTable(_FaultTable):
+    """The bias of the accelerometers is off by a step: x, y, z."""
+
+    kind: Literal["accel-step"]
+    step_mg: Annotated[tuple[_Mg, _Mg, _Mg], ROWS]
+
+
+class FrozenTable(_FaultTable):
+    """The output sticks at its last value; times go on."""
+
+    kind: Literal["frozen"]
+    sensor: Literal["gnss", "baro", "gyro", "accel"]
+    axes: Axes | None = None  # of gyro or accel, all when left out
+
+
+class NoiseBurstTable(_FaultTable):
+    """More white noise, so many times that of the unit."""
+
+    kind: Literal["noise-burst"]
+    sensor: Literal["gnss", "baro", "gyro", "accel"]
+    times: Times
+
+
+class LatencyTable(_FaultTable):
+    """What is measured arrives later."""
+
+    kind: Literal["latency"]
+    sensor: Timed
+    added_s: Annotated[float, between(0.001, 600)]
+
+
+class DroppedTable(_FaultTable):
+    """Samples are left out, at random."""
+
+    kind: Literal["dropped"]
+    sensor: Literal["gnss", "baro", "imu"]
+    share: Share = 1.0
+
+
+class RepeatedTable(_FaultTable):
+    """Samples come twice, at random."""
+
+    kind: Literal["repeated"]
+    sensor: Literal["gnss", "baro", "imu"]
+    share: Share = 1.0
+
+
+FaultTable = (
+    SatellitesLostTable
+    | JammingTable
+    | SpoofingTable
+    | PseudorangeTable
+    | SatelliteClockTable
+    | ReceiverClockTable
+    | BaroStepTable
+    | GyroStepTable
+    | AccelStepTable
+    | FrozenTable
+    | NoiseBurstTable
+    | LatencyTable
+    | DroppedTable
+    | RepeatedTable
+)
+
+_SENSOR = {"baro-step": "baro", "gyro-step": "gyro", "accel-step": "accel"}
+"""Kinds that strike one sensor; those without a key ``sensor`` strike the gnss otherwise."""
+
+_NEEDS_SKY = {
+    "satellites-lost": "satellites",
+    "jamming": "C/N0",
+    "pseudorange": "pseudoranges",
+    "satellite-clock": "pseudoranges",
+    "receiver-clock": "clock",
+}
+"""Kinds for a receiver at measurement level -> what one at position level has not."""
+
+_UNIT = {"step_deg_h": _DEG_H, "step_mg": 1e-3 * _G, "step_m": 1.0}
+
+
+def sensor_of(table: _FaultTable) -> str:
+    """Return the sensor a fault strikes."""
+    named: str | None = getattr(table, "sensor", None)
+    return named or _SENSOR.get(table.kind, "gnss")  # type: ignore[attr-defined]
+
+
+def to_fault(table: FaultTable) -> Fault:
+    """Return a fault in SI."""
+    given = {key: value for key, value in table if value is not None}
+    step = next((_vector(given[key], unit) for key, unit in _UNIT.items() if key in given), ())
+    ramp = _vector(given["ramp_mps"], 1.0) if "ramp_mps" in given else (0.0,) * len(step)
+    said = [
+        quantity(key, value)
+        for key, value in given.items()
+        if key not in ("kind", "sensor", "start_s", "duration_s")
+    ]
+    sensor = sensor_of(table)
+    return Fault(
+        kind=table.kind,
+        sensor=sensor,
+        start=float(table.start_s),
+        end=float(table.start_s + table.duration_s),
+        text=f"{table.kind} of {sensor}" + (f": {', '.join(said)}" if said else ""),
+        satellites=tuple(satellite(name) for name in given.get("satellites", ())),
+        step=step or (0.0,) * len(ramp),
+        ramp=ramp,
+        loss=float(given.get("cn0_loss_db", 0.0)),
+        delay=float(given.get("added_s", 0.0)),
+        times=float(given.get("times", 0.0)),
+        share=float(given.get("share", 1.0)),
+        coherent=bool(given.get("coherent", True)),
+        axes=tuple("xyz".index(axis) for axis in given.get("axes", "xyz")),
+    )
+
+
+def _vector(value: float | Sequence[float], unit: float) -> tuple[float, ...]:
+    values = value if isinstance(value, Sequence) else (value,)
+    return tuple(unit * float(part) for part in values)
+
+
+def wrong(tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: float | None) -> list[str]:
+    """Say which faults are not possible with these units, last beyond the flight, or stand there twice.
+
+    Parameters
+    ----------
+    tables : sequence
+        As in the file.
+    on_board : mapping
+        Kind of sensor -> its spec, None where there is none.
+    length : float or None
+        Of the flight [s]; None where only flying it tells.
+    """
+    found = []
+    for number, table in enumerate(tables, 1):
+        place = f"[[fault]] {number} ({table.kind}): "
+        end = table.start_s + table.duration_s
+        if length is not None and end > length:
+            found.append(f"{place}its end at {end:g} s is outside the flight, 0 to {length:g} s")
+        found += [f"{place}{line}" for line in _impossible(table, on_board)]
+        for other, earlier in enumerate(tables[: number - 1], 1):
+            same = earlier.kind == table.kind and sensor_of(earlier) == sensor_of(table)
+            overlap = earlier.start_s < end and table.start_s < earlier.start_s + earlier.duration_s
+            if same and overlap and not hasattr(table, "satellites"):
+                found.append(
+                    f"{place}{quantity('start_s', table.start_s)} overlaps [[fault]] {other}, the same fault"
+                )
+    return found
+
+
+def _impossible(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
+    sensor = sensor_of(table)
+    unit = on_board.get("imu" if sensor in ("gyro", "accel") else sensor)
+    if unit is None:
+        return [f"there is no {sensor} in [sensors]"] if sensor not in ("imu", "gyro", "accel") else []
+    steps = [key for key in ("step_m", "step_deg_h", "step_mg", "ramp_mps") if hasattr(table, key)]
+    if steps and not any(any(_vector(getattr(table, key), 1.0)) for key in steps):
+        return [f"{' and '.join(steps)}: nothing happens; give one of them a value other than 0"]
+    if isinstance(table, FrozenTable) and table.axes is not None and sensor not in ("gyro", "accel"):
+        return [f"axes are those of sensor = 'gyro' or 'accel'; the {sensor} is frozen as a whole"]
+    if isinstance(unit, GnssSpec) and table.kind in _NEEDS_SKY and unit.sky is None:
+        return [
+            f"gnss = {unit.name!r} is a position-level receiver without {_NEEDS_SKY[table.kind]}; "
+            "take one with [sky], such as 'sky-l1'"
+        ]
+    if isinstance(table, NoiseBurstTable) and not _has_noise(unit, sensor):
+        return [f"{unit.name!r} has no white noise of its {sensor} to multiply"]
+    names = getattr(table, "satellites", ())
+    if names and isinstance(unit, GnssSpec) and unit.sky is not None:
+        from bench.signals import orbits
+
+        gps = orbits.nominal_gps() if unit.sky.gps is None else unit.sky.gps
+        glonass = orbits.nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
+        flown = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
+        for name in names:
+            system, number = satellite(name)
+            if number not in flown[system]:
+                return [f"satellites: {name} is not among the satellites of gnss = {unit.name!r}"]
+    return []
+
+
+def _has_noise(unit: Any, sensor: str) -> bool:
+    if isinstance(unit, ImuSpec):
+        return bool(getattr(unit, sensor).random_walk > 0)
+    if isinstance(unit, GnssSpec) and unit.sky is not None:
+        return unit.sky.dll_bandwidth > 0 or unit.sky.fll_bandwidth > 0
+    return True  # the sheet of a barometer or a receiver of positions has some

@@ -1,0 +1,78 @@
+"""Did an estimator notice a scripted fault, how soon, and how often did it cry for nothing?
+
+An alarm is an update that the estimator refused, or an event of kind "integrity" that it reported. It belongs
+to a fault when it comes in the fault's interval and concerns the sensor that is struck; a fault of the IMU
+shows in any update.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import Events
+from bench.evaluation.consistency import SensorNis
+from bench.specs import Fault
+
+ALARM = "integrity"
+"""Kind of the events by which an estimator raises an alarm; the text names the sensor."""
+
+_SHOWS_IN: Mapping[str, tuple[str, ...]] = {
+    "gnss": ("gnss", "pseudorange", "range_rate"),
+    **{sensor: (sensor,) for sensor in ("baro", "mag", "airspeed")},
+}
+"""Sensor that is struck -> what its alarms name; sensors not listed show in all."""
+
+_SAME_TIME = 1e-6  # two times closer than this are one instant [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Alarms:
+    """Alarms that say the same."""
+
+    name: str  # of the innovation, or "integrity"
+    said: str  # names the sensor: the name of the innovation, or the words of the event
+    t: FloatArray  # (K,) [s]
+
+
+def alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
+    """Return the alarms of an estimator: refused updates by sensor, then events of kind "integrity"."""
+    refused = [Alarms(name, name, s.t[~s.accepted]) for name, s in nis.items()]
+    reported = [Alarms(ALARM, text.lower(), np.array([start])) for start, _, text in events.of(ALARM)]
+    return (*refused, *reported)
+
+
+def delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
+    """Return the time from the start of a fault to its first alarm [s], None when there is none."""
+    first = [
+        float(one.t[inside].min())
+        for one in raised
+        if _concerns(fault, one.said) and (inside := _inside(fault, one.t)).any()
+    ]
+    return max(min(first) - fault.start, 0.0) if first else None
+
+
+def false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, from_s: float) -> int:
+    """Return how many alarms of a name from an instant [s] on belong to no fault."""
+    count = 0
+    for one in raised:
+        if one.name == name:
+            explained = one.t < from_s
+            for fault in faults:
+                if _concerns(fault, one.said):
+                    explained |= _inside(fault, one.t)
+            count += int((~explained).sum())
+    return count
+
+
+def _inside(fault: Fault, t: FloatArray) -> BoolArray:
+    inside: BoolArray = (t >= fault.start - _SAME_TIME) & (t < fault.end - _SAME_TIME)
+    return inside
+
+
+def _concerns(fault: Fault, said: str) -> bool:
+    named = _SHOWS_IN.get(fault.sensor)
+    return named is None or any(name in said for name in named)

@@ -1,0 +1,45 @@
+"""A run in the formats that other tools read: one module per format, each with a README for its reader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+
+from bench.exchange.exports.gather import gather, reading
+from bench.exchange.exports.outgoing import CLOCK, FRAMES, ExportError, Outgoing
+
+FORMATS: Mapping[str, tuple[str, str]] = {
+    "csv": ("tables", "CSV, a table per sensor, and start.json"),
+    "parquet": ("tables", "the same in Parquet, units and frames in the metadata"),
+    "mat": ("matlab", "the same in one MATLAB file"),
+    "kf-gins": ("kf_gins", "KF-GINS and OB_GINS text, and a kf-gins.yaml"),
+    "navego": ("navego", "NaveGo's imu, gnss and ref structures"),
+    "python-ins": ("python_ins", "DataFrames of python-ins, in Parquet"),
+    "nmea": ("nmea", "GGA and RMC sentences of the fixes"),
+    "kml": ("kml", "the fixes on a globe"),
+    "tum": ("tum", "poses for evo and the TUM tools"),
+    "rosbag2": ("rosbag2", "a ROS 2 bag (pip install 'ins-gnss-bench[ros]')"),
+}
+"""Format -> (module, what it is)."""
+
+README = "README.md"
+
+
+def write(folder: Path, kind: str, outgoing: Outgoing, title: str) -> None:
+    """Write a run into an existing, empty folder in one of `FORMATS`, with a README that says what is what.
+
+    Raises
+    ------
+    ExportError
+        When the format has no place for what was asked, or needs what is not there: one line.
+    OSError
+        When the disk does not take it.
+    """
+    module = import_module(f"bench.exchange.exports.{FORMATS[kind][0]}")
+    said: str = module.write(folder, outgoing, kind)
+    text = f"# {title}\n\n{said.strip()}\n\n{CLOCK} {FRAMES}\n"
+    (folder / README).write_text(text, encoding="utf-8")
+
+
+__all__ = ["FORMATS", "README", "ExportError", "Outgoing", "gather", "reading", "write"]

@@ -1,0 +1,70 @@
+"""A results folder -> what of it goes out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from bench import store
+from bench.exchange.exports.outgoing import ExportError, Outgoing, Track
+from bench.store import parquet
+
+TRUTH, SOLUTION = "truth", "solution:"
+
+
+def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
+    """Read the sensors of a results folder and the tracks asked for by name.
+
+    Parameters
+    ----------
+    folder : Path
+        What ``bench run`` wrote.
+    wanted : sequence of str
+        ``truth``, ``solution:NAME``.
+
+    Raises
+    ------
+    ExportError
+        When it is no results folder, is damaged, or has no such track: one line.
+    """
+    if not (folder / store.RESULT).is_file():
+        raise ExportError(
+            f"{folder}: no results folder, there is no {store.RESULT} in it; 'bench run' writes one"
+        )
+    with reading(folder):
+        imu, fixes, baro, *_ = store.load_sensors(folder)
+        start = store.load_start(folder)
+        observations = store.load_observations(folder)
+        tracks: dict[str, Track] = {}
+        for name in wanted:
+            if name == TRUTH:
+                tracks[name] = store.load_truth(folder)
+            elif name.startswith(SOLUTION):
+                label = name.removeprefix(SOLUTION)
+                known = store.solutions_of(folder)
+                if label not in known:
+                    raise ExportError(
+                        f"--with {name}: no such solution; there are {', '.join(known) or 'none'}"
+                    )
+                tracks[f"solution-{label}"] = store.load_solution(folder, label)
+            else:
+                raise ExportError(f"--with {name}: must be truth or solution:NAME")
+    return Outgoing(imu, fixes, baro, observations, start, tracks)
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Turn what a damaged results folder raises into an ExportError of one line."""
+    try:
+        yield
+    except ExportError:
+        raise
+    except FileNotFoundError as error:
+        missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
+        what = missing[-1] if missing else "file"
+        raise ExportError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
+    except parquet.DAMAGED as error:
+        said = " ".join(str(error).split())[:200]
+        raise ExportError(f"{folder}: cannot be read: {said or type(error).__name__}") from None

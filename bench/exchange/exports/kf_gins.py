@@ -1,0 +1,119 @@
+"""KF-GINS and OB_GINS: text files of increments and fixes, and the configuration that goes with them.
+
+Columns and units: README.md, section 2.2, and src/fileio/*.h of github.com/i2Nav-WHU/KF-GINS; keys and
+units of the configuration: dataset/kf-gins.yaml there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench import rotation
+from bench.exchange.exports.outgoing import SECOND, WEEK, Outgoing
+from bench.specs import GAUSS_MARKOV_PEAK
+from bench.store import parquet
+
+IMU, GNSS, CONFIGURATION = "imu.txt", "gnss.txt", "kf-gins.yaml"
+_DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
+_MGAL = 1e5  # m/s^2 to mGal
+_LONGEST = 1.0  # correlation time where the datasheet has none; a time of 0 would be a division by 0 [h]
+
+
+def write(folder: Path, out: Outgoing, kind: str) -> str:
+    """Write the text files and the configuration; return what the README says of them."""
+    imu, rows = out.imu, out.good_fixes()
+    fixes = out.fixes
+    assert fixes is not None  # there are rows
+    parquet.write_text(folder / IMU, np.column_stack([imu.t + SECOND, imu.dtheta_b, imu.dvel_b]))
+    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[rows]))
+    place = np.rad2deg(fixes.lla[rows, :2])
+    parquet.write_text(
+        folder / GNSS, np.column_stack([fixes.t[rows] + SECOND, place, fixes.lla[rows, 2], sd])
+    )
+    for name, track in out.tracks.items():
+        angles = np.rad2deg(np.column_stack(rotation.to_euler(track.q_nb)))
+        week = np.full(len(track.t), float(WEEK))
+        place = np.rad2deg(track.lla[:, :2])
+        columns = [week, track.t + SECOND, place, track.lla[:, 2], track.vel_n, angles]
+        parquet.write_text(folder / f"{name}.nav", np.column_stack(columns))
+    (folder / CONFIGURATION).write_text(_configuration(out), encoding="utf-8")
+    left_out = len(fixes) - len(rows)
+    navs = "".join(f"- `{name}.nav`: GNSS week, {_NAV}.\n" for name in out.tracks)
+    return f"""For KF-GINS (and OB_GINS): text, columns with a space between, times in GPS seconds of week.
+
+- `{IMU}`, {len(imu)} rows at {out.rate:g} Hz: second of week [s]; increments of angle forward, right, down
+  [rad]; increments of velocity [m/s]. A row ends at its time.
+- `{GNSS}`, {len(rows)} rows: second of week [s]; latitude, longitude [deg], height [m] of the antenna;
+  standard
+  deviations north, east, down [m], as the receiver claims them. {left_out} rows of the run that the receiver
+  calls invalid are left out. The format has no place for velocity and latency.
+{navs}- `{CONFIGURATION}`: run `KF-GINS {CONFIGURATION}` in this folder; its results appear here. The
+  initial state is
+  what the filters of the bench are told, brought to the first row. IMU noise is the assumed datasheet:
+  `gbstd`,
+  `abstd` the standard deviation of the bias process, `initbgstd`, `initbastd` that and the turn-on bias,
+  `corrtime` that of the gyros.
+
+`KF_GINS_Navresult.nav` is scored by `bench score` once its columns have names: `t_s, lat_deg, lon_deg, alt_m,
+vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, pitch_deg, yaw_deg` from its second on, with `--t0 {SECOND:g}`."""
+
+
+_NAV = (
+    "second of week [s]; latitude, longitude [deg], height [m]; velocity north, east, down [m/s]; "
+    "roll, pitch, "
+    "yaw [deg]; of the IMU"
+)
+
+
+def _configuration(out: Outgoing) -> str:
+    lla, vel_n, q_nb, sd = out.start_at_first_row()
+    gyro, accel = out.assumed("gyro"), out.assumed("accel")
+    process = {
+        name: figures["bias_instability"] / GAUSS_MARKOV_PEAK for name, figures in (("g", gyro), ("a", accel))
+    }
+    hours = gyro["bias_correlation"] / 3600.0 or _LONGEST
+    values: dict[str, Any] = {
+        "initpos": [*np.rad2deg(lla[:2]), lla[2]],
+        "initvel": vel_n,
+        "initatt": np.rad2deg(rotation.to_euler(q_nb)),
+        "initgyrbias": [0.0] * 3,
+        "initaccbias": [0.0] * 3,
+        "initgyrscale": [0.0] * 3,
+        "initaccscale": [0.0] * 3,
+        "initposstd": sd[0:3],
+        "initvelstd": sd[3:6],
+        "initattstd": np.rad2deg(sd[6:9]),
+        "initbgstd": [_DEG_H * np.hypot(process["g"], gyro["turn_on_bias_sd"])] * 3,
+        "initbastd": [_MGAL * np.hypot(process["a"], accel["turn_on_bias_sd"])] * 3,
+        "antlever": out.start["antenna_b_m"],
+    }
+    noise: dict[str, Any] = {
+        "arw": [np.rad2deg(gyro["random_walk"]) * 60.0] * 3,
+        "vrw": [accel["random_walk"] * 60.0] * 3,
+        "gbstd": [_DEG_H * process["g"]] * 3,
+        "abstd": [_MGAL * process["a"]] * 3,
+        "gsstd": [1e6 * gyro["scale_factor_sd"]] * 3,
+        "asstd": [1e6 * accel["scale_factor_sd"]] * 3,
+    }
+
+    def listed(numbers: Iterable[float]) -> str:
+        return f"[ {', '.join(f'{number:.12g}' for number in numbers)} ]"
+
+    lines = [
+        f'imupath: "./{IMU}"',
+        f'gnsspath: "./{GNSS}"',
+        'outputpath: "."',
+        "imudatalen: 7",
+        f"imudatarate: {round(out.rate)}",
+        f"starttime: {float(out.imu.t[0]) + SECOND:.9f}",
+        "endtime: -1",
+        *(f"{key}: {listed(numbers)}" for key, numbers in values.items()),
+        "imunoise:",
+        *(f"  {key}: {listed(numbers)}" for key, numbers in noise.items()),
+        f"  corrtime: {hours:.12g}",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,41 @@
+"""Poses as robots have them: east, north, up of a fixed place; body forward, left, up (ROS REP 103)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+
+_ENU_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # swaps x and y, turns z over; its own inverse
+_FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x
+
+
+def enu(v_n: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) in north, east, down as east, north, up."""
+    return v_n[..., [1, 0, 2]] * [1.0, 1.0, -1.0]
+
+
+def flu(v_b: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) in forward, right, down as forward, left, up."""
+    turned: FloatArray = v_b * [1.0, -1.0, -1.0]
+    return turned
+
+
+def poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return position (N, 3) [m] and attitude (N, 4), scalar first, in the rigid local frame at an origin.
+
+    Parameters
+    ----------
+    lla : (N, 3) array
+        Latitude, longitude [rad], ellipsoidal height [m].
+    q_nb : (N, 4) array
+        From forward, right, down to north, east, down at each position.
+    origin : (3,) array
+        Latitude, longitude [rad], height [m] of the place whose east, north, up are the axes.
+    """
+    position = enu(earth.local_ned(lla, origin))
+    q_oe = rotation.conjugate(rotation.from_matrix(earth.matrix_en(origin[0], origin[1])))
+    q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
+    q_ob = rotation.multiply(q_oe, rotation.multiply(q_en, q_nb))
+    return position, rotation.multiply(_ENU_NED, rotation.multiply(q_ob, _FRD_FLU))

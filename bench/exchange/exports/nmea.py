@@ -1,0 +1,115 @@
+"""NMEA 0183: GGA and RMC of each fix, with their checksum.
+
+Fields: NMEA 0183 as GPS receivers print it, version 2.3 on (RMC with its mode indicator).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import GnssFixes
+from bench.exchange.exports.outgoing import Outgoing, thinned
+
+_MIDNIGHT = datetime(2026, 1, 4)
+_KNOT = 1852.0 / 3600.0  # [m/s]
+_TRACK_RATE = 10.0  # of a track's sentences [Hz]
+
+
+def write(folder: Path, out: Outgoing, kind: str) -> str:
+    """Write the sentences of the fixes, and of the tracks asked for; return what the README says of them."""
+    out.good_fixes()
+    fixes = out.fixes
+    assert fixes is not None  # there are rows
+    with (folder / "gnss.nmea").open("w", encoding="ascii", newline="") as file:
+        for k in range(len(fixes)):
+            file.writelines(of_fix(fixes, k))
+    said = [
+        f"- `gnss.nmea`, {len(fixes)} epochs: GGA, then RMC, of every fix at its validity; void where "
+        f"invalid."
+    ]
+    for name, track in out.tracks.items():
+        rows = thinned(track.t, _TRACK_RATE)
+        with (folder / f"{name}.nmea").open("w", encoding="ascii", newline="") as file:
+            for k in rows:
+                valid = bool(np.isfinite(track.lla[k]).all())
+                file.writelines(sentences(track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid))
+        said.append(f"- `{name}.nmea`: the same of the IMU, {_TRACK_RATE:g} epochs a second at most.")
+    return "\n".join(
+        [
+            "NMEA 0183, a sentence per line with checksum: GGA (position, quality, satellites, "
+            "height) and RMC "
+            "(position, ground speed, track, date).\n",
+            *said,
+            "",
+            "Height in GGA is above the ellipsoid, with a geoidal separation of 0: their sum is what "
+            "a receiver "
+            "would give. HDOP is left empty, vertical speed and standard deviations have no place in these "
+            "sentences. Quality is 1 (autonomous) where valid. Digits: 1 ms, 0.2 mm, 1 mm, 0.5 mm/s, "
+            "0.001 deg.",
+        ]
+    )
+
+
+def of_fix(fixes: GnssFixes, k: int) -> Iterator[str]:
+    """Yield the GGA and the RMC sentence of a fix, with their line ends."""
+    valid = bool(fixes.valid[k] and np.isfinite(fixes.lla[k]).all())
+    yield from sentences(fixes.t[k], fixes.lla[k], fixes.vel_n[k], int(fixes.satellites[k]), valid=valid)
+
+
+def sentences(
+    t: float,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    satellites: int,
+    *,
+    valid: bool,
+) -> Iterator[str]:
+    """Yield the GGA and the RMC sentence of an instant t [s], lla [rad, rad, m], vel_n [m/s].
+
+    A number of satellites below 0 is not known, and left empty.
+    """
+    when = _MIDNIGHT + timedelta(milliseconds=round(1e3 * float(t)))
+    clock, day = f"{when:%H%M%S}.{when.microsecond // 1000:03d}", f"{when:%d%m%y}"
+    if not valid:
+        yield sentence(f"GPGGA,{clock},,,,,0,{_count(satellites)},,,M,,M,,")
+        yield sentence(f"GPRMC,{clock},V,,,,,,,{day},,,N")
+        return
+    place = f"{_angle(lla[0], 2)},{'NS'[int(lla[0] < 0)]},{_angle(lla[1], 3)},{'EW'[int(lla[1] < 0)]}"
+    yield sentence(f"GPGGA,{clock},{place},1,{_count(satellites)},,{lla[2]:.3f},M,0.0,M,,")
+    motion = ","
+    if np.isfinite(vel_n).all():
+        course = round(math.degrees(math.atan2(vel_n[1], vel_n[0])) % 360.0, 3) % 360.0
+        motion = f"{math.hypot(vel_n[0], vel_n[1]) / _KNOT:.3f},{course:.3f}"
+    yield sentence(f"GPRMC,{clock},A,{place},{motion},{day},,,A")
+
+
+def sentence(body: str) -> str:
+    """Return a sentence: its start, the exclusive or of its characters in hexadecimal, and its line end.
+
+    Examples
+    --------
+    >>> sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")[-5:]
+    '*47\\r\\n'
+    """
+    check = 0
+    for character in body.encode("ascii"):
+        check ^= character
+    return f"${body}*{check:02X}\r\n"
+
+
+def _count(satellites: int) -> str:
+    return "" if satellites < 0 else f"{min(satellites, 99):02d}"
+
+
+def _angle(angle: float, digits: int) -> str:
+    """Return the size of an angle [rad] in degrees and minutes, 1e-7 of a minute, as ddmm.mmmmmmm."""
+    ten_millionths = round(abs(math.degrees(angle)) * 60e7)
+    degrees, rest = divmod(ten_millionths, 60 * 10**7)
+    minutes, decimals = divmod(rest, 10**7)
+    return f"{degrees:0{digits}d}{minutes:02d}.{decimals:07d}"

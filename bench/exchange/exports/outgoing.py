@@ -1,0 +1,132 @@
+"""What of a run goes out: the sensors, what the estimators were told, and the tracks asked for by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import BaroData, GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
+from bench.store import initial_state
+from bench.store.columns import BARO, GNSS, IMU, MOTION, Layout, observations, solution
+
+WEEK, SECOND = 2400, 18.0
+"""GPS week and second of t = 0, which is 2026-01-04 00:00:00 UTC, 18 leap seconds behind."""
+UTC = 1767484800
+"""The same instant as seconds since 1970-01-01 00:00:00 UTC."""
+
+CLOCK = (
+    "Time t counts in s from the start of the run. Where a date is needed, t = 0 is 2026-01-04 00:00:00 UTC, "
+    "second 18 of GPS week 2400."
+)
+FRAMES = (
+    "Body axes b are those of the IMU: forward, right, down. n is north, east, down at the current position. "
+    "Heights are above the WGS 84 ellipsoid."
+)
+
+Track = Trajectory | NavSolution
+"""Position, velocity and attitude of the IMU, column by column."""
+
+
+class ExportError(ValueError):
+    """What was asked for cannot go out in a format; one line says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """What of a run goes out."""
+
+    imu: ImuData
+    fixes: GnssFixes | None
+    baro: BaroData | None
+    observations: GnssObservations | None
+    start: Mapping[str, Any]  # as `bench.store.start_document` makes it
+    tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
+
+    @property
+    def rate(self) -> float:
+        """Rate of the IMU [Hz]."""
+        return float(1.0 / np.median(self.imu.dt))
+
+    def rates(self) -> tuple[FloatArray, FloatArray]:
+        """Return the mean angular rate [rad/s] and specific force [m/s^2] of each interval (N, 3), b."""
+        dt = self.imu.dt[:, None]
+        return self.imu.dtheta_b / dt, self.imu.dvel_b / dt
+
+    def good_fixes(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """Return the rows of the fixes that the receiver calls valid and that are numbers.
+
+        Raises
+        ------
+        ExportError
+            When there is none.
+        """
+        if self.fixes is None:
+            raise ExportError("the run has no GNSS receiver, which this format needs")
+        finite = np.isfinite(self.fixes.lla).all(axis=1) & np.isfinite(self.fixes.t)
+        rows = np.flatnonzero(self.fixes.valid & finite)
+        if not len(rows):
+            raise ExportError("no GNSS fix of the run is valid")
+        return rows
+
+    def tables(self) -> dict[str, tuple[object, Layout]]:
+        """Return every record by the name of its table, with its columns."""
+        found: dict[str, tuple[object, Layout]] = {"imu": (self.imu, IMU)}
+        if self.fixes is not None:
+            found["gnss"] = (self.fixes, GNSS)
+        if self.observations is not None:
+            bands = self.observations.pseudorange.shape[1]
+            found["observations"] = (self.observations, observations(bands))
+        if self.baro is not None:
+            found["baro"] = (self.baro, BARO)
+        for name, track in self.tracks.items():
+            names = track.extra_names if isinstance(track, NavSolution) else ()
+            found[name] = (track, solution(names) if isinstance(track, NavSolution) else MOTION)
+        return found
+
+    def assumed(self, triad: str) -> Mapping[str, Any]:
+        """Return what filters are told of "gyro" or "accel", as in `bench.specs.TriadSpec`."""
+        figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
+        return figures
+
+    def whole_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return `bench.store.initial_state`.
+
+        Raises
+        ------
+        ExportError
+            When the filters are not told it as a whole, but have to align.
+        """
+        found = initial_state(self.start)
+        if not all(np.isfinite(value).all() for value in found):
+            told = self.start["initial"]["alignment"]
+            raise ExportError(f"this format needs a whole start; the run has alignment = {told!r}")
+        return found
+
+    def start_at_first_row(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return what `bench.store.initial_state` does, brought to the end of the first IMU interval.
+
+        For tools whose first row is the start, not the end of an interval: one step of the increments.
+
+        Raises
+        ------
+        ExportError
+            When the start is not known as a whole.
+        """
+        from bench import earth, rotation
+
+        lla, vel_n, q_nb, sd = self.whole_start()
+        t_0 = float(self.start["initial"]["t_s"])
+        dt = float(self.imu.t[0]) - t_0
+        moved = vel_n + rotation.rotate(q_nb, self.imu.dvel_b[0]) + dt * earth.gravity_n(lla[0], lla[2])
+        turned = rotation.multiply(q_nb, rotation.from_rotvec(self.imu.dtheta_b[0]))
+        return earth.displace(lla, 0.5 * dt * (vel_n + moved)), moved, turned, sd
+
+
+def thinned(t: FloatArray, rate: float) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Return the first and every n-th row, so that about ``rate`` [Hz] of them come in a second."""
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+    return np.arange(0, len(t), max(1, round(1.0 / (rate * step))))

@@ -1,0 +1,199 @@
+"""A ROS 2 bag, written with rosbags: standard messages in the axes of REP 103."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.exchange.exports.local import enu, flu, poses
+from bench.exchange.exports.outgoing import UTC, ExportError, Outgoing
+
+FOLDER = "bag"
+_STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km
+
+
+def write(folder: Path, out: Outgoing, kind: str) -> str:
+    """Write the bag; return what the README says of it."""
+    if find_spec("rosbags") is None:
+        raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[ros]'")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    messages = _Messages(types.types)
+    topics = {"/imu/data_raw": ("sensor_msgs/msg/Imu", messages.imu(out))}
+    if out.fixes is not None:
+        topics["/gnss/fix"] = ("sensor_msgs/msg/NavSatFix", messages.fixes(out))
+        topics["/gnss/vel"] = ("geometry_msgs/msg/TwistWithCovarianceStamped", messages.velocities(out))
+    if out.baro is not None:
+        topics["/baro/pressure"] = ("sensor_msgs/msg/FluidPressure", messages.pressures(out))
+    for name in out.tracks:
+        topic = "/" + "".join(c if c.isalnum() else "_" for c in name)
+        topics[topic] = ("nav_msgs/msg/Odometry", messages.odometry(out, name))
+    with Writer(folder / FOLDER, version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        for topic, (kind_of, rows) in topics.items():
+            connection = bag.add_connection(topic, kind_of, typestore=types)
+            for t, message in rows:
+                bag.write(connection, _nanoseconds(t), types.serialize_cdr(message, kind_of))
+    listed = "\n".join(
+        f"- `{topic}`: {kind_of}{_SAID.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
+    )
+    lla = np.array(_origin(out))
+    lat, lon = np.rad2deg(lla[:2])
+    return f"""`ros2 bag play {FOLDER}`; messages of ROS 2 Humble in SQLite, stamped with their validity in
+  UTC.
+
+{listed}
+
+Frames of REP 103: body `imu_link` forward, left, up; `enu` and `map` east, north, up, `map` rigid at latitude
+{lat:.9f} deg, longitude {lon:.9f} deg, height {lla[2]:.3f} m. Here and nowhere else the axes are not those
+below."""
+
+
+_SAID = {
+    "/imu/data_raw": ": mean angular rate [rad/s] and specific force [m/s^2] of the interval that ends at "
+    "the stamp; no orientation (covariance -1)",
+    "/gnss/fix": ": of the antenna, latitude, longitude [deg], height [m], covariance east, north, up [m^2]; "
+    "status -1 where the receiver calls it invalid",
+    "/gnss/vel": ": of the antenna in `enu`, linear [m/s] with its covariance",
+    "/baro/pressure": ": [Pa], of the altitude the barometer reports, by the standard atmosphere (ISO 2533)",
+}
+_TRACK = ": pose of the IMU in `map`, velocity in `imu_link`"
+
+
+def _nanoseconds(t: float) -> int:
+    return UTC * 1_000_000_000 + round(float(t) * 1e9)
+
+
+def _origin(out: Outgoing) -> Any:
+    told = out.start["initial"]
+    return [told["lat_rad"], told["lon_rad"], told["alt_m"]]
+
+
+class _Messages:
+    """Makes the messages of each topic, one after the other."""
+
+    def __init__(self, types: Any) -> None:
+        self._types = types
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        package, name = kind.split("/")
+        return self._types[f"{package}/msg/{name}"](**fields)
+
+    def _header(self, t: float, frame: str) -> Any:
+        seconds, nanoseconds = divmod(_nanoseconds(t), 1_000_000_000)
+        stamp = self._make("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
+        return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
+
+    def _vector(self, xyz: Any) -> Any:
+        x, y, z = (float(value) for value in xyz)
+        return self._make("geometry_msgs/Vector3", x=x, y=y, z=z)
+
+    def _quaternion(self, q: Any) -> Any:
+        w, x, y, z = (float(value) for value in q)
+        return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+
+    def imu(self, out: Outgoing) -> Any:
+        rates, forces = (flu(values) for values in out.rates())
+        step = float(np.median(out.imu.dt))
+        none = np.array([-1.0] + [0.0] * 8)
+        sd = [out.assumed(triad)["random_walk"] / np.sqrt(step) for triad in ("gyro", "accel")]
+        spread = [np.diag([value**2] * 3).ravel() for value in sd]
+        for k, t in enumerate(out.imu.t):
+            yield (
+                t,
+                self._make(
+                    "sensor_msgs/Imu",
+                    header=self._header(t, "imu_link"),
+                    orientation=self._quaternion((1, 0, 0, 0)),
+                    orientation_covariance=none,
+                    angular_velocity=self._vector(rates[k]),
+                    angular_velocity_covariance=spread[0],
+                    linear_acceleration=self._vector(forces[k]),
+                    linear_acceleration_covariance=spread[1],
+                ),
+            )
+
+    def fixes(self, out: Outgoing) -> Any:
+        fixes = out.fixes
+        assert fixes is not None  # or there is no such topic
+        for k, t in enumerate(fixes.t):
+            good = bool(fixes.valid[k])
+            lat, lon = np.rad2deg(fixes.lla[k, :2])
+            yield (
+                t,
+                self._make(
+                    "sensor_msgs/NavSatFix",
+                    header=self._header(t, "gnss_link"),
+                    status=self._make("sensor_msgs/NavSatStatus", status=0 if good else -1, service=1),
+                    latitude=float(lat),
+                    longitude=float(lon),
+                    altitude=float(fixes.lla[k, 2]),
+                    position_covariance=_enu_matrix(fixes.cov_pos_n[k]).ravel(),
+                    position_covariance_type=3,  # COVARIANCE_TYPE_KNOWN
+                ),
+            )
+
+    def velocities(self, out: Outgoing) -> Any:
+        fixes = out.fixes
+        assert fixes is not None  # or there is no such topic
+        for k, t in enumerate(fixes.t):
+            cov = np.zeros((6, 6))
+            cov[:3, :3] = _enu_matrix(fixes.cov_vel_n[k])
+            twist = self._twist(enu(fixes.vel_n[k]), cov)
+            header = self._header(t, "enu")
+            yield t, self._make("geometry_msgs/TwistWithCovarianceStamped", header=header, twist=twist)
+
+    def pressures(self, out: Outgoing) -> Any:
+        baro = out.baro
+        assert baro is not None  # or there is no such topic
+        pressure_0, temperature_0, lapse, exponent = _STANDARD
+        ratio = 1.0 - lapse * baro.alt_baro / temperature_0
+        pressure = pressure_0 * ratio**exponent
+        slope = pressure_0 * exponent * lapse / temperature_0 * ratio ** (exponent - 1.0)  # [Pa/m]
+        for k, t in enumerate(baro.t):
+            yield (
+                t,
+                self._make(
+                    "sensor_msgs/FluidPressure",
+                    header=self._header(t, "baro_link"),
+                    fluid_pressure=float(pressure[k]),
+                    variance=float((slope[k] * baro.sd[k]) ** 2),
+                ),
+            )
+
+    def odometry(self, out: Outgoing, name: str) -> Any:
+        from bench import rotation
+
+        track = out.tracks[name]
+        position, attitude = poses(track.lla, track.q_nb, np.array(_origin(out)))
+        vel_b = flu(rotation.rotate(rotation.conjugate(track.q_nb), track.vel_n))
+        none = np.zeros((6, 6))
+        for k, t in enumerate(track.t):
+            x, y, z = (float(value) for value in position[k])
+            place = self._make("geometry_msgs/Point", x=x, y=y, z=z)
+            pose = self._make("geometry_msgs/Pose", position=place, orientation=self._quaternion(attitude[k]))
+            yield (
+                t,
+                self._make(
+                    "nav_msgs/Odometry",
+                    header=self._header(t, "map"),
+                    child_frame_id="imu_link",
+                    pose=self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=none.ravel()),
+                    twist=self._twist(vel_b[k], none),
+                ),
+            )
+
+    def _twist(self, linear: Any, cov: Any) -> Any:
+        twist = self._make(
+            "geometry_msgs/Twist", linear=self._vector(linear), angular=self._vector((0, 0, 0))
+        )
+        return self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=cov.ravel())
+
+
+def _enu_matrix(cov_n: Any) -> Any:
+    turn = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return turn @ cov_n @ turn.T

@@ -1,0 +1,59 @@
+"""CSV and Parquet: a file per table, the columns named by quantity, frame and unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.exchange.exports.outgoing import Outgoing
+from bench.store import parquet, write_json
+from bench.store.columns import Layout
+
+START = "start.json"
+
+_WHAT = {
+    "imu": "what the IMU reports: increments over the interval of length dt_s that ends at t_s, not rates",
+    "gnss": "fixes of the GNSS antenna; t_s is their validity, t_arrival_s when they reach the filter",
+    "observations": "what the receiver measures of each satellite, a row per satellite and epoch",
+    "baro": "barometric altitude; sd_m is the white noise the instrument claims",
+    "truth": "the true motion of the IMU",
+}
+
+
+def write(folder: Path, out: Outgoing, kind: str) -> str:
+    """Write a file for each table and ``start.json``; return what the README says of them."""
+    tables = out.tables()
+    for name, (record, layout) in tables.items():
+        if kind == "csv":
+            parquet.write_csv(folder / f"{name}.csv", record, layout)
+        else:
+            parquet.write(folder / f"{name}.parquet", record, layout)
+    write_json(folder / START, out.start)
+    return (
+        "\n".join(described(name, layout, f"{name}.{kind}") for name, (_, layout) in tables.items()) + _START
+    )
+
+
+_START = f"""
+## {START}
+
+What an estimator is told beside the measurements, in SI and radians. `initial`: time, position, velocity and
+attitude of the IMU at the start, and `cov`, the covariance (9 x 9) of their errors: position north, east,
+down
+[m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the GNSS
+antenna from the IMU. `assumed`: the datasheets of the units: random walks per sqrt(s), biases per s, times
+in s. """
+
+
+def described(name: str, layout: Layout, title: str) -> str:
+    """Return the columns of a table with their units and frames, as Markdown."""
+    what = _WHAT.get(name, "the solution of an estimator, with the covariance it claims")
+    lines = [f"## {title}\n", f"{what[0].upper()}{what[1:]}.\n", "| column | unit | frame |", "|---|---|---|"]
+    for columns in layout.values():
+        names, units = columns.names, columns.units
+        if len(names) > 9:
+            lines.append(
+                f"| {names[0]} ... {names[-1]}, {len(names)} columns | by their names | {columns.frame} |"
+            )
+            continue
+        lines += [f"| {n} | {u} | {columns.frame} |" for n, u in zip(names, units, strict=True)]
+    return "\n".join(lines) + "\n"

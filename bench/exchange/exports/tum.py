@@ -1,0 +1,37 @@
+"""TUM poses, as evo and the tools of the TUM RGB-D benchmark read them: t x y z qx qy qz qw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bench import rotation
+from bench.exchange.exports.local import poses
+from bench.exchange.exports.outgoing import ExportError, Outgoing
+from bench.store import parquet
+
+
+def write(folder: Path, out: Outgoing, kind: str) -> str:
+    """Write a file for each track; return what the README says of them."""
+    if not out.tracks:
+        raise ExportError("tum holds poses, no sensors: ask for --with truth or --with solution:NAME")
+    origin = next(iter(out.tracks.values())).lla[0]
+    for name, track in out.tracks.items():
+        if not (np.isfinite(track.lla).all() and np.isfinite(track.q_nb).all()):
+            raise ExportError(f"{name} has no position and attitude at every instant, which tum needs")
+        position, attitude = poses(track.lla, track.q_nb, origin)
+        rows = np.column_stack([track.t, position, rotation.to_scalar_last(attitude)])
+        parquet.write_text(folder / f"{name}.tum", rows)
+    lat, lon = np.rad2deg(origin[:2])
+    names = "\n".join(
+        f"- `{name}.tum`, {len(track.t)} poses of the IMU" for name, track in out.tracks.items()
+    )
+    return f"""TUM trajectories, a row `t x y z qx qy qz qw` per pose: [s], [m], quaternion scalar last.
+
+{names}
+
+x, y, z are east, north, up at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height {origin[2]:.3f} m,
+rigid
+(a tangent frame). The quaternion takes a vector from the body, forward, left, up, to that frame. For example
+`evo_ape tum truth.tum solution-loose-15.tum`."""

@@ -1,0 +1,213 @@
+"""A recording of somebody's IMU, GNSS receiver and barometer as the records estimators get.
+
+Each file is read by the adapter of its format into the same few columns (`Rows`); from there on all
+formats are one. t = 0 is the first row of the IMU. A rate is what held over the interval that ends at its
+time; an interval much longer than usual is a gap, and its row stands for one usual interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.config.log import LogSpec, SourceSpec
+from bench.config.tables import ConfigError
+from bench.data import BaroData, GnssFixes, ImuData
+from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
+from bench.exchange.tables import read_table
+from bench.rotation import from_euler, multiply, rotate
+from bench.specs import AssumedSpecs
+
+GAP = 3.0
+"""An interval longer than so many usual ones is a gap [1]."""
+_TIME_TOLERANCE = 1e-6  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What was recorded, in b and on one clock."""
+
+    imu: ImuData
+    fixes: GnssFixes  # in the order of the file
+    baro: BaroData | None
+    origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
+    notes: tuple[str, ...]  # what the files hold that is not used
+
+
+def read_log(spec: LogSpec) -> Recording:
+    """Return the records of a log; rows are as they are, in the order of their files.
+
+    Raises
+    ------
+    ConfigError
+        When a file cannot be read, has no such columns or holds what cannot be: one line with file and row.
+    """
+    assert spec.gnss is not None
+    imu_rows, gnss_rows = _read(spec.imu, "imu"), _read(spec.gnss, "gnss")
+    baro_rows = None if spec.baro is None else _read(spec.baro, "baro")
+    origin = float(imu_rows.t[0])
+    imu = _imu(imu_rows, spec, origin)
+    fixes = _fixes(gnss_rows, spec, origin)
+    last = float(np.nanmax(imu.t))
+    if not ((fixes.t >= 0) & (fixes.t <= last)).any():
+        there = f"{fixes.t.min() + origin:.9g} to {fixes.t.max() + origin:.9g} s"
+        raise ConfigError(
+            f"{spec.gnss.path.name}: its times, {there}, are not those of {spec.imu.path.name}, "
+            f"{origin:.9g} to {last + origin:.9g} s; both must be on one clock"
+        )
+    return Recording(
+        imu=imu,
+        fixes=fixes,
+        baro=None if baro_rows is None else _baro(baro_rows, spec.assumed, origin),
+        origin=origin,
+        notes=tuple(
+            note for rows in (imu_rows, gnss_rows, baro_rows) if rows is not None for note in rows.notes
+        ),
+    )
+
+
+def _read(source: SourceSpec, kind: str) -> Rows:
+    kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
+    table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
+    rows = Rows.of(table, source.path.name)
+    bad = ~np.isfinite(rows.t)
+    if not len(rows.t) or bad.all():
+        raise ConfigError(f"{source.path.name}: no rows")
+    if bad.any():
+        raise ConfigError(f"{source.path.name}: row {int(np.argmax(bad)) + 1}: its time is no finite number")
+    if kind == "imu" and len(rows.t) < 2:
+        raise ConfigError(f"{source.path.name}: one row; an IMU record needs at least two")
+    return replace(rows, t=rows.t + source.time_offset)
+
+
+def _imu(rows: Rows, spec: LogSpec, origin: float) -> ImuData:
+    t = rows.t - origin
+    steps = np.diff(t)
+    forward = steps[steps > 0]
+    if not len(forward):
+        raise ConfigError(f"{spec.imu.path.name}: no row comes after the row before")
+    usual = float(np.median(forward))
+    dt = np.concatenate([[usual], steps])
+    dt[(dt <= 0) | (dt > GAP * usual)] = usual
+    q_bs = multiply(from_euler(*spec.misalignment), from_euler(*spec.mounting))
+    if "dtheta" in rows.values:
+        dtheta, dvel = rows.values["dtheta"], rows.values["dvel"]
+    else:
+        dtheta, dvel = rows.values["gyro"] * dt[:, None], rows.values["accel"] * dt[:, None]
+    good = np.asarray(np.isfinite(np.hstack([dtheta, dvel])).all(axis=1))
+    return ImuData(t=t, dt=dt, valid=good, dtheta_b=rotate(q_bs, dtheta), dvel_b=rotate(q_bs, dvel))
+
+
+_LIMITS = (("latitude", 90.0, -90.0), ("longitude", 360.0, -180.0))
+
+
+def _fixes(rows: Rows, spec: LogSpec, origin: float) -> GnssFixes:
+    assert spec.gnss is not None
+    shown, values = spec.gnss.path.name, rows.values
+    lla = values["lla"]
+    for k, (what, high, low) in enumerate(_LIMITS):
+        degrees = np.rad2deg(lla[:, k])
+        off = (degrees < low - 1e-9) | (degrees > high + 1e-9)
+        if off.any():
+            row = int(np.argmax(off))
+            raise ConfigError(
+                f"{shown}: row {row + 1}: {what} {degrees[row]:.9g} deg is outside {low:g} to {high:g}"
+            )
+    off = (lla[:, 2] < -1e3) | (lla[:, 2] > 1e5)
+    if off.any():
+        row = int(np.argmax(off))
+        said = f"height {lla[row, 2]:.9g} m is outside -1000 to 100000 m"
+        raise ConfigError(f"{shown}: row {row + 1}: {said}")
+    t = rows.t - origin
+    vel_n = _velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
+    valid = np.asarray(np.isfinite(lla).all(axis=1))
+    if spec.quality:
+        if "quality" not in values:
+            raise ConfigError(f"{shown}: [gnss] quality is asked for, but the file has no such column")
+        valid &= np.isin(values["quality"], spec.quality)
+    gnss = spec.assumed.gnss
+    assert gnss is not None
+    pos_sd = [np.hypot(gnss.pos_h_white_sd, gnss.pos_h_markov_sd)] * 2
+    pos_sd.append(np.hypot(gnss.pos_v_white_sd, gnss.pos_v_markov_sd))
+    vel_sd = [np.hypot(gnss.vel_white_sd, gnss.vel_markov_sd)] * 3
+    return GnssFixes(
+        t=t,
+        t_arrival=t,
+        valid=valid,
+        lla=lla,
+        vel_n=vel_n,
+        cov_pos_n=_covariance(values.get("sd_pos"), pos_sd, len(t)),
+        cov_vel_n=_covariance(values.get("sd_vel"), vel_sd, len(t)),
+        satellites=np.nan_to_num(values.get("satellites", np.zeros(len(t)))).astype(np.int64),
+    )
+
+
+def _velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, shown: str) -> FloatArray:
+    """Return velocities at the times of the fixes, from those valid an offset away; NaN without any."""
+    if vel_n is None:
+        return np.full((len(t), 3), np.nan)
+    if offset == 0.0:
+        return vel_n
+    if (np.diff(t) <= 0).any():
+        row = int(np.argmax(np.diff(t) <= 0)) + 2
+        raise ConfigError(f"{shown}: row {row}: velocity_offset_s needs times that increase")
+    own = t + offset
+    moved = np.stack([np.interp(t, own, column, left=np.nan, right=np.nan) for column in vel_n.T], axis=-1)
+    step = np.diff(own)
+    after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
+    moved[step[after - 1] > GAP * np.median(step)] = np.nan  # nothing to take it from
+    return moved
+
+
+def _covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArray:
+    """Return diagonal covariances (N, 3, 3); what is not reported is as assumed."""
+    spread = np.tile(assumed, (n, 1)) if sd is None else sd
+    cov = np.zeros((n, 3, 3))
+    cov[:, range(3), range(3)] = spread**2
+    return cov
+
+
+def _baro(rows: Rows, assumed: AssumedSpecs, origin: float) -> BaroData:
+    assert assumed.baro is not None
+    t, alt = rows.t - origin, rows.values["alt_baro"][:, 0]
+    return BaroData(
+        t=t, t_arrival=t, valid=np.isfinite(alt), alt_baro=alt, sd=np.full(len(t), assumed.baro.white_sd)
+    )
+
+
+def divided(imu: ImuData, cuts: FloatArray) -> ImuData:
+    """Return an IMU record whose intervals end at every cut, too: an interval is divided in proportion.
+
+    A fix between two samples is then used at its own time. At 16 m/s a fix used half a sample late, 5 ms,
+    is 8 cm off. Rows that do not come after all rows before are left as they are.
+
+    Parameters
+    ----------
+    imu : ImuData
+        The record.
+    cuts : (M,) array
+        Instants [s]; those inside no interval have no effect.
+    """
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(imu.t)[:-1]])
+    ordered: BoolArray = (imu.t > before) & imu.valid
+    parents = np.flatnonzero(ordered)
+    cuts = np.unique(cuts)
+    at = np.searchsorted(imu.t[parents], cuts)
+    inside = at < len(parents)
+    cuts, at = cuts[inside], parents[at[inside]]
+    start = imu.t - imu.dt
+    inside = (cuts > start[at] + _TIME_TOLERANCE) & (cuts < imu.t[at] - _TIME_TOLERANCE)
+    cuts, at = cuts[inside], at[inside]
+    row = np.concatenate([np.arange(len(imu)), at])
+    end = np.concatenate([imu.t, cuts])
+    order = np.lexsort((np.concatenate([np.ones(len(imu)), np.zeros(len(cuts))]), row))
+    row, end = row[order], end[order]
+    same = np.concatenate([[False], row[1:] == row[:-1]])
+    begin = np.where(same, np.concatenate([[0.0], end[:-1]]), start[row])
+    dt = np.where(np.bincount(row, minlength=len(imu))[row] > 1, end - begin, imu.dt[row])
+    share = (dt / imu.dt[row])[:, None]
+    return ImuData(
+        t=end, dt=dt, valid=imu.valid[row], dtheta_b=imu.dtheta_b[row] * share, dvel_b=imu.dvel_b[row] * share
+    )

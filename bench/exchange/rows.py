@@ -1,0 +1,128 @@
+"""The columns every log comes down to, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.earth import matrix_en, to_geodetic
+from bench.exchange.tables import Columns, Group, described, group
+from bench.signals.air import pressure_altitude
+
+MOST_ROWS = 5_000_000
+"""Rows of a file of a log: 3.5 hours at 400 Hz."""
+
+_TIMES = (group("clock", "t"), group("clock", "time"))
+
+
+def _axes(dimension: str, stem: str) -> dict[str, str]:
+    return group(dimension, *(f"{stem}_{axis}" for axis in "xyz"))
+
+
+IMU: Mapping[str, tuple[Group, ...]] = {
+    "time": _TIMES,
+    "motion": (
+        {**_axes("rate", "gyro"), **_axes("acceleration", "accel")},
+        {**_axes("angle", "dtheta"), **_axes("speed", "dvel")},
+    ),
+}
+"""Rates and specific forces, or increments of angle and velocity, along the axes of the IMU."""
+
+GNSS: Mapping[str, tuple[Group, ...]] = {
+    "time": _TIMES,
+    "position": (
+        {**group("angle", "lat", "lon"), **group("length", "alt")},
+        {**group("angle", "lat", "lon"), **group("length", "height")},
+        group("length", "ecef_x", "ecef_y", "ecef_z"),
+    ),
+    "velocity": (
+        group("speed", "vel_n", "vel_e", "vel_d"),
+        group("speed", "vel_n", "vel_e", "vel_u"),
+        group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
+    ),
+    "position sd": (group("length", "sd_n", "sd_e", "sd_d"), group("length", "sd_n", "sd_e", "sd_u")),
+    "velocity sd": (group("speed", "sd_vn", "sd_ve", "sd_vd"), group("speed", "sd_vn", "sd_ve", "sd_vu")),
+    "quality": (group("", "quality"),),
+    "satellites": (group("", "satellites"),),
+}
+"""Position and velocity of the antenna: geodetic WGS 84 with ellipsoidal height, or Earth-fixed."""
+
+BARO: Mapping[str, tuple[Group, ...]] = {
+    "time": _TIMES,
+    "altitude": (group("length", "alt_baro"), group("pressure", "pressure")),
+}
+"""Barometric altitude, or static pressure."""
+
+OPTIONAL = ("velocity", "position sd", "velocity sd", "quality", "satellites")
+"""Kinds that may be missing."""
+
+COLUMNS = {
+    what: "; ".join(f"{kind}: {described(groups)}" for kind, groups in kinds.items())
+    for what, kinds in {"imu": IMU, "gnss": GNSS, "baro": BARO}.items()
+}
+"""What the tables of a log may hold, for people."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of one file in SI, along the axes of the IMU or in n.
+
+    ``values`` holds, of an IMU, ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel``
+    [m/s], (N, 3); of a receiver ``lla`` (N, 3) and, where there are any, ``vel_n``, ``sd_pos``, ``sd_vel``
+    (N, 3), ``quality`` and ``satellites`` (N,); of a barometer ``alt_baro`` (N, 1) [m].
+    """
+
+    t: FloatArray  # (N,) on the clock of the file [s]
+    values: Mapping[str, FloatArray]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, table: Columns, shown: str) -> Rows:
+        """Build from the columns of a table."""
+        found, stems = table.columns, table.stems
+        values: dict[str, FloatArray] = {}
+        if "motion" in found:
+            rates = stems["motion"][0] == "gyro_x"
+            values["gyro" if rates else "dtheta"] = found["motion"][:, :3]
+            values["accel" if rates else "dvel"] = found["motion"][:, 3:]
+        if "position" in found:
+            geodetic = stems["position"][0] == "lat"
+            lla = found["position"] if geodetic else to_lla(found["position"])
+            values["lla"] = lla
+            if "velocity" in found:
+                values["vel_n"] = _velocity(found["velocity"], stems["velocity"], lla)
+            values |= {new: found[old] for old, new in _SPREADS.items() if old in found}
+            values |= {name: found[name][:, 0] for name in ("quality", "satellites") if name in found}
+        if "altitude" in found:
+            pressure = stems["altitude"][0] == "pressure"
+            values["alt_baro"] = _altitude(found["altitude"]) if pressure else found["altitude"]
+        unused = f"{shown}: columns not used: {', '.join(table.unused[:20])[:300]}"
+        return cls(found["time"][:, 0], values, (unused,) if table.unused else ())
+
+
+_SPREADS = {"position sd": "sd_pos", "velocity sd": "sd_vel"}
+
+
+def _velocity(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:
+    if stems[0] == "ecef_vel_x":
+        return np.asarray(np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel))
+    return vel * [1.0, 1.0, -1.0] if stems[2] == "vel_u" else vel
+
+
+def to_lla(pos_e: FloatArray) -> FloatArray:
+    """Return geodetic positions of Earth-fixed ones; rows that are not finite stay so."""
+    lla = np.full_like(pos_e, np.nan)
+    good = np.isfinite(pos_e).all(axis=1)
+    lla[good] = to_geodetic(pos_e[good])
+    return lla
+
+
+def _altitude(pressure: FloatArray) -> FloatArray:
+    """Return pressure altitudes [m]; what is no pressure is NaN."""
+    altitude = np.full_like(pressure, np.nan)
+    good = np.isfinite(pressure) & (pressure > 0)
+    altitude[good] = pressure_altitude(pressure[good])
+    return altitude

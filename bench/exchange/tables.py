@@ -1,0 +1,342 @@
+"""Numbers in columns that somebody else wrote: CSV, Parquet or MATLAB files, read within bounds.
+
+A column says what it is in its name: quantity, frame and unit, as ``gyro_x_deg_s``. Nothing in a file
+is executed or unpickled; what is too large is refused before it fills the memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.tables import ConfigError
+from bench.unit_names import split_unit
+
+ENDINGS = (".csv", ".parquet", ".mat")
+"""Endings of the files that :func:`read_table` takes."""
+MOST_BYTES = 2_000_000_000
+"""Of a file."""
+_MOST_MAT = 1_000_000_000  # of a MATLAB file when unpacked: it comes into memory as a whole [byte]
+_MOST_HEADER = 1_000_000  # of the first line [byte]
+_BLOCK = 1 << 20  # read at a time [byte]
+_STANDARD_G = 9.80665  # [m/s^2]
+_DEG = math.pi / 180.0
+
+FACTORS = {
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
+    "rad": 1.0, "deg": _DEG, "mrad": 1e-3,
+    "m": 1.0, "km": 1e3, "m/s": 1.0,
+    "rad/s": 1.0, "deg/s": _DEG, "deg/h": _DEG / 3600.0,
+    "m/s^2": 1.0, "g": _STANDARD_G, "mg": 1e-3 * _STANDARD_G,
+    "Pa": 1.0, "hPa": 100.0,
+}  # fmt: skip
+"""Unit -> what a number in it is multiplied by to be SI and radians."""
+
+UNITS = {
+    "time": ("s",),
+    "clock": ("s", "ms", "us", "ns"),
+    "angle": ("deg", "rad", "mrad"),
+    "length": ("m", "km"),
+    "speed": ("m/s",),
+    "rate": ("rad/s", "deg/s", "deg/h"),
+    "acceleration": ("m/s^2", "g", "mg"),
+    "pressure": ("Pa", "hPa"),
+    "": ("",),
+}
+"""Dimension -> the units its columns may have."""
+
+_ENDING = {
+    "time": "_s", "clock": "_s", "angle": "_deg", "length": "_m", "speed": "_mps", "rate": "_rad_s",
+    "acceleration": "_m_s2", "pressure": "_pa", "": "",
+}  # fmt: skip
+
+Group = Mapping[str, str]
+"""Columns that belong together: what each is called without its unit -> its dimension."""
+
+
+def group(dimension: str, *stems: str) -> dict[str, str]:
+    """Return the columns of one dimension."""
+    return dict.fromkeys(stems, dimension)
+
+
+def described(groups: Sequence[Group]) -> str:
+    """Return the names the columns of a kind may have, for people."""
+    return " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in one.items()) for one in groups)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The columns that are used, in SI, by kind and in the order of their group, and the other names."""
+
+    columns: Mapping[str, FloatArray]  # kind -> (N, k)
+    stems: Mapping[str, tuple[str, ...]]  # kind -> what its columns are
+    names: Mapping[str, tuple[str, ...]]  # kind -> what they are called
+    unused: tuple[str, ...]
+
+
+def read_table(
+    path: Path,
+    kinds: Mapping[str, Sequence[Group]],
+    optional: Sequence[str],
+    most_rows: int,
+    aliases: Mapping[str, str] | None = None,
+) -> Columns:
+    """Return the columns of a file by kind.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` with a header, ``.parquet``, or ``.mat`` (up to version 7) with a vector per column.
+    kinds : mapping
+        Kind -> groups of columns it may come in; the first complete one is taken.
+    optional : sequence of str
+        Kinds that may be missing.
+    most_rows : int
+        More rows are refused.
+    aliases : mapping or None
+        Name with unit -> what the file calls that column.
+
+    Raises
+    ------
+    ConfigError
+        When the file cannot be read, is too large or has no such columns: one line.
+    """
+    shown, aliases = path.name, aliases or {}
+    import pyarrow as pa
+
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        names, batches = _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
+        chosen, unused = _choose(_renamed(names, aliases, shown), kinds, optional, shown)
+        wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
+        columns: list[list[FloatArray]] = [[] for _ in wanted]
+        count = 0
+        for batch in batches(wanted):
+            count += len(batch[wanted[0]])
+            if count > most_rows:
+                raise ConfigError(f"{shown}: more than {most_rows} rows")
+            for column, name in zip(columns, wanted, strict=True):
+                column.append(batch[name])
+    except FileNotFoundError:
+        raise ConfigError(f"{shown}: no such file") from None
+    except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
+    read = {
+        name: np.concatenate(parts) if parts else np.empty(0)
+        for name, parts in zip(wanted, columns, strict=True)
+    }
+
+    def si(name: str) -> FloatArray:
+        values: FloatArray = read[aliases.get(name, name)] * FACTORS.get(split_unit(name)[1], 1.0)
+        return values
+
+    return Columns(
+        columns={kind: np.stack([si(name) for name in one], axis=-1) for kind, one in chosen.items()},
+        stems={kind: tuple(split_unit(n)[0] for n in one) for kind, one in chosen.items()},
+        names=chosen,
+        unused=unused,
+    )
+
+
+Batches = Callable[[Sequence[str]], Iterator[Mapping[str, FloatArray]]]
+
+
+def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
+    """Return the names of the header and what reads wanted columns of the rest, block by block."""
+    import pyarrow as pa
+    from pyarrow import csv as pa_csv
+
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        first = file.readline(_MOST_HEADER)
+    names = [name.strip() for name in next(csv.reader([first]), [])]
+
+    def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
+        reader = pa_csv.open_csv(
+            path,
+            read_options=pa_csv.ReadOptions(
+                use_threads=False, block_size=_BLOCK, skip_rows=1, column_names=names
+            ),
+            convert_options=pa_csv.ConvertOptions(
+                include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.float64())
+            ),
+        )
+        with reader:
+            for batch in reader:
+                yield _floats(batch, wanted)
+
+    return names, batches
+
+
+def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
+    """As ``_open_csv``, of a Parquet file whose footer does not promise too much."""
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
+        with pq.ParquetFile(path) as file:
+            facts, schema = file.metadata, file.schema_arrow
+            if facts.num_rows > most_rows:
+                raise ConfigError(f"{path.name}: more than {most_rows} rows")
+            for name in wanted:
+                kind = schema.field(name).type
+                if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                    raise ConfigError(f"{path.name}: column {name!r} holds {kind}, not numbers")
+            for batch in file.iter_batches(batch_size=1 << 16, columns=list(wanted), use_threads=False):
+                yield _floats(batch, wanted)
+
+    with pq.ParquetFile(path) as file:
+        return list(file.schema_arrow.names), batches
+
+
+def _floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
+    import pyarrow as pa
+
+    return {
+        name: np.asarray(batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False))
+        for name in wanted
+    }
+
+
+def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
+    variables = read_mat(path)
+
+    def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
+        columns = {name: mat_vector(variables[name], name, path.name) for name in wanted}
+        lengths = {name: len(column) for name, column in columns.items()}
+        if len(set(lengths.values())) > 1:
+            said = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ConfigError(f"{path.name}: columns differ in length: {said[:200]}")
+        yield columns
+
+    return list(variables), batches
+
+
+_OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
+    ".csv": _open_csv,
+    ".parquet": _open_parquet,
+    ".mat": _open_mat,
+}
+
+
+def read_mat(path: Path) -> dict[str, Any]:
+    """Return the variables of a MATLAB file up to version 7, as ``scipy.io.loadmat`` gives them.
+
+    Raises
+    ------
+    ConfigError
+        When it is none, of version 7.3, broken, or larger than it may be when unpacked.
+    """
+    from scipy.io import loadmat
+
+    shown = path.name
+    with path.open("rb") as file:
+        head = file.read(128)
+        if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
+            raise ConfigError(f"{shown}: a MATLAB file of version 7.3; save it with -v7")
+        if not head.startswith(b"MATLAB 5.0") or len(head) < 128:
+            raise ConfigError(f"{shown}: no MATLAB file of version 5 to 7")
+        order = "little" if head[126:128] == b"IM" else "big"
+        unpacked = 0
+        while tag := file.read(8):
+            kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)  # type: ignore[arg-type]
+            unpacked += _unpacked(file, size) if kind == _PACKED else _skipped(file, size)
+            if unpacked > _MOST_MAT:
+                raise ConfigError(f"{shown}: larger than {_MOST_MAT // 1_000_000} MB when unpacked")
+    try:
+        read = loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+    except (ConfigError, OSError, MemoryError):
+        raise
+    except Exception as error:  # scipy raises what comes: TypeError, KeyError, zlib.error ...
+        said = " ".join(str(error).split())[:200]
+        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
+    return {name: value for name, value in read.items() if not name.startswith("__")}
+
+
+_PACKED = 15  # miCOMPRESSED, MAT-File Format, table 1-1
+
+
+def _skipped(file: Any, size: int) -> int:
+    file.seek(size, 1)
+    return size
+
+
+def _unpacked(file: Any, size: int) -> int:
+    """Return how many bytes a packed element has, stopping early when they are too many."""
+    unpack, count = zlib.decompressobj(), 0
+    while size > 0 and count <= _MOST_MAT:
+        block = file.read(min(size, _BLOCK))
+        if not block:
+            raise ValueError("it ends within a variable")
+        size -= len(block)
+        while block and count <= _MOST_MAT:
+            try:
+                count += len(unpack.decompress(block, 16 * _BLOCK))
+            except zlib.error:
+                raise ValueError("a packed variable is broken") from None
+            block = unpack.unconsumed_tail
+    return count
+
+
+def mat_vector(value: Any, name: str, shown: str) -> FloatArray:
+    """Return a variable as a column of numbers."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.ndim > 1:
+        what = f"{array.dtype} of shape {array.shape}"
+        raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {what}")
+    return np.atleast_1d(array).astype(np.float64)
+
+
+def _renamed(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:
+    """Return the names of a file with those that are told put for what the file calls them."""
+    missing = [told for told in aliases.values() if told not in names]
+    if missing:
+        there = ", ".join(names[:30])[:300]
+        raise ConfigError(f"{shown}: no column {missing[0]!r}; there are {there or 'none'}")
+    return [*(name for name in names if name not in aliases.values()), *aliases]
+
+
+def _choose(
+    names: Sequence[str], kinds: Mapping[str, Sequence[Group]], optional: Sequence[str], shown: str
+) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """Return the columns of each kind: the first group that is complete."""
+    by_stem: dict[str, list[str]] = {}
+    for name in names:
+        by_stem.setdefault(split_unit(name)[0], []).append(name)
+    chosen: dict[str, tuple[str, ...]] = {}
+    for kind, groups in kinds.items():
+        found = next((one for one in groups if all(stem in by_stem for stem in one)), None)
+        if found is None:
+            if kind in optional:
+                continue
+            there = ", ".join(names[:30])[:300]
+            raise ConfigError(
+                f"{shown}: no columns for {kind}: {described(groups)}; there are {there or 'none'}"
+            )
+        for stem, dimension in found.items():
+            if len(by_stem[stem]) > 1:
+                raise ConfigError(f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity")
+            unit = split_unit(by_stem[stem][0])[1]
+            if unit not in UNITS[dimension]:
+                raise ConfigError(
+                    f"{shown}: column {by_stem[stem][0]!r} must be named by its unit: "
+                    f"{' or '.join(_named(stem, u) for u in UNITS[dimension]) or stem}"
+                )
+        chosen[kind] = tuple(by_stem[stem][0] for stem in found)
+    used = {name for one in chosen.values() for name in one}
+    return chosen, tuple(name for name in names if name not in used)
+
+
+def _named(stem: str, unit: str) -> str:
+    return f"{stem}_{unit.replace('m/s^2', 'm_s2').replace('m/s', 'mps').replace('/', '_').lower()}".rstrip(
+        "_"
+    )

@@ -1,0 +1,221 @@
+"""Position and velocity from GNSS fixes alone, carried between them by a model of how aircraft manoeuvre.
+
+Along each axis of n the acceleration is a Gauss-Markov process (R. A. Singer, Estimating optimal tracking
+filter performance for manned maneuvering targets, IEEE Trans. AES-6 (4), 1970): constant for a moment, zero
+in the long run. Errors of nine states, position, velocity and acceleration:
+
+    p'' = a      a' = -a / tau + w,   density of w 2 sd^2 / tau
+
+Attitude is not estimated: a course is not a heading in wind. The filter runs at the instants the fixes are
+valid at, so that latency costs nothing but a longer way to the output.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.navigation import timeline
+from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.state_model import fix_variance, unmodelled
+from bench.specs import AssumedSpecs
+
+SENSORS = ("gnss_position", "gnss_velocity")
+STATES = tuple(f"acceleration_{axis}_m_s2" for axis in "ned")
+SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class GnssOnly:
+    """A Kalman filter over the fixes of a receiver.
+
+    Parameters
+    ----------
+    acceleration : float
+        Standard deviation of the acceleration along each axis [m/s^2].
+    correlation_s : float
+        How long a manoeuvre lasts [s].
+    gate_probability : float
+        Chance of refusing a sound sub-vector of a matched filter, (0, 1).
+    readmit_after : int
+        Refusals in a row after which the next sub-vector is used all the same.
+    """
+
+    def __init__(
+        self,
+        *,
+        acceleration: float = 3.0,
+        correlation_s: float = 10.0,
+        gate_probability: float = 1e-5,
+        readmit_after: int = 10,
+    ) -> None:
+        for name, value in (("acceleration", acceleration), ("correlation_s", correlation_s)):
+            if not (_is_number(value) and 0 < value < np.inf):
+                raise ValueError(f"{name} = {value!r} must be a positive number")
+        if not (_is_number(gate_probability) and 0 < gate_probability < 1):
+            raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
+        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
+        self.acceleration, self.correlation_s = acceleration, correlation_s
+        self.gate, self.readmit_after = nis_limit(3, gate_probability), readmit_after
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate position, velocity and their covariance; attitude and sensor errors are NaN.
+
+        Without a given start it begins with the first fix.
+
+        Raises
+        ------
+        ValueError
+            When the receiver has no assumed spec.
+        """
+        fixes, told = sensors.fixes, initial.alignment == "given"
+        track = _Track(self, initial) if told else None
+        used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[tuple[float, float, str, str]]()
+        r = np.zeros(6)
+        if fixes is not None:
+            r = fix_variance(sensors.specs, gnss_markov=False)
+            values = np.hstack([fixes.lla, fixes.vel_n])
+            used, at, events = timeline.aiding_rows(fixes, values, "gnss", sensors.output_t, initial.t)
+        m = len(sensors.output_t)
+        out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
+        arm2 = float(sensors.antenna_b @ sensors.antenna_b) / 3.0  # of an antenna in an unknown direction
+        apart = np.diag([arm2] * 3 + [SWING**2 * arm2] * 3 + [0.0] * 3)
+        next_fix = 0
+        for k, now in enumerate(sensors.output_t):
+            while next_fix < len(at) and at[next_fix] <= k:
+                assert fixes is not None
+                row = used[next_fix]
+                if track is None:
+                    track = _Track(self, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row])))
+                    text = "position and velocity of the first fix; attitude is not estimated"
+                    events.append((initial.t, float(now), "alignment", text))
+                elif fixes.t[row] > track.t:  # one from before the start tells nothing
+                    track.go_to(float(fixes.t[row]))
+                    track.use(fixes.lla[row], fixes.vel_n[row], r)
+                next_fix += 1
+            if track is not None and now >= track.t - timeline.TIME_TOLERANCE:
+                out[k], P = track.at(float(now))
+                out_P[k] = P + apart
+        cov = out_P[:, :9, :9].copy()
+        cov[:, 6:], cov[:, :, 6:] = np.nan, np.nan
+        none = np.full((m, 4), np.nan)
+        table = np.array(track.innovations if track else [], float).reshape(-1, 7)
+        return NavSolution(
+            t=sensors.output_t,
+            lla=out[:, :3],
+            vel_n=out[:, 3:6],
+            q_nb=none,
+            gyro_bias_b=none[:, :3],
+            accel_bias_b=none[:, :3],
+            cov=cov,
+            extra_names=STATES,
+            extra=out[:, 6:],
+            extra_sd=np.sqrt(np.einsum("kii->ki", out_P)[:, 6:]),
+            innovations=Innovations(
+                t=table[:, 0],
+                sensor=SENSORS,
+                code=table[:, 1].astype(np.int64),
+                component=table[:, 2].astype(np.int64),
+                z=table[:, 3],
+                S=table[:, 4],
+                nis=table[:, 5],
+                accepted=table[:, 6].astype(np.bool_),
+            ),
+            events=Events.from_rows(events),
+        )
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Name the errors of the receiver that the state has no room for, in words."""
+        named = unmodelled(specs, gnss=True, baro=False, gnss_markov=False)
+        return tuple(text for text in named if "GNSS" in text and text != "GNSS latency")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:
+    """Return a fix as a start."""
+    cov = np.diag(np.concatenate([r, np.zeros(3)]))
+    return InitialState(t, lla, vel_n, np.array([1.0, 0.0, 0.0, 0.0]), cov, "given")
+
+
+def singer(T: float, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
+    """Return Phi and Q (3, 3) of position, velocity and acceleration along one axis over T seconds.
+
+    Q by Gauss-Legendre quadrature of the impulse response, exact to rounding for T below tau; longer ways
+    are made of halves.
+
+    Parameters
+    ----------
+    T : float
+        [s]
+    sd : float
+        Standard deviation of the acceleration [m/s^2].
+    tau : float
+        Its correlation time [s].
+    """
+    if tau < T:
+        Phi, Q = singer(0.5 * T, sd, tau)
+        return Phi @ Phi, Phi @ Q @ Phi.T + Q
+    x = np.append(0.5 * T * (_NODES + 1.0), T) / tau
+    gone = -np.expm1(-x)
+    way = np.where(x < 1e-4, 0.5 * x * x * (1.0 - x / 3.0 * (1.0 - x / 4.0)), x - gone)
+    column = np.array([tau**2 * way, tau * gone, np.exp(-x)])  # response to an acceleration of 1 at once
+    Phi = np.array([[1.0, T, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    Phi[:, 2] = column[:, -1]
+    response = column[:, :-1]
+    Q = (response * (0.5 * T * _WEIGHTS * 2.0 * sd**2 / tau)) @ response.T
+    return Phi, Q
+
+
+class _Track:
+    """The filter at the instant of its last fix."""
+
+    def __init__(self, settings: GnssOnly, start: InitialState) -> None:
+        self.settings, self.t = settings, start.t
+        self.lla, self.vel, self.acc = start.lla, start.vel_n, np.zeros(3)
+        self.P = np.zeros((9, 9))
+        self.P[:6, :6] = start.cov[:6, :6]
+        self.P[6:, 6:] = settings.acceleration**2 * np.eye(3)
+        self.misses = [0, 0]
+        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return the state (9,) and P (9, 9) carried to an instant [s]."""
+        Phi, Q = singer(t - self.t, self.settings.acceleration, self.settings.correlation_s)
+        way = self.vel * Phi[0, 1] + self.acc * Phi[0, 2]
+        state = [earth.displace(self.lla, way), self.vel + self.acc * Phi[1, 2], self.acc * Phi[2, 2]]
+        whole = np.kron(Phi, np.eye(3))
+        return np.concatenate(state), whole @ self.P @ whole.T + np.kron(Q, np.eye(3))
+
+    def go_to(self, t: float) -> None:
+        """Carry the filter to an instant [s]."""
+        state, self.P = self.at(t)
+        self.lla, self.vel, self.acc, self.t = state[:3], state[3:6], state[6:], t
+
+    def use(self, lla: FloatArray, vel_n: FloatArray, r: FloatArray) -> None:
+        """Use a fix that is valid now, position and velocity gated each by itself."""
+        for code in (0, 1):
+            rows = slice(3 * code, 3 * code + 3)
+            y = (
+                earth.difference_n(lla, self.lla) if code == 0 else vel_n - self.vel
+            )  # measured less predicted
+            R = np.diag(r[rows])
+            S = self.P[rows, rows] + R
+            value = nis(y, S)
+            sound = value <= self.settings.gate or self.misses[code] >= self.settings.readmit_after
+            self.misses[code] = 0 if sound else self.misses[code] + 1
+            for i in range(3):
+                self.innovations.append((self.t, code, i, y[i], S[i, i], value, sound))
+            if sound:
+                K = np.linalg.solve(S, self.P[rows]).T
+                J = np.eye(9)
+                J[:, rows] -= K
+                self.P = J @ self.P @ J.T + K @ R @ K.T
+                dx = K @ y
+                self.lla, self.vel = earth.displace(self.lla, dx[:3]), self.vel + dx[3:6]
+                self.acc = self.acc + dx[6:]

@@ -1,0 +1,363 @@
+"""An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
+
+States, datasheets, choice of rows and gates are those of `bench.navigation.fusion.Loose`; sigma points and
+their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE
+92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws
+sigma points of the error about zero, carries the truth each one stands for through the strapdown with the
+same increments less its own biases, and takes the spread of what they became about the carried estimate; the
+mean is fed back at once. A measurement is predicted from each of the truths the points stand for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.compiled import kernel
+from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.navigation import alignment, timeline
+from bench.navigation.error_state import CORE, GYRO, PHI, POS, VEL
+from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.mechanization import body_step_kernel, step_kernel
+from bench.navigation.state_model import Blocks, StateModel, fix_variance, known, state_model, unmodelled
+from bench.specs import AssumedSpecs
+
+SENSORS = ("gnss_position", "gnss_velocity", "baro")
+
+
+@kernel
+def _carry_kernel(
+    points: FloatArray,
+    biases: FloatArray,
+    before: FloatArray,
+    dt: FloatArray,
+    dtheta_b: FloatArray,
+    dvel_b: FloatArray,
+    work: FloatArray,
+    C: FloatArray,
+) -> None:
+    """Carry navigation states ``points`` (S, 10) with their biases (S, 6) over the same increments.
+
+    ``before`` (S, 7) is the interval before, for coning and sculling, as each of them knows it.
+    """
+    dth, dv, rotvec, dv_start, dv_n = work[0], work[1], work[2], work[3], work[4]
+    for s in range(points.shape[0]):
+        for k in range(dt.shape[0]):
+            for i in range(3):
+                dth[i] = dtheta_b[k, i] - biases[s, i] * dt[k]
+                dv[i] = dvel_b[k, i] - biases[s, 3 + i] * dt[k]
+            body_step_kernel(dt[k], dth, dv, before[s], rotvec, dv_start)
+            step_kernel(points[s], dt[k], rotvec, dv_start, C, dv_n)
+
+
+class Unscented:
+    """Loosely coupled INS/GNSS/baro by sigma points; options as for `bench.navigation.fusion.Loose`.
+
+    Parameters
+    ----------
+    gnss, baro : bool
+        Which aiding to use.
+    covariance_hz : float
+        Rate of the steps; a measurement or an output takes one at once.
+    gate_probability : float
+        Chance of refusing a sound sub-vector of a matched filter, (0, 1).
+    readmit_after : int
+        Refusals in a row after which the next sub-vector is used all the same.
+    spread : float
+        How far the sigma points are drawn, in units of sqrt(n) standard deviations, (0, 1]: two standard
+        deviations of the 16 states by default.
+    """
+
+    def __init__(
+        self,
+        *,
+        gnss: bool = True,
+        baro: bool = True,
+        covariance_hz: float = 10.0,
+        gate_probability: float = 1e-5,
+        readmit_after: int = 10,
+        spread: float = 0.5,
+    ) -> None:
+        for name, value in (("gnss", gnss), ("baro", baro)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} = {value!r} must be true or false")
+        for name, number, top in (
+            ("covariance_hz", covariance_hz, np.inf),
+            ("gate_probability", gate_probability, 1.0),
+        ):
+            if not (_is_number(number) and 0 < number < top):
+                wanted = "positive" if top == np.inf else "between 0 and 1"
+                raise ValueError(f"{name} = {number!r} must be {wanted}")
+        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
+        if not (_is_number(spread) and 0 < spread <= 1):
+            raise ValueError(f"spread = {spread!r} must lie above 0 and not above 1")
+        self.gnss, self.baro, self.covariance_hz = gnss, baro, covariance_hz
+        self.gate_probability, self.readmit_after, self.spread = gate_probability, readmit_after, spread
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate position, velocity, attitude, biases and their covariance.
+
+        Raises
+        ------
+        ValueError
+            When a sensor in use has no assumed spec.
+        bench.navigation.estimator.EstimatorError
+            When the record does not allow the alignment that is asked for.
+        """
+        initial, events = alignment.complete(sensors, initial)
+        fixes = sensors.fixes if self.gnss else None
+        baro = sensors.baro if self.baro else None
+        model = state_model(initial, sensors.specs, Blocks(baro_bias=baro is not None))
+        rows, span, left = timeline.imu_rows(sensors.imu, initial.t)
+        events += left
+        t = sensors.imu.t[rows]
+        stretch = (span / sensors.imu.dt[rows])[:, None]
+        dtheta, dvel = sensors.imu.dtheta_b[rows] * stretch, sensors.imu.dvel_b[rows] * stretch
+        fixes_at: dict[int, list[int]] = {}
+        baro_at: dict[int, list[int]] = {}
+        fix_r, baro_r = np.zeros(6), 0.0
+        if fixes is not None:
+            fix_r = fix_variance(sensors.specs, gnss_markov=False)
+            values = np.hstack([fixes.lla, fixes.vel_n])
+            fixes_at, left = _by_sample(timeline.aiding_rows(fixes, values, "gnss", t, initial.t))
+            events += left
+        if baro is not None:
+            baro_r = known(sensors.specs.baro, "baro").white_sd ** 2
+            values = baro.alt_baro[:, None]
+            baro_at, left = _by_sample(timeline.aiding_rows(baro, values, "baro", t, initial.t))
+            events += left
+        end = t[-1] if len(t) else initial.t
+        slack = timeline.TIME_TOLERANCE
+        served = (sensors.output_t >= initial.t - slack) & (sensors.output_t <= end + slack)
+        asked = np.searchsorted(t, sensors.output_t - slack)
+        asked[sensors.output_t < initial.t + slack] = -1
+        outputs = {int(k): row for row, k in enumerate(asked) if served[row]}
+
+        flight = _Flight(self, model, initial)
+        out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
+        out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
+        every = max(1, round(1.0 / (self.covariance_hz * float(np.median(span))))) if len(span) else 1
+        stops = sorted({*range(every - 1, len(t), every), *fixes_at, *baro_at, *outputs})
+        done = -1
+        for k in stops:
+            if k > done:
+                flight.predict(span[done + 1 : k + 1], dtheta[done + 1 : k + 1], dvel[done + 1 : k + 1])
+                done = k
+            for row in fixes_at.get(k, []):
+                assert fixes is not None
+                w_b = dtheta[k] / span[k]
+                arrived = (fixes.lla[row], fixes.vel_n[row])
+                flight.use_fix(float(t[k]), arrived, fix_r, sensors.antenna_b, w_b)
+            for row in baro_at.get(k, []):
+                assert baro is not None
+                flight.use_baro(float(t[k]), float(baro.alt_baro[row]), baro_r)
+            if k in outputs:
+                out[outputs[k]] = np.concatenate([flight.nav, flight.rest])
+                out_P[outputs[k]] = flight.P
+        variance = np.einsum("kii->ki", out_P)[:, 9:]
+        table = np.array(flight.innovations, float).reshape(-1, 7)
+        return NavSolution(
+            t=sensors.output_t,
+            lla=out[:, :3],
+            vel_n=out[:, 3:6],
+            q_nb=out[:, 6:10],
+            gyro_bias_b=out[:, 10:13],
+            accel_bias_b=out[:, 13:16],
+            cov=out_P[:, :9, :9],
+            extra_names=model.layout.labels(),
+            extra=out[:, 10:],
+            extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+            innovations=Innovations(
+                t=table[:, 0],
+                sensor=SENSORS,
+                code=table[:, 1].astype(np.int64),
+                component=table[:, 2].astype(np.int64),
+                z=table[:, 3],
+                S=table[:, 4],
+                nis=table[:, 5],
+                accepted=table[:, 6].astype(np.bool_),
+            ),
+            events=Events.from_rows(events),
+        )
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Name the errors of these units that the state has no room for, in words."""
+        return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=False)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _by_sample(found: tuple[Any, Any, Any]) -> tuple[dict[int, list[int]], Any]:
+    """Return rows by the IMU sample they are used at, and the events."""
+    rows, at, events = found
+    by: dict[int, list[int]] = {}
+    for row, k in zip(rows.tolist(), at.tolist(), strict=True):
+        by.setdefault(k, []).append(row)
+    return by, events
+
+
+@dataclass
+class _Points:
+    """Sigma points of an error about zero, and their weights."""
+
+    x: FloatArray  # (S, n)
+    mean: FloatArray  # (S,)
+    cov: FloatArray  # (S,)
+
+
+class _Flight:
+    """The estimate and its covariance over one record."""
+
+    def __init__(self, settings: Unscented, model: StateModel, initial: InitialState) -> None:
+        self.settings, self.model = settings, model
+        self.nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
+        self.rest = np.zeros(model.layout.size - 9)  # biases and what comes after them
+        self.P = model.P.copy()
+        self.before = np.zeros(7)
+        self.gates = {m: nis_limit(m, settings.gate_probability) for m in (1, 3)}
+        self.misses = [0, 0, 0]
+        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
+
+    def points(self) -> _Points:
+        """Draw the sigma points; a state without variance does not move."""
+        live = np.flatnonzero(np.diag(self.P) > 0)
+        family = self.families.get(len(live))
+        if family is None:
+            from filterpy.kalman import MerweScaledSigmaPoints
+
+            a = self.settings.spread
+            beta = max(2.0, (1.0 / a - a) ** 2)  # the least with which no covariance can turn indefinite
+            family = MerweScaledSigmaPoints(len(live), alpha=a, beta=beta, kappa=0.0, sqrt_method=_root)
+            self.families[len(live)] = family
+        x = np.zeros((2 * len(live) + 1, len(self.P)))
+        x[:, live] = family.sigma_points(np.zeros(len(live)), self.P[np.ix_(live, live)])
+        return _Points(x, family.Wm, family.Wc)
+
+    @property
+    def lost(self) -> bool:
+        """Whether there is no estimate any more: a diverged filter says NaN from here on."""
+        return not np.isfinite(self.P).all()
+
+    def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray) -> None:
+        """Carry estimate and covariance over some IMU samples."""
+        if self.lost:
+            self.nav[:], self.rest[:] = np.nan, np.nan
+            return
+        model, T = self.model, float(dt.sum())
+        ground_speed = np.hypot(self.nav[3], self.nav[4])
+        decay = np.exp(-(model.decay_time + model.decay_distance * ground_speed) * T)
+        points = self.points()
+        x = points.x
+        nav = np.empty((len(x) + 1, 10))
+        nav[:-1], nav[-1] = _less(self.nav, x), self.nav  # truths, and the estimate
+        biases = np.vstack([self.rest[:6] - x[:, GYRO : GYRO + 6], self.rest[:6]])
+        before = np.tile(self.before, (len(nav), 1))
+        if self.before[6] > 0:  # what each of them takes off the interval before
+            before[:-1, :6] += x[:, GYRO : GYRO + 6] * self.before[6]
+        _carry_kernel(nav, biases, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
+        self.nav, self.before = nav[-1], before[-1]
+        after = x * decay
+        after[:, :9] = _differences(self.nav, nav[:-1])
+        mean = points.mean @ after
+        spread = after - mean
+        self.P = (spread.T * points.cov) @ spread + np.diag(
+            np.where(model.stationary > 0, model.stationary * (1 - decay**2), model.q * T)
+        )
+        self.rest *= decay[9:]
+        self._feed_back(mean)
+
+    def use_fix(
+        self,
+        t: float,
+        fix: tuple[FloatArray, FloatArray],
+        r: FloatArray,
+        antenna_b: FloatArray,
+        w_ib_b: FloatArray,
+    ) -> None:
+        """Use position and velocity of a fix, each gated by itself."""
+        if self.lost:
+            return
+        for code in (0, 1):
+            points = self.points()
+            truth = _less(self.nav, points.x)
+            q = truth[:, 6:]
+            if code == 0:
+                y = rotation.rotate(q, antenna_b) + earth.difference_n(truth[:, :3], fix[0])
+            else:
+                lat = self.nav[0]
+                earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+                w_b = w_ib_b - self.rest[:3] + points.x[:, GYRO : GYRO + 3]
+                w_b = w_b - rotation.rotate(rotation.conjugate(q), earth_n)
+                y = truth[:, 3:6] + rotation.rotate(q, np.cross(w_b, antenna_b)) - fix[1]
+            self._update(t, code, points, y, r[3 * code : 3 * code + 3])
+
+    def use_baro(self, t: float, alt_baro: float, r: float) -> None:
+        """Use a barometric altitude."""
+        if self.lost:
+            return
+        points = self.points()
+        y = self.nav[2] + points.x[:, POS + 2] - alt_baro + self.rest[CORE - 9] - points.x[:, CORE]
+        self._update(t, 2, points, y[:, None], np.array([r]))
+
+    def _update(self, t: float, code: int, points: _Points, y: FloatArray, r: FloatArray) -> None:
+        """Gate and use a sub-vector; ``y`` (S, m) is predicted less measured, of the truth of each point."""
+        mean = points.mean @ y
+        spread = y - mean
+        S = (spread.T * points.cov) @ spread + np.diag(r)
+        value = nis(mean, S)
+        sound = value <= self.gates[len(r)] or self.misses[code] >= self.settings.readmit_after
+        self.misses[code] = 0 if sound else self.misses[code] + 1
+        for i in range(len(r)):
+            self.innovations.append((t, code, i, -mean[i], S[i, i], value, sound))
+        if sound:
+            cross = (points.x.T * points.cov) @ spread
+            K = np.linalg.solve(S, cross.T).T
+            P = self.P - K @ S @ K.T
+            self.P = 0.5 * (P + P.T)
+            self._feed_back(K @ -mean)
+
+    def _feed_back(self, x: FloatArray) -> None:
+        """Take an expected error off the estimate."""
+        self.nav = _less(self.nav, x[None])[0]
+        self.rest = self.rest - x[9:]
+
+
+def _root(P: FloatArray) -> FloatArray:
+    """Return U with U' U = P, each state scaled by its deviation; P may be singular (a course is a velocity).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When P has a negative eigenvalue beyond rounding.
+    """
+    sd = np.sqrt(np.diag(P))
+    w, V = np.linalg.eigh(P / sd[:, None] / sd)
+    if w[0] < -1e-9:
+        raise np.linalg.LinAlgError(f"the covariance of the sigma points has an eigenvalue of {w[0]:.2g}")
+    return np.asarray(np.sqrt(np.maximum(w, 0.0))[:, None] * V.T * sd, np.float64)
+
+
+def _less(nav: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the navigation states (S, 10) that remain of one when errors (S, n) are taken off it."""
+    states = np.empty((len(x), 10))
+    states[:, :3] = earth.displace(nav[:3], -x[:, POS : POS + 3])
+    states[:, 3:6] = nav[3:6] - x[:, VEL : VEL + 3]
+    states[:, 6:] = rotation.multiply(rotation.from_rotvec(-x[:, PHI : PHI + 3]), nav[6:])
+    return states
+
+
+def _differences(nav: FloatArray, truths: FloatArray) -> FloatArray:
+    """Return the errors (S, 9) of a navigation state against truths (S, 10): undoes :func:`_less`."""
+    d = np.empty((len(truths), 9))
+    d[:, :3] = -earth.difference_n(truths[:, :3], nav[:3])
+    d[:, 3:6] = nav[3:6] - truths[:, 3:6]
+    d[:, 6:] = rotation.to_rotvec(rotation.multiply(nav[6:], rotation.conjugate(truths[:, 6:])))
+    return d

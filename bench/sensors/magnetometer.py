@@ -1,0 +1,78 @@
+"""Magnetometer: the Earth's field in body axes, with what iron and the unit make of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import rotation
+from bench.arrays import BoolArray, FloatArray
+from bench.data import MagData, Trajectory
+from bench.sensors.timing import epoch_rows
+from bench.signals.magnetic import field_n
+from bench.specs import MagSpec, stream
+
+
+def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) -> tuple[MagData, FloatArray]:
+    """Return what the magnetometer reports, and its offset.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion; the unit is at the IMU and along its axes but for ``misalignment_sd``.
+    spec : MagSpec
+        The unit where it is mounted.
+    date : float
+        Decimal year of the flight.
+    seed, run : int
+        Which draw of the errors.
+
+    Returns
+    -------
+    mag : MagData
+        ``(1 + M) C_bn field_n + hard iron + noise`` at t = 1/rate, 2/rate, ..., rounded to the least bit. A
+        sample with an axis beyond the range is clipped there and not valid.
+    hard_iron_b : (3,) array
+        The offset [T], b.
+
+    Raises
+    ------
+    ValueError
+        When the rate is above that of the truth, or there is no model of the field for the date.
+    """
+    rows = epoch_rows("mag", truth.t, spec.rate)
+    t = truth.t[rows]
+    true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
+    distortion, hard_iron_b = _calibration(spec, seed, run)
+    field_b = true_b + true_b @ distortion.T + hard_iron_b
+    if spec.white_sd > 0:
+        field_b += spec.white_sd * stream(seed, run, "mag.white").standard_normal((len(t), 3))
+    if spec.quantization > 0:
+        field_b = spec.quantization * np.rint(field_b / spec.quantization)
+    valid: BoolArray = np.ones(len(t), bool)
+    if spec.range > 0:
+        valid = np.asarray((np.abs(field_b) <= spec.range).all(axis=1))
+        field_b = np.clip(field_b, -spec.range, spec.range)
+    mag = MagData(
+        t=t,
+        t_arrival=t + spec.latency,
+        valid=valid,
+        field_b=field_b,
+        sd=np.full(len(t), spec.white_sd),
+    )
+    return mag, hard_iron_b
+
+
+def _calibration(spec: MagSpec, seed: int, run: int) -> tuple[FloatArray, FloatArray]:
+    """Draw what the calibration left: the matrix of errors in proportion to the field [1], the offset [T]."""
+    distortion, hard_iron_b = np.zeros((3, 3)), np.zeros(3)
+    if spec.soft_iron_sd > 0:
+        drawn = spec.soft_iron_sd * stream(seed, run, "mag.soft_iron").standard_normal((3, 3))
+        distortion += np.triu(drawn) + np.triu(drawn, 1).T  # iron is magnetized reciprocally
+    if spec.scale_factor_sd > 0:
+        distortion += np.diag(spec.scale_factor_sd * stream(seed, run, "mag.scale_factor").standard_normal(3))
+    if spec.misalignment_sd > 0:
+        turned = spec.misalignment_sd * stream(seed, run, "mag.misalignment").standard_normal((3, 3))
+        distortion += turned - np.diag(np.diag(turned))
+    if spec.hard_iron_sd > 0:
+        hard_iron_b += spec.hard_iron_sd * stream(seed, run, "mag.hard_iron").standard_normal(3)
+    return distortion, hard_iron_b

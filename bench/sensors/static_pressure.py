@@ -1,0 +1,130 @@
+"""Barometric altitude from the static pressure of the flight: port, lines, sensor, weather and setting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench import rotation
+from bench.arrays import FloatArray
+from bench.data import BaroData, Trajectory
+from bench.sensors.processes import lagged
+from bench.sensors.timing import epoch_rows
+from bench.signals import air
+from bench.specs import BaroSpec, StaticPressureSpec, stream
+
+_REFERENCE = 298.15  # temperature of calibration [K]
+
+
+def measure(
+    truth: Trajectory,
+    spec: BaroSpec,
+    qnh: float,
+    static_port_b: tuple[float, float, float],
+    seed: int,
+    run: int,
+) -> tuple[BaroData, FloatArray]:
+    """Return what a barometer with a ``physical`` part reports, and what it is off without noise.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        With the air of the flight, at 20 Hz; a faster unit sees it straight between.
+    spec : BaroSpec
+        The instrument; what it claims of itself is its ``white_sd``.
+    qnh : float
+        Altimeter setting [Pa].
+    static_port_b : (3,) tuple
+        Static port relative to the centre of gravity, where the air of the flight is known [m], b.
+    seed, run : int
+        Which draw of the errors.
+
+    Returns
+    -------
+    baro : BaroData
+        Geopotential height of the standard atmosphere between setting and measured pressure, at
+        t = 1/rate, 2/rate, ...
+    bias : (M,) array
+        That without noise and rounding, minus the ellipsoidal height [m]: all that the weather, the port and
+        the lag do, and geopotential against geometric height (16 m at 10 km).
+
+    Raises
+    ------
+    ValueError
+        When the rate is above that of the truth, or nothing is known of the air.
+    """
+    unit = spec.physical
+    if unit is None:
+        raise ValueError(f"baro {spec.name!r} has no physical part")
+    if not len(truth.air.t):
+        raise ValueError("baro: the truth says nothing of the air")
+    rows = epoch_rows("baro", truth.t, spec.rate)
+    t = truth.t[rows]
+
+    def drawn(name: str, sd: float, count: int = 1) -> FloatArray:
+        if sd <= 0:
+            return np.zeros(count)
+        noise: FloatArray = sd * stream(seed, run, f"baro.{name}").standard_normal(count)
+        return noise
+
+    warmer = unit.isa_deviation + float(drawn("isa_deviation", unit.isa_deviation_sd)[0])
+    outside = port_pressure(truth, unit, warmer, static_port_b)
+    pressure = np.interp(t, truth.air.t, lagged(truth.air.t, outside, outside[0], unit.lag))
+    pressure += drawn("pressure_bias", unit.bias_sd)
+    warmth = np.interp(t, truth.air.t, truth.air.temperature) + warmer - _REFERENCE
+    pressure += drawn("temperature", unit.temperature_sd) * warmth
+    sea_level = drawn("qnh", unit.qnh_sd) + np.zeros(len(t))
+    if unit.qnh_walk > 0:
+        steps = drawn("qnh_walk", 1.0, len(t))
+        sea_level += unit.qnh_walk * np.cumsum(np.sqrt(np.diff(t, prepend=truth.t[0])) * steps)
+    pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # a column of air weighs in proportion
+    bias = air.pressure_altitude(pressure, qnh) - truth.lla[rows, 2]
+    pressure = pressure + drawn("pressure_white", unit.white_sd, len(t))
+    if unit.quantization > 0:
+        pressure = unit.quantization * np.rint(pressure / unit.quantization)
+    baro = BaroData(
+        t=t,
+        t_arrival=t + spec.latency,
+        valid=np.ones(len(t), bool),
+        alt_baro=air.pressure_altitude(pressure, qnh),
+        sd=np.full(len(t), spec.white_sd),
+    )
+    return baro, bias
+
+
+def port_pressure(
+    truth: Trajectory,
+    unit: StaticPressureSpec,
+    warmer: float,
+    static_port_b: tuple[float, float, float],
+) -> FloatArray:
+    """Return the pressure at the static port (A,) [Pa], at the instants of the air data.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        With the air of the flight.
+    unit : StaticPressureSpec
+        Its position error is in proportion to the impact pressure of the air data.
+    warmer : float
+        What the air is warmer than that of the flight, from sea level to the port [K]; pressure at sea
+        level stays.
+    static_port_b : (3,) tuple
+        Port relative to where the air data hold [m], b.
+    """
+    around = truth.air
+    nearest = np.clip(np.searchsorted(truth.t, around.t - 1e-6), 0, len(truth.t) - 1)
+    pressure, temperature = around.pressure, around.temperature + warmer
+    if warmer:
+        height = air.geopotential(truth.lla[nearest, 2])
+        pressure = pressure * air.standard(height, warmer)[0] / air.standard(height)[0]
+    if any(static_port_b):
+        below = rotation.rotate(truth.q_nb[nearest], np.array(static_port_b))[:, 2]
+        pressure = pressure * np.exp(air.GRAVITY * below / (air.GAS_CONSTANT * temperature))
+    coefficient = (
+        unit.position_error
+        + unit.position_error_alpha * around.alpha
+        + unit.position_error_beta2 * around.beta**2
+    )
+    if coefficient.any():
+        pressure = pressure + coefficient * air.impact_pressure(around.airspeed_true, pressure, temperature)
+    return pressure

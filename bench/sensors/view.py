@@ -1,0 +1,237 @@
+"""Which satellites a receiver has above it and which of them it receives, by orbits, attitude and antenna."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import kernel
+from bench.data import GLONASS, GPS, Trajectory
+from bench.sensors.gnss import antenna
+from bench.signals import orbits
+from bench.signals.delays import range_kernel, range_rate_kernel
+from bench.signals.orbits import RATE, C
+from bench.specs import SkySpec
+
+_GEOMETRIC = 1e-3  # least elevation for which delays are computed [rad]
+_RISE = 4e-4  # faster than any elevation changes [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
+_SETTLED = 5e-3  # a range that changed by less between two passes is right to 1e-8 m [m]
+_COLUMNS = 14  # of the geometry kernel
+
+
+Away = tuple[FloatArray, FloatArray]
+LossOf = Callable[[IntArray, IntArray], FloatArray]
+
+
+class View(NamedTuple):
+    """What is above the elevation mask, a row per epoch and satellite.
+
+    From satellite position to rate of distance the columns hold only what is received.
+    """
+
+    pos_e: FloatArray  # (M, 3) of the antenna [m], e
+    sat: IntArray  # (S,) number within its system
+    system: IntArray  # (S,)
+    channel: IntArray  # (S,)
+    epoch: IntArray  # (K,) of each row
+    which: IntArray  # (K,) satellite, from 0 to S - 1
+    received: BoolArray  # (K,)
+    sat_pos_e: FloatArray  # (K, 3) at transmission [m], e
+    sat_vel_e: FloatArray  # (K, 3) [m/s]
+    clock: FloatArray  # (K,) of the satellite [m]
+    clock_rate: FloatArray  # (K,) [m/s]
+    distance: FloatArray  # (K,) [m]
+    rate: FloatArray  # (K,) of the distance [m/s]
+    cn0: FloatArray  # (K,) on the first carrier [dB-Hz]
+    sin_el: FloatArray  # (K,)
+    azimuth: FloatArray  # (K,) [rad]
+
+    def of_received(self) -> View:
+        """Return the rows that are received."""
+        return self._replace(**{name: getattr(self, name)[self.received] for name in self._fields[4:]})
+
+    def with_epochs(self, other: View, epochs: BoolArray) -> View:
+        """Return this view with some epochs (M,) of another."""
+        mine, others = ~epochs[self.epoch], epochs[other.epoch]
+        order = np.argsort(np.concatenate([self.epoch[mine], other.epoch[others]]), kind="stable")
+        columns = {
+            name: np.concatenate([getattr(self, name)[mine], getattr(other, name)[others]])[order]
+            for name in self._fields[4:]
+        }
+        return self._replace(pos_e=np.where(epochs[:, None], other.pos_e, self.pos_e), **columns)
+
+
+@kernel
+def geometry_kernel(
+    t: FloatArray, pos_e: FloatArray, vel_e: FloatArray, C_en: FloatArray, down_n: FloatArray,
+    t_0: float, step: float, coefficients: FloatArray, gps_t0: float,
+    sin_mask: float, sin_antenna: float, zenith: float, horizon: float, threshold: float, wait: float,
+    loss: FloatArray, since: FloatArray, asleep: FloatArray, travel: FloatArray, state: FloatArray,
+    epoch: IntArray, sat: IntArray, received: BoolArray, out: FloatArray,
+) -> int:  # fmt: skip
+    """Fill rows of what is above the elevation mask, received or not; return their number.
+
+    Columns of out: satellite position (3), velocity (3), clock, clock rate, range, range rate, C/N0,
+    elevation's sine, direction north and east; of what is not received only the last four. ``loss`` (M, S) of
+    C/N0 may have no rows. ``since`` (S,) holds when each satellite came into view, NaN while it is not;
+    ``asleep`` until when it cannot rise; ``travel`` the travel time of its last signal.
+    """
+    k = 0
+    for m in range(t.shape[0]):
+        now = t[m] + gps_t0
+        rx, ry, rz = pos_e[m, 0], pos_e[m, 1], pos_e[m, 2]
+        ux, uy, uz = -C_en[m, 0, 2], -C_en[m, 1, 2], -C_en[m, 2, 2]
+        for s in range(coefficients.shape[0]):
+            if t[m] < asleep[s]:
+                continue
+            above = True
+            distance, ex, ey, ez = C * travel[s], 0.0, 0.0, 0.0
+            for _ in range(4):
+                before = distance
+                orbits.track_kernel(t_0, step, coefficients, s, now - distance / C, False, state)
+                distance, ex, ey, ez = range_kernel(state[0], state[1], state[2], rx, ry, rz, RATE)
+                below = sin_mask - (ex * ux + ey * uy + ez * uz)
+                if below > 1e-3:
+                    asleep[s] = t[m] + below / _RISE
+                    above = False
+                    break
+                if abs(distance - before) < _SETTLED:
+                    break
+            travel[s] = distance / C
+            sin_el = ex * ux + ey * uy + ez * uz
+            if not (above and sin_el >= sin_mask):
+                since[s] = np.nan
+                continue
+            n = C_en[m, 0, 0] * ex + C_en[m, 1, 0] * ey + C_en[m, 2, 0] * ez
+            e = C_en[m, 0, 1] * ex + C_en[m, 1, 1] * ey + C_en[m, 2, 1] * ez
+            sin_body = -(n * down_n[m, 0] + e * down_n[m, 1] - sin_el * down_n[m, 2])
+            cn0 = horizon + (zenith - horizon) * sin_body
+            if loss.shape[0] > 0:
+                cn0 -= loss[m, s]
+            if sin_body < sin_antenna or cn0 < threshold:
+                since[s] = np.nan
+            elif np.isnan(since[s]):
+                since[s] = t[m] if m > 0 else -1e300
+            epoch[k], sat[k] = m, s
+            out[k, 10], out[k, 11], out[k, 12], out[k, 13] = cn0, sin_el, n, e
+            received[k] = t[m] - since[s] >= wait  # never of NaN
+            if not received[k]:
+                k += 1
+                continue
+            orbits.track_kernel(t_0, step, coefficients, s, now - distance / C, True, state)
+            a, b = range_rate_kernel(
+                state[0], state[1], state[2], state[4], state[5], state[6],
+                rx, ry, rz, ex, ey, ez, distance, RATE,
+            )  # fmt: skip
+            for i in range(3):
+                out[k, i], out[k, 3 + i] = state[i], state[4 + i]
+            out[k, 6], out[k, 7] = state[3], state[7]
+            out[k, 8] = distance
+            out[k, 9] = (a - ex * vel_e[m, 0] - ey * vel_e[m, 1] - ez * vel_e[m, 2]) / b
+            k += 1
+    return k
+
+
+def view(
+    truth: Trajectory,
+    rows: IntArray,
+    sky: SkySpec,
+    antenna_b: tuple[float, float, float],
+    loss: LossOf,
+    away: Away | None = None,
+) -> View:
+    """Return what a receiver has above it at some instants of the truth.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion of the IMU.
+    rows : (M,) array of int
+        Epochs.
+    sky : SkySpec
+        Satellites, masks and antenna.
+    antenna_b : (3,) tuple
+        Antenna relative to the IMU [m], b; it looks up, along -down of the body.
+    loss : callable
+        Gives the loss of C/N0 (M, S) or (0, S) of the satellites ``(system, sat)``.
+    away : (M, 3) arrays or None
+        Take the antenna to be elsewhere [m], and to move otherwise [m/s], n.
+    """
+    t = truth.t[rows]
+    lla, vel_n = antenna(truth, rows, antenna_b)
+    if away is not None:
+        lla, vel_n = earth.displace(lla, away[0]), vel_n + away[1]
+    pos_e = earth.to_ecef(lla)
+    C_en = np.ascontiguousarray(earth.matrix_en(lla[:, 0], lla[:, 1]))
+    vel_e = np.einsum("mij,mj->mi", C_en, vel_n)
+    down_n = rotation.rotate(truth.q_nb[rows], np.array([0.0, 0.0, 1.0]))
+    sat, system, channel, track = constellation(sky, t)
+    S = len(sat)
+    size = len(t) * S
+    epoch, which, received = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.bool_)
+    columns = np.empty((size, _COLUMNS))
+    count = geometry_kernel(
+        t,
+        pos_e,
+        vel_e,
+        C_en,
+        down_n,
+        track.t_0,
+        track.step,
+        track.coefficients,
+        sky.gps_t0,
+        float(np.sin(max(sky.elevation_mask, _GEOMETRIC))),
+        float(np.sin(sky.antenna_mask)),
+        sky.cn0_zenith,
+        sky.cn0_horizon,
+        sky.cn0_threshold,
+        sky.reacquisition,
+        loss(system, sat),
+        np.full(S, np.nan),
+        np.full(S, -np.inf),
+        np.full(S, 0.075),
+        np.empty(8),
+        epoch,
+        which,
+        received,
+        columns,
+    )
+    names = ("clock", "clock_rate", "distance", "rate", "cn0", "sin_el")
+    return View(
+        pos_e=pos_e,
+        sat=sat,
+        system=system,
+        channel=channel,
+        epoch=epoch[:count],
+        which=which[:count],
+        received=received[:count],
+        sat_pos_e=columns[:count, :3],
+        sat_vel_e=columns[:count, 3:6],
+        azimuth=np.arctan2(columns[:count, 13], columns[:count, 12]),
+        **{name: columns[:count, 6 + k] for k, name in enumerate(names)},
+    )
+
+
+def constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
+    """Return number, system and frequency channel (S,) of all satellites, and their track."""
+    gps = orbits.nominal_gps() if sky.gps is None else sky.gps
+    glonass = orbits.nominal_glonass() if sky.glonass is None else sky.glonass
+    first, last = t[0] + sky.gps_t0 - 1.0, t[-1] + sky.gps_t0
+    gps_sat, gps_track = orbits.track(gps, first, last)
+    glonass_sat, glonass_track = orbits.track(glonass, first, last)
+    if isinstance(glonass, orbits.GlonassSets):
+        channel = np.array([glonass.channel[np.argmax(glonass.sat == s)] for s in glonass_sat], np.int64)
+    else:  # antipodal satellites share a channel; four pairs to a plane of eight
+        channel = (glonass_sat - 1) % 4 + 4 * ((glonass_sat - 1) // 8) - 7
+    system = np.repeat([GPS, GLONASS], [len(gps_sat), len(glonass_sat)])
+    coefficients = np.concatenate([gps_track.coefficients, glonass_track.coefficients])
+    return (
+        np.concatenate([gps_sat, glonass_sat]),
+        system,
+        np.concatenate([np.zeros(len(gps_sat), np.int64), channel]),
+        gps_track._replace(coefficients=coefficients),
+    )

@@ -1,0 +1,145 @@
+"""The standard atmosphere, and what a static port and a pitot tube feel in it.
+
+ISO 2533 with its constants, up to 32 km; air data by the isentropic relations of a perfect gas below the
+speed of sound.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import FloatArray
+from bench.specs import AirspeedSpec
+
+SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
+SEA_LEVEL_TEMPERATURE = 288.15  # [K]
+GRAVITY = 9.80665  # standard [m/s^2]
+GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
+GAMMA = 1.4  # ratio of specific heats of air [1]
+_RADIUS = 6356766.0  # of the Earth, that makes geometric of geopotential height [m]
+_BOTTOM = (0.0, 11000.0, 20000.0)  # geopotential, of the layers [m]
+_LAPSE = (-0.0065, 0.0, 0.001)  # gradient in each layer [K/m]
+_TOP = 32000.0
+
+
+def geopotential(alt: ArrayLike) -> FloatArray:
+    """Return the geopotential height [m] of a geometric height [m]."""
+    geometric: FloatArray = np.asarray(alt, float)
+    height: FloatArray = geometric * _RADIUS / (geometric + _RADIUS)
+    return height
+
+
+def standard(height: ArrayLike, deviation: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return pressure [Pa], temperature [K] and density [kg/m^3] of the atmosphere.
+
+    Parameters
+    ----------
+    height : (...) array
+        Geopotential height [m], up to 32 km; below sea level the lowest layer goes on.
+    deviation : float
+        What the air is warmer than standard at every height [K]; pressure at sea level stays.
+
+    Raises
+    ------
+    ValueError
+        When a height is above 32 km.
+
+    Examples
+    --------
+    >>> print(*(f"{float(v):.5g}" for v in standard(5000.0)))
+    54020 255.65 0.73612
+    """
+    height = np.asarray(height, np.float64)
+    if (height > _TOP).any():
+        raise ValueError(f"the standard atmosphere here ends at {_TOP:g} m; got {height.max():g} m")
+    pressure = np.full_like(height, SEA_LEVEL_PRESSURE)
+    temperature: FloatArray = np.full_like(height, SEA_LEVEL_TEMPERATURE + deviation)
+    for k, (bottom, lapse) in enumerate(zip(_BOTTOM, _LAPSE, strict=True)):
+        ceiling = (*_BOTTOM[1:], _TOP)[k]
+        rise = np.minimum(height, ceiling) - bottom if k == 0 else np.clip(height, bottom, ceiling) - bottom
+        pressure *= np.exp(_log_ratio(temperature, lapse, rise))
+        temperature = temperature + lapse * rise
+    return pressure, temperature, pressure / (GAS_CONSTANT * temperature)
+
+
+def _log_ratio(temperature: FloatArray, lapse: float, rise: FloatArray) -> FloatArray:
+    """Return the logarithm of the pressure ratio over a rise in one layer, from its lower temperature."""
+    if lapse == 0.0:
+        return -GRAVITY * rise / (GAS_CONSTANT * temperature)
+    log: FloatArray = -GRAVITY / (GAS_CONSTANT * lapse) * np.log1p(lapse * rise / temperature)
+    return log
+
+
+def pressure_altitude(pressure: ArrayLike, setting: float = SEA_LEVEL_PRESSURE) -> FloatArray:
+    """Return what an altimeter shows at a static pressure [Pa]: a geopotential height [m].
+
+    Parameters
+    ----------
+    pressure : (...) array
+        Above 0 [Pa].
+    setting : float
+        Its QNH [Pa]: the height at which the standard atmosphere has this pressure is taken off, so that
+        it shows 0 there.
+    """
+    altitude: FloatArray = _height(np.asarray(pressure, float)) - _height(np.array(setting))
+    return altitude
+
+
+def _height(pressure: FloatArray) -> FloatArray:
+    """Return the height of the standard atmosphere that has a pressure."""
+    bottoms = [standard(bottom) for bottom in _BOTTOM]
+    height = np.empty_like(pressure)
+    for k, (base, temperature, _) in enumerate(bottoms):
+        log = np.log(pressure / base)
+        if _LAPSE[k] == 0.0:
+            above = -GAS_CONSTANT * temperature / GRAVITY * log
+        else:
+            above = temperature / _LAPSE[k] * np.expm1(-GAS_CONSTANT * _LAPSE[k] / GRAVITY * log)
+        height = np.where(pressure <= base, _BOTTOM[k] + above, height) if k else above
+    return height
+
+
+def impact_pressure(airspeed: ArrayLike, pressure: ArrayLike, temperature: ArrayLike) -> FloatArray:
+    """Return total minus static pressure [Pa] at a true airspeed [m/s] below that of sound.
+
+    Parameters
+    ----------
+    airspeed, pressure, temperature : arrays that broadcast
+        True airspeed [m/s], static pressure [Pa] and temperature [K]. A backward speed gives its negative.
+    """
+    speed = np.asarray(airspeed, float)
+    mach2 = speed * np.abs(speed) / (GAMMA * GAS_CONSTANT * np.asarray(temperature, float))
+    rise = np.expm1(3.5 * np.log1p(0.2 * np.abs(mach2)))
+    impact: FloatArray = np.asarray(pressure, float) * np.sign(mach2) * rise
+    return impact
+
+
+def true_airspeed(impact: ArrayLike, pressure: ArrayLike, temperature: ArrayLike) -> FloatArray:
+    """Return the true airspeed [m/s] of an impact pressure [Pa], the inverse of `impact_pressure`."""
+    impact, pressure = np.asarray(impact, float), np.asarray(pressure, float)
+    mach2 = 5.0 * np.expm1(np.log1p(np.abs(impact) / pressure) / 3.5)
+    speed: FloatArray = np.sign(impact) * np.sqrt(GAMMA * GAS_CONSTANT * np.asarray(temperature) * mach2)
+    return speed
+
+
+def airspeed_sd(
+    spec: AirspeedSpec, airspeed: ArrayLike, pressure: ArrayLike, temperature: ArrayLike
+) -> FloatArray:
+    """Return the white noise of a unit as a standard deviation of true airspeed [m/s].
+
+    Parameters
+    ----------
+    spec : AirspeedSpec
+        Pressure noise over the slope of the impact pressure, ``rho V (1 + 0.2 M^2)^2.5``, and speed noise:
+        the slower, the noisier. Below ``min_speed``, and below 1 m/s, as noisy as there.
+    airspeed, pressure, temperature : arrays that broadcast
+        As for `impact_pressure`; a filter takes them from `standard` at its own height.
+    """
+    speed = np.maximum(np.abs(np.asarray(airspeed, float)), max(spec.min_speed, 1.0))
+    pressure, temperature = np.asarray(pressure, float), np.asarray(temperature, float)
+    density = pressure / (GAS_CONSTANT * temperature)
+    mach2 = speed**2 / (GAMMA * GAS_CONSTANT * temperature)
+    slope = density * speed * (1 + 0.2 * mach2) ** 2.5
+    sd: FloatArray = np.hypot(spec.white_sd, spec.pressure_white_sd / slope)
+    return sd

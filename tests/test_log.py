@@ -1,0 +1,526 @@
+"""A recording somebody made: read as it is, checked against itself, navigated, judged by withheld fixes.
+
+The recording is that of `tests/drives.py`, whose truth and errors are known.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import drives
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pyarrow import parquet
+from scipy.io import savemat
+from scipy.stats import chi2
+
+from bench import rotation, store
+from bench.cli import main
+from bench.config import ConfigError
+from bench.config.log import load_log
+from bench.data import ImuData
+from bench.evaluation import outages, validity
+from bench.exchange.log import divided, read_log
+from bench.exchange.log_start import start
+from bench.navigation import estimator
+from bench.recording import column
+from bench.workbench.log import Session
+
+DRIVE = Path(__file__).parents[1].parent / "shared" / "data" / "drive_0708"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drive")
+    drives.write_log(path)
+    return path
+
+
+def checks(path):
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    found = validity.check(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
+    return {c.name: c for c in found}
+
+
+def rewritten(folder, tmp_path, *changes: tuple[str, str]) -> Path:
+    """A copy of a log, its text changed; the tables stay where they are."""
+    text = drives.LOG
+    for name in ("imu.csv", "gnss.csv", "imu.toml", "gnss.toml", "baro.csv", "baro.toml"):
+        (tmp_path / name).symlink_to(folder / name)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "drive.toml"
+    path.write_text(text)
+    return path
+
+
+# --- reading ------------------------------------------------------------------------------------------
+
+
+def test_rates_and_increments_in_csv_parquet_and_mat_are_one_recording(folder, tmp_path):
+    imu = drives.sensed()["imu"]
+    first = read_log(load_log(str(folder / "drive.toml"))).imu
+    columns = drives.imu_columns(imu)
+    parquet.write_table(pa.table(columns), tmp_path / "imu.parquet")
+    savemat(
+        tmp_path / "imu.mat", {name: values[:, None] for name, values in columns.items()}, do_compression=True
+    )
+    dt = 1.0 / drives.RATE
+    increments = {"time_ms": 1e3 * imu["t"]}
+    increments |= {f"dtheta_{a}_deg": np.rad2deg(imu["gyro"][:, k]) * dt for k, a in enumerate("xyz")}
+    increments |= {f"dvel_{a}_m_s": imu["accel"][:, k] * dt for k, a in enumerate("xyz")}
+    drives.write_csv(tmp_path / "increments.csv", increments)
+    odd = {f"c{k}": values for k, values in enumerate(columns.values())}
+    odd |= {f"c{k}": np.rad2deg(odd[f"c{k}"]) for k in (1, 2, 3)} | {
+        f"c{k}": odd[f"c{k}"] / 9.80665 for k in (4, 5, 6)
+    }
+    drives.write_csv(tmp_path / "odd.csv", odd)
+    names = ["t_s", *(f"gyro_{a}_deg_s" for a in "xyz"), *(f"accel_{a}_g" for a in "xyz")]
+    told = "columns = { " + ", ".join(f'{name} = "c{k}"' for k, name in enumerate(names)) + " }"
+    path = rewritten(folder, tmp_path)
+    for file, more in (("imu.parquet", ""), ("imu.mat", ""), ("increments.csv", ""), ("odd.csv", told)):
+        path.write_text(drives.LOG.replace('file = "imu.csv"', f'file = "{file}"\n{more}'))
+        found = read_log(load_log(str(path))).imu
+        assert_allclose(found.t, first.t, atol=1e-9)
+        assert_allclose(found.dtheta_b, first.dtheta_b, atol=1e-11)
+        assert_allclose(found.dvel_b, first.dvel_b, atol=1e-10)
+
+
+def test_mounting_and_misalignment_turn_the_axes_of_the_imu_into_those_of_the_body(folder, tmp_path):
+    """scipy turned the vectors of the body into the axes of the IMU; the log has to turn them back."""
+    plain = read_log(load_log(str(folder / "drive.toml"))).imu
+    turned = drives.write_log(tmp_path, mounting_deg=(170.0, 20.0, -100.0))
+    text = drives.LOG.replace("[imu]", "[imu]\nmounting_deg = [170.0, 20.0, -100.0]")
+    turned.write_text(text)
+    found = read_log(load_log(str(turned))).imu
+    assert_allclose(found.dtheta_b, plain.dtheta_b, atol=1e-11)
+    assert_allclose(found.dvel_b, plain.dvel_b, atol=1e-10)
+    turned.write_text(text.replace("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 90.0]"))
+    found = read_log(load_log(str(turned))).imu  # what pointed forward points right
+    assert_allclose(found.dvel_b[:, 1], plain.dvel_b[:, 0], atol=1e-10)
+
+
+def test_an_interval_divided_at_a_fix_keeps_its_increments_and_its_rates():
+    random = np.random.default_rng(3)
+    t = np.array([0.01, 0.02, 0.03, 0.03, 0.025, 0.08, 0.09])  # one repeated, one going back, one gap
+    imu = ImuData(
+        t, np.full(7, 0.01), np.ones(7, bool), random.normal(size=(7, 3)), random.normal(size=(7, 3))
+    )
+    cuts = np.array([0.0125, 0.0175, 0.02, 0.05, 0.0825, 0.2, 0.0825])
+    found = divided(imu, cuts)
+    assert_allclose(found.t, [0.01, 0.0125, 0.0175, 0.02, 0.03, 0.03, 0.025, 0.08, 0.0825, 0.09])
+    assert_allclose(
+        found.dt, [0.01, 0.0025, 0.005, 0.0025, 0.01, 0.01, 0.01, 0.01, 0.0025, 0.0075], atol=1e-15
+    )
+    assert_allclose(found.dtheta_b.sum(axis=0), imu.dtheta_b.sum(axis=0), rtol=1e-14)
+    assert_allclose(
+        found.dvel_b[1:4] / found.dt[1:4, None], np.tile(imu.dvel_b[1] / 0.01, (3, 1)), rtol=1e-12
+    )
+
+
+def test_velocities_are_taken_to_the_times_of_their_fixes(tmp_path):
+    path = drives.write_log(tmp_path, velocity_late=0.1)
+    late = checks(path)["velocity_shift_s"]
+    assert late.value == pytest.approx(-0.1, abs=0.01)
+    assert not late.good
+    assert "velocity_offset_s" in late.text
+    path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nvelocity_offset_s = -0.1"))
+    now = checks(path)["velocity_shift_s"]
+    assert now.good
+    assert now.value == pytest.approx(0.0, abs=0.01)
+
+
+# --- what is wrong with a recording -------------------------------------------------------------------
+
+
+def test_a_sound_recording_is_said_to_be_sound(folder):
+    found = checks(folder / "drive.toml")
+    assert all(check.good for check in found.values()), [c.text for c in found.values() if not c.good]
+    assert found["imu_shift_s"].value == pytest.approx(0.0, abs=0.01)
+    assert found["gravity_ratio"].value == pytest.approx(1.0, abs=0.005)
+    assert found["turn_gain"].value == pytest.approx(1.0, abs=0.02)
+    assert found["forward_yaw_deg"].value == pytest.approx(0.0, abs=3.0)
+    assert found["imu_rate_hz"].value == pytest.approx(100.0)
+
+
+YAWED = rotation.matrix(rotation.from_euler(0.0, 0.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "words"),
+    [
+        (("gyro", lambda v: np.rad2deg(v)), "turn_gain", "deg/s in a column of rad/s"),
+        (("gyro", lambda v: np.deg2rad(v)), "turn_gain", "rad/s in a column of deg/s"),
+        (("accel", lambda v: v / 9.80665), "gravity_ratio", "g in a column of m/s^2"),
+        (("accel", lambda v: v * 1.05), "gravity_ratio", "the scale"),
+        (("accel", lambda v: -v), "rest_tilt_deg", "mounting_deg"),
+        (
+            ("accel", lambda v: v @ rotation.matrix(rotation.from_euler(0, 0, 0.6))),
+            "forward_yaw_deg",
+            "forward",
+        ),
+        (("t", lambda v: v + 0.07), "imu_shift_s", "time_offset_s"),
+        (("t", lambda v: v + 0.5 * (v > 60.0)), "imu_gaps", "1 gaps, the longest 0.51 s"),
+        (("t", lambda v: v - 0.5 * ((v > 60.0) & (v < 60.205))), "imu_unordered_rows", "go back"),
+    ],
+)
+def test_a_defect_of_a_recording_is_said(tmp_path, change, name, words):
+    """Each defect alone; the value a user needs to mend it stands in the line."""
+    path = drives.write_log(tmp_path)
+    imu = drives.sensed()["imu"]
+    key, spoil = change
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns({**imu, key: spoil(imu[key])}))
+    found = checks(path)[name]
+    assert not found.good
+    assert words in found.text
+    if key == "t" and name == "imu_shift_s":
+        assert found.value == pytest.approx(-0.07, abs=0.005)
+
+
+def test_the_standard_deviation_of_the_clock_shift_is_honest():
+    """Of 20 recordings the shift is unbiased and scatters no more than claimed (99.95 % of chi-square)."""
+    found = []
+    for seed in range(20):
+        made = drives.sensed(seed)
+        imu, gnss = made["imu"], made["gnss"]
+        n = len(imu["t"])
+        angles, speeds = 0.01 * imu["gyro"], 0.01 * imu["accel"]
+        record = ImuData(imu["t"], np.full(n, 0.01), np.ones(n, bool), angles, speeds)
+        found_now = validity.check(record, fixes_of(gnss), None, drives.ARM)
+        shift = next(c for c in found_now if c.name == "imu_shift_s")
+        sd = float(shift.text.rpartition("sd ")[2].partition(" ")[0])
+        found.append((shift.value, sd))
+    shifts, sds = np.array(found).T
+    ratio = np.var(shifts, ddof=1) / np.mean(np.square(sds))
+    assert 0.1 < ratio < chi2.ppf(0.9995, 19) / 19  # the claim is up to three times too careful
+    assert abs(np.mean(shifts)) < 3.3 * np.std(shifts) / np.sqrt(20) + 5e-4  # and level arms are assumed
+
+
+def fixes_of(gnss):
+    from bench.data import GnssFixes
+
+    m = len(gnss["t"])
+    cov = np.tile(np.eye(3), (m, 1, 1))
+    return GnssFixes(
+        gnss["t"], gnss["t"], np.ones(m, bool), gnss["lla"], gnss["vel_n"], cov, cov, np.zeros(m, np.int64)
+    )
+
+
+# --- navigating ---------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    arguments = [
+        "navigate",
+        str(folder / "drive.toml"),
+        "-e",
+        "loose-15",
+        "--outages",
+        "5,20",
+        "--places",
+        "4",
+    ]
+    assert main([*arguments, "-o", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    metrics = printed["metrics"]["loose-15"]
+    assert metrics["converged"]
+    # estimate minus withheld fix: the noise of the fix and what the filter adds to it
+    assert 0.028 < metrics["pos_rmse_h_m"] < 0.045
+    assert metrics["nees_mean"] == pytest.approx(6.0, abs=1.5)
+    rows = {row["duration_s"]: row for row in printed["outages"]}
+    assert rows[5.0]["median_h_m"] < rows[20.0]["median_h_m"]
+    assert rows[20.0]["median_h_m"] < 10 * rows[20.0]["closed_form_median_h_m"]
+    result = store.load(out)
+    assert set(result.solutions) == {"loose-15"}
+    assert np.isfinite(result.errors["loose-15"].pos_n).all()
+    assert not (out / "truth.parquet").exists()
+    assert json.loads((out / "result.json").read_text())["validity"][0]["name"] == "imu_rate_hz"
+    t, error = column(out / "flight.rrd", "/estimators/loose-15/position/north/error", "Scalars:scalars")
+    assert len(t) == len(result.errors["loose-15"])
+    assert_allclose(error[:, 0], result.errors["loose-15"].pos_n[:, 0])
+    assert main([*arguments, "-o", str(out)]) == 2  # it exists
+    assert "--force" in capsys.readouterr().err
+
+
+def test_the_withheld_fixes_never_reach_the_filter(folder):
+    """Other values in them leave the solution as it is, bit by bit."""
+    spec = load_log(str(folder / "drive.toml"))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    keep, withheld = session.withheld()
+    assert len(withheld) == len(session.fixes) // 5
+    data = session.data(keep, session.grid())
+    assert not np.isin(data.fixes.t, withheld.t).any()
+    hidden = np.isin(recorded.fixes.t, withheld.t)
+    spoiled = replace(
+        recorded, fixes=replace(recorded.fixes, lla=np.where(hidden[:, None], 0.5, recorded.fixes.lla))
+    )
+    other = Session(spec, spoiled, session.initial).data(keep, session.grid())
+    one = estimator.load("loose-15", {})
+    assert_array_equal(
+        estimator.answer(one, "x", data, session.initial).lla,
+        estimator.answer(one, "x", other, session.initial).lla,
+    )
+
+
+def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
+    """The error against the last fix cut out is that against the truth, to the noise of the fix."""
+    spec = load_log(str(folder / "drive.toml"))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    one = estimator.load("loose-15", {})
+    flown = drives.truth()
+    t = session.fixes.t
+    for cut in session.cuts(one, "x", 20.0, 3):
+        assert cut.duration == pytest.approx(20.0)
+        end = cut.start + cut.duration
+        data = session.data((t <= cut.start) | (t > end + 1e-6), np.array([end]))
+        solution = estimator.answer(one, "x", data, session.initial)
+        true = flown.lla[np.searchsorted(flown.t, end + recorded.origin - 1e-6)]
+        from bench.earth import difference_n
+
+        off = difference_n(solution.lla[0], true)
+        assert cut.drift == pytest.approx(np.hypot(*off[:2]), abs=0.1)  # 3.5 sigma of a fix
+
+
+GIVEN = 'alignment = "given"\nroll_deg = 1.0\npitch_deg = 0.0\nheading_deg = 30.0'
+GATED = '[[estimator]]\nuse = "loose-15"\noptions = { gate_probability = 0.01 }\n[evaluation]'
+SETTINGS = [
+    ("mounting_deg", ("[imu]", "[imu]\nmounting_deg = [0.0, 0.0, 1.0]")),
+    ("misalignment_deg", ("[imu]", "[imu]\nmisalignment_deg = [0.5, 0.0, 0.0]")),
+    ("imu time_offset_s", ("[imu]", "[imu]\ntime_offset_s = 0.02")),
+    ("imu position_m", ("[1.0, 0.0, -0.5]", "[1.5, 0.0, -0.5]")),
+    ("gnss position_m", ("[0.4, 0.3, -1.5]", "[0.4, 0.6, -1.5]")),
+    ("gnss time_offset_s", ("[gnss]", "[gnss]\ntime_offset_s = 0.02")),
+    ("velocity_offset_s", ("[gnss]", "[gnss]\nvelocity_offset_s = 0.05")),
+    ("assumed imu", ('imu = "imu.toml"', 'imu = "icm-42688-p"')),
+    ("assumed gnss", ('gnss = "gnss.toml"', 'gnss = "rtk-fixed"')),
+    ("baro", ("[sensors.assumed]", '[baro]\nfile = "baro.csv"\n[sensors.assumed]\nbaro = "baro.toml"')),
+    ("withhold", ("from_s = 40.0", "from_s = 40.0\nwithhold = 3")),
+    ("output_hz", ("from_s = 40.0", "from_s = 40.0\noutput_hz = 7.0")),
+    ("from_s", ("from_s = 40.0", "from_s = 60.0")),
+    ("at_s", ('alignment = "course"', 'alignment = "course"\nat_s = 30.0')),
+    ("pos_sd_m", ('alignment = "course"', 'alignment = "course"\npos_sd_m = [1.0, 1.0, 1.0]')),
+    ("vel_sd_mps", ('alignment = "course"', 'alignment = "course"\nvel_sd_mps = [1.0, 1.0, 1.0]')),
+    ("tilt_sd_deg", ('alignment = "course"', 'alignment = "course"\ntilt_sd_deg = 5.0')),
+    ("heading_sd_deg", ('alignment = "course"', 'alignment = "course"\nheading_sd_deg = 1.0')),
+    ("min_speed_mps", ('alignment = "course"', 'alignment = "course"\nmin_speed_mps = 6.0')),
+    ("level", ('alignment = "course"', 'alignment = "level"\nheading_deg = 30.0')),
+    ("given", ('alignment = "course"', GIVEN)),
+    ("options", ("[evaluation]", GATED)),
+]
+
+
+@pytest.fixture(scope="module")
+def usual(folder, tmp_path_factory):
+    return outcome(folder / "drive.toml")
+
+
+def outcome(path):
+    """Everything a log comes to, of its first estimator."""
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    keep, withheld = session.withheld()
+    data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
+    one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
+    from bench.evaluation.fixes import judge
+
+    solution = estimator.answer(one, "x", data, session.initial)
+    _, metrics = judge(solution, withheld, data, spec.evaluation_from)
+    return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
+
+
+@pytest.mark.parametrize("change", [change for _, change in SETTINGS], ids=[name for name, _ in SETTINGS])
+def test_each_setting_moves_the_result(folder, usual, tmp_path, change):
+    assert outcome(rewritten(folder, tmp_path, change)) != usual
+
+
+def test_quality_leaves_fixes_out(tmp_path):
+    path = drives.write_log(tmp_path)
+    columns = drives.gnss_columns(drives.sensed()["gnss"])
+    columns["quality"] = np.where(np.arange(len(columns["t_s"])) % 3, 1.0, 5.0)
+    drives.write_csv(tmp_path / "gnss.csv", columns)
+    every = read_log(load_log(str(path))).fixes.valid
+    path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nquality = [1, 2]"))
+    some = read_log(load_log(str(path))).fixes.valid
+    assert every.all()
+    assert_array_equal(some, columns["quality"] == 1.0)
+
+
+@pytest.mark.parametrize(("alignment", "tilt"), [("course", 1.0), ("level", 0.4)])
+def test_the_start_is_where_the_car_is(folder, tmp_path, alignment, tilt):
+    """Levelling is off by the accelerometer bias, 0.03 m/s^2 or 0.2 deg; under way also by the noise of the
+    velocities that give the acceleration."""
+    more = "\nheading_deg = 28.64788976" if alignment == "level" else ""
+    path = rewritten(folder, tmp_path, ('alignment = "course"', f'alignment = "{alignment}"{more}'))
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    initial = start(recorded, spec)
+    flown = drives.truth()
+    k = int(np.searchsorted(flown.t, initial.t + recorded.origin - 1e-6))
+    off = rotation.to_rotvec(rotation.multiply(initial.q_nb, rotation.conjugate(flown.q_nb[k])))
+    assert np.hypot(*np.rad2deg(off[:2])) < tilt
+    assert abs(np.rad2deg(off[2])) < 3.0
+
+
+# --- statistics and the law ---------------------------------------------------------------------------
+
+
+def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says():
+    """20000 samples of ten values of a skewed distribution; 99.9 % band of the count of misses."""
+    random = np.random.default_rng(5)
+    samples = random.exponential(size=(20_000, 10))
+    inside = 0
+    for sample in samples:
+        found = outages.quantile(sample, 0.5)
+        inside += found.low <= np.log(2.0) <= found.high
+    exact = 1.0 - 2 * (1 + 10) / 2**10  # fewer than two below, or fewer than two above
+    assert abs(inside / 20_000 - exact) < 3.3 * np.sqrt(exact * (1 - exact) / 20_000)
+    assert outages.quantile(samples[0], 0.95).high is None  # ten values say nothing above
+
+
+def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
+    """Euler sums of white noise and constants, 4000 draws: the variance within its 99.9 % band."""
+    imu = load_log(str(folder / "drive.toml")).assumed.imu
+    imu = replace(
+        imu,
+        gyro=replace(imu.gyro, random_walk=1e-3, bias_instability=2e-4),
+        accel=replace(imu.accel, random_walk=1e-2, bias_instability=3e-3),
+    )
+    T, dt, draws = 20.0, 0.05, 4000
+    random, n = np.random.default_rng(9), round(T / dt)
+    rate = 1e-3 * random.standard_normal((draws, n)) / np.sqrt(dt) + 2e-4 * random.standard_normal((draws, 1))
+    force = 1e-2 * random.standard_normal((draws, n)) / np.sqrt(dt) + 3e-3 * random.standard_normal(
+        (draws, 1)
+    )
+    tilt = np.cumsum(rate, axis=1) * dt
+    position = np.cumsum(np.cumsum(force + 9.80665 * tilt, axis=1), axis=1)[:, -1] * dt**2
+    expected = outages.closed_form_sd(imu, T)
+    band = 3.3 * np.sqrt(2.0 / draws) + 3 * dt / T  # and the step of the sums
+    assert abs(np.var(position) / expected**2 - 1.0) < band
+
+
+def test_an_outage_that_does_not_fit_is_refused(folder, capsys, tmp_path):
+    assert main(["navigate", str(folder / "drive.toml"), "--outages", "500", "-o", str(tmp_path / "o")]) == 2
+    assert "500 s do not fit" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+# --- what a file cannot be ----------------------------------------------------------------------------
+
+
+def broken(folder, tmp_path, name, content):
+    path = rewritten(folder, tmp_path)
+    (tmp_path / name).unlink()
+    (tmp_path / name).write_bytes(content)
+    return path
+
+
+HEADER = b"t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n"
+ROW = b"0.%d,0,0,0,0,0,-9.8\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("imu.csv", b"", "imu.csv: no columns for time"),
+        ("imu.csv", HEADER, "imu.csv: no rows"),
+        ("imu.csv", HEADER + ROW % 1, "one row"),
+        ("imu.csv", HEADER + ROW % 1 + b"0.2,0,zero,0,0,0,-9.8\n", "Row #3"),
+        ("imu.csv", HEADER + ROW % 1 + b"0.2,0,0\n", "Row #3"),
+        ("imu.csv", HEADER + ROW % 1 + ROW % 1, "no row comes after"),
+        ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is no finite number"),
+        ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must be named by its unit"),
+        ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: cannot be read"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600\n2,91,11,600\n", "row 2: latitude 91 deg"),
+        ("gnss.csv", b"t_s,lat_rad,lon_rad,alt_m\n1,47,11,600\n", "row 1: latitude"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600000\n", "row 1: height"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1e9,47,11,600\n", "must be on one clock"),
+        ("imu.toml", b"source = 1\n", "imu.toml"),
+    ],
+)
+def test_a_file_that_cannot_be_gets_one_line_and_nothing_is_written(
+    folder, tmp_path, capsys, name, content, words
+):
+    path = broken(folder, tmp_path, name, content)
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("error: ")
+    assert words in said
+    assert len(said.splitlines()) <= 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, tmp_path, monkeypatch):
+    path = rewritten(folder, tmp_path, ('"imu.csv"', '"imu.mat"'))
+    mat = tmp_path / "imu.mat"
+
+    def said():
+        with pytest.raises(ConfigError) as caught:
+            read_log(load_log(str(path)))
+        return str(caught.value)
+
+    mat.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
+    assert "save it with -v7" in said()
+    mat.write_bytes(b"hello")
+    assert "no MATLAB file" in said()
+    columns = drives.imu_columns(drives.sensed()["imu"])
+    savemat(mat, columns)
+    whole = mat.read_bytes()
+    mat.write_bytes(whole[: len(whole) // 2])
+    assert "imu.mat: " in said()
+    savemat(mat, {**columns, "gyro_x_rad_s": np.array(["text"], object)})
+    assert "vector of numbers" in said()
+    savemat(mat, {**columns, "gyro_x_rad_s": columns["t_s"][:-1]})
+    assert "differ in length" in said()
+    savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
+    assert mat.stat().st_size < 100_000
+    monkeypatch.setattr("bench.exchange.tables._MOST_MAT", 10_000_000)
+    assert "larger than 10 MB when unpacked" in said()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('file = "imu.csv"', 'file = "imu.txt"'), "must end in"),
+        (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
+        (('gnss = "gnss.toml"', ""), "gnss is missing"),
+        (('imu = "imu.toml"', 'imu = "icm"'), "is not in the catalog"),
+        (('"course"', '"level"'), "heading_deg is missing"),
+        (('"course"', '"course"\nroll_deg = 1.0'), "is not read with alignment"),
+        (('"course"', '"course"\nat_s = 500.0'), "no fix from 500 s on"),
+        (('"course"', '"level"\nheading_deg = 3.0\nat_s = 60.0'), "at rest"),
+        (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
+        (("[imu]", "[imu]\nmount_deg = [0.0, 0.0, 0.0]"), "Did you mean 'mounting_deg'"),
+        (("[gnss]", "[gnss]\ntime_offset_s = 20.0"), "is outside -10 to 10 s"),
+    ],
+)
+def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys, change, words):
+    path = rewritten(folder, tmp_path, change)
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "give a LOG.toml"),
+        (["x.toml", "--mask-deg", "5"], "--mask-deg is for --observations"),
+        (["--observations", "a", "--navigation", "b", "--outages", "5"], "--outages is for a LOG.toml"),
+        (["x.toml", "--outages", "5,no"], "must be seconds"),
+        (["x.toml"], "x.toml: no such file"),
+    ],
+)
+def test_options_that_would_not_be_read_are_refused(arguments, words, capsys):
+    assert main(["navigate", *arguments]) == 2
+    assert words in capsys.readouterr().err
