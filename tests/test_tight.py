@@ -1,4 +1,4 @@
-"""Tight coupling: H is the Jacobian of what the satellites measure, the filter is honest, and three are enough.
+"""Tight coupling: H is the Jacobian of what satellites measure, the filter is honest, three are enough.
 
 The register's B-12 and B-14b in the filter. What is left of a single fault on one satellite is told.
 """
@@ -147,7 +147,7 @@ def test_corrections_are_needed(sensed):
 
 @pytest.mark.slow
 def test_tight_knows_its_errors():
-    """Mean NEES over 50 matched runs of 300 s within 3.3 standard errors of 9, NIS in the band of its mean."""
+    """Mean NEES of 50 matched runs of 300 s within 3.3 standard errors of 9, NIS in the band of its mean."""
     truth = weaving(300.0)
     estimator = load("tight", {"covariance_hz": 20.0})
     nees, nis = [], {"pseudorange": [], "range_rate": [], "baro": []}
@@ -210,8 +210,8 @@ def test_it_goes_on_with_one_to_three_satellites():
 def test_three_satellites_hold_the_position_three_times_better_than_none():
     """GPS only, TCXO, MEMS unit, two minutes to settle, then 60 s straight on the three highest satellites.
 
-    loose-22 has no fixes from three satellites and coasts. 50 seeds; the bound on the ratio of the medians is the
-    upper end of its 95 % bootstrap interval.
+    loose-22 has no fixes from three satellites and coasts. 50 seeds; the bound on the ratio of the medians
+    is the upper end of its 95 % bootstrap interval.
     """
     truth = weaving(180.0, straight_from=120.0)
     tight, loose = load("tight", {"covariance_hz": 20.0}), load("loose-22", {"covariance_hz": 20.0})

@@ -120,8 +120,8 @@ def test_without_aiding_and_without_baro_they_agree_too():
 
 
 def test_tight_and_its_twin_agree_over_half_a_minute():
-    """The twin differences what the filter leaves out of H (the Earth rate on the arm, 2e-4 of the rate there);
-    the filter reads the vertical delay from a table right to 1e-5 m.
+    """The twin differences what the filter leaves out of H (the Earth rate on the arm, 2e-4 of the rate
+    there); the filter reads the vertical delay from a table right to 1e-5 m.
     """
     gnss = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
     sensed = sensors.sense(weaving(30.0), units(gnss=gnss), 1, 0)

@@ -1,11 +1,12 @@
 """The loose filter a second time, plain and slow: what it says must be what the compiled one says.
 
 It shares with ``bench``: the records that go in, the datasheet figures in them, and nothing else; filterpy
-does the covariance and the updates; of satellites also the atmosphere of `bench.signals.delays` and the
-order in which their rows are used. It computes by itself: the WGS 84 Earth, the strapdown step (attitude as
-a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R, the antenna,
-gates, the ranges to satellites and their H by differences, and feedback as small rotations of that matrix. What it takes over by design, not by code: both rates
-as lines over two intervals, midpoint rules, and the order of Phi (``transition``).
+does the covariance and the updates. Of satellites it also shares the atmosphere of `bench.signals.delays`
+and the order in which their rows are used. It computes by itself: the WGS 84 Earth, the strapdown step
+(attitude as a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R,
+the antenna, gates, the ranges to satellites and their H by differences, and feedback as small rotations of
+that matrix. What it takes over by design, not by code: both rates as lines over two intervals, midpoint
+rules, and the order of Phi (``transition``).
 
     lat' = v_N / (R_M + h)      lon' = v_E / ((R_P + h) cos lat)      h' = -v_D       (A-5.1.2)
     C'   = C [w_ib_b x] - [(w_ie_n + w_en_n) x] C                                     (A-5.1.3)

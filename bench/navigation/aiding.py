@@ -118,6 +118,8 @@ def use_kernel(
             log.numbers[row + b, 2], log.numbers[row + b, 3] = work.var[b], nis
         if not squares <= gate.trace * spread:
             sound = False
+        if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
+            sound = False  # it flies: the rates of the window are not those of the Earth alone
         accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
         gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
         for b in range(m):
