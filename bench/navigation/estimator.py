@@ -39,6 +39,16 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
         "bench.navigation.fusion:Loose",
         {"gnss_markov": True},
     ),
+    "loose-mems": (
+        "loose-22 with scale factors and g-sensitivity, 37 states",
+        "bench.navigation.fusion:Loose",
+        {"gnss_markov": True, "mems": True},
+    ),
+    "tight": (
+        "INS/satellites/baro: every pseudorange and range rate, receiver clock",
+        "bench.navigation.fusion:Tight",
+        {"gnss_markov": False},
+    ),
     "smoother": (
         "loose-15 and a pass back over its record",
         "bench.navigation.smoother:Smoother",

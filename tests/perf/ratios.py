@@ -8,6 +8,7 @@ limit is exceeded.
 from __future__ import annotations
 
 import os
+import pickle
 import resource
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from rich.table import Table
 
 from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
-from bench.navigation.fusion import Loose
+from bench.navigation.fusion import Loose, Tight
 from bench.navigation.mechanization import propagate
 from bench.specs import (
     FlightSpec,
@@ -201,6 +202,50 @@ def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:
     ]
 
 
+def tight(profile: Profile, truth: Trajectory) -> list[Figure]:
+    """Sixteen satellites at 1 Hz, as seen from the flight: GPS and GLONASS, some hidden in turns."""
+    flown = config.load_profile(profile.name, {"sensors.gnss": "sky-l1", "sensors.gnss_outage": []})
+    sensed = pipeline.sense(flown, truth)
+    data, initial, imu = sensed.data, sensed.initial, sensed.data.imu
+    assert data.observations is not None
+    print(f"{len(data.observations) / (len(data.observations.epoch_start) - 1):.1f} satellites per epoch")
+
+    def strapdown() -> None:
+        propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
+
+    slow = Tight(covariance_hz=20.0)
+    cost = ratio(lambda: slow.run(data, initial), strapdown)
+    return [Figure("tight, 20 Hz covariance / strapdown", cost, 8.0, "x")]
+
+
+def compiling() -> list[Figure]:
+    """CPU of compiling the kernels of all estimators: first run less second, in fresh processes."""
+    code = (
+        "import time, pickle, sys; from bench.navigation.estimator import BUILT_IN, load;"
+        "data, initial = pickle.load(open(sys.argv[1], 'rb'));"
+        "start = time.process_time(); [load(n, {}).run(data, initial) for n in BUILT_IN];"
+        "print(time.process_time() - start)"
+    )
+    flown = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1", "duration_s": 30.0})
+    sensed = pipeline.sense(flown, pipeline.fly(flown))
+    with tempfile.TemporaryDirectory() as folder:
+        given = Path(folder) / "given.pickle"
+        given.write_bytes(pickle.dumps((sensed.data, sensed.initial)))
+        environment = dict(os.environ) | {"BENCH_CACHE": str(Path(folder) / "cache")}
+        spent = [
+            float(
+                subprocess.run(
+                    [sys.executable, "-c", code, str(given)],
+                    env=environment,
+                    capture_output=True,
+                    check=True,
+                ).stdout
+            )
+            for _ in range(2)
+        ]
+    return [Figure("compiling all estimators", spent[0] - spent[1], 40.0, "s CPU")]
+
+
 def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> list[Figure]:
     """Largest relative change of a pooled RMSE when the covariance runs at 20 Hz."""
     names = (
@@ -310,6 +355,8 @@ def main() -> None:
     sensed = pipeline.sense(profile, truth)
     figures = [
         *navigating(truth, sensed),
+        *tight(profile, truth),
+        *compiling(),
         *slower_covariance(matched, truth),
         *against_python_ins(truth, sensed),
         *sensing(profile, truth),
