@@ -13,7 +13,7 @@ from weaving import units, weaving
 
 from bench.data import Events, Innovations, NavSolution
 from bench.evaluation import metrics
-from bench.evaluation.detection import alarms, delay, false_alarms
+from bench.evaluation.detection import _unexplained, alarms, delay
 from bench.navigation.fusion import Loose
 from bench.sensors import sense
 from bench.specs import Fault
@@ -113,10 +113,10 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
     assert delay(gnss, raised) == 0.0
     assert delay(baro, raised) == 0.5
     assert delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
-    assert false_alarms([gnss, baro], raised, "gnss_position", 0.0) == 2
-    assert false_alarms([gnss], raised, "gnss_position", 15.0) == 1
-    assert false_alarms([gnss], raised, "baro", 0.0) == 1
-    assert false_alarms([gnss, baro], raised, "baro", 0.0) == 0
+    assert _unexplained([gnss, baro], raised, "gnss_position", 0.0) == 2
+    assert _unexplained([gnss], raised, "gnss_position", 15.0) == 1
+    assert _unexplained([gnss], raised, "baro", 0.0) == 1
+    assert _unexplained([gnss, baro], raised, "baro", 0.0) == 0
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
@@ -130,7 +130,7 @@ def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
     gnss, baro = Fault("spoofing", "gnss", 20.0, 60.0, ""), Fault("baro-step", "baro", 40.0, 60.0, "")
     assert delay(gnss, raised) == 5.0
     assert delay(baro, raised) == 10.0
-    assert false_alarms([baro], raised, "integrity", 0.0) == 1
+    assert _unexplained([baro], raised, "integrity", 0.0) == 1
 
 
 EVERY = [
