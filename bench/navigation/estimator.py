@@ -159,19 +159,21 @@ def construct(
         raise EstimatorError(f"estimator {use!r}: {error}") from error
 
 
-def check_needs(estimator: Estimator, name: str, records: Collection[str]) -> None:
+def check_needs(estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]") -> None:
     """Check, before anything is flown, that an estimator will get what it needs.
+
+    ``records`` of `SensorData` are those there will be; messages say where they come from by ``place``.
 
     Raises
     ------
     EstimatorError
-        When one of its ``needs`` is not among the ``records`` of `SensorData` that there will be, or is none.
+        When one of its ``needs`` is not among them, or is no record.
     """
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
             raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
         if need not in records:
-            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in [sensors]")
+            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
 
 
 class EstimatorFailedError(RuntimeError):
