@@ -24,7 +24,10 @@ class Estimator(Protocol):
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``."""
+        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
+
+        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds what is NaN.
+        """
         ...
 
 
