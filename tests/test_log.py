@@ -499,14 +499,17 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
     assert "differ in length" in said()
     savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
     assert mat.stat().st_size < 100_000
-    monkeypatch.setattr("bench.exchange.tables._MOST_MAT", 10_000_000)
+    monkeypatch.setattr("bench.exchange.mat_file.MOST_BYTES", 10_000_000)
     assert "larger than 10 MB when unpacked" in said()
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('file = "imu.csv"', 'file = "imu.txt"'), "must end in"),
+        (('file = "imu.csv"', 'file = "drive.toml"'), "its ending tells no format"),
+        (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
+        (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap"),
         (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
         (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
         (('gnss = "gnss.toml"', ""), "gnss is missing"),
@@ -520,7 +523,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (("from_s = 40.0", "from_s = 25.0"), None),
         (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
         (("[imu]", "[imu]\nmount_deg = [0.0, 0.0, 0.0]"), "Did you mean 'mounting_deg'"),
-        (("[gnss]", "[gnss]\ntime_offset_s = 20.0"), "is outside -10 to 10 s"),
+        (("[gnss]", "[gnss]\nvelocity_offset_s = 20.0"), "is outside -10 to 10 s"),
     ],
 )
 def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys, change, words):
