@@ -633,7 +633,7 @@ class Fault:
     """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
 
     kind: str  # as in the profile
-    sensor: str  # "gnss", "baro", "imu", "gyro" or "accel"
+    sensor: str  # "gnss", "baro", "mag", "airspeed", "imu", "gyro" or "accel"
     start: float  # [s]
     end: float  # [s]
     text: str  # in words, as in the profile
@@ -690,11 +690,12 @@ class SensorsSpec:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """An estimator by its built-in name or ``module:Class``, with the keywords of its constructor."""
+    """An estimator by its name, ``module:Class``, ``file:`` or ``command:``, and the keywords it takes."""
 
     use: str
     label: str  # unique in the profile; names files and report columns
     options: Mapping[str, Any] = field(default_factory=dict)
+    beside: Path = Path()  # where the relative paths of "file:" and "command:" begin
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import pytest
 
 from bench import config
 from bench.cli import main
-from bench.config.datasheets import read_airspeed, read_baro, read_mag
+from bench.config.air_sheets import read_airspeed, read_baro, read_mag
 from bench.specs import AirspeedSpec, MagSpec, StaticPressureSpec
 
 PROFILE = """

@@ -87,6 +87,7 @@ def read_table(
     optional: Sequence[str],
     most_rows: int,
     aliases: Mapping[str, str] | None = None,
+    most_values: int | None = None,
 ) -> Columns:
     """Return the columns of a file by kind.
 
@@ -102,13 +103,15 @@ def read_table(
         More rows are refused.
     aliases : mapping or None
         Name with unit -> what the file calls that column.
+    most_values : int or None
+        More rows times columns are refused; None: no such limit.
 
     Raises
     ------
     ConfigError
         When the file cannot be read, is too large or has no such columns: one line.
     """
-    shown, aliases = path.name, aliases or {}
+    shown, aliases, wanted = path.name, aliases or {}, list[str]()
     import pyarrow as pa
 
     try:
@@ -123,13 +126,20 @@ def read_table(
             count += len(batch[wanted[0]])
             if count > most_rows:
                 raise ConfigError(f"{shown}: more than {most_rows} rows")
+            if most_values is not None and count * len(wanted) > most_values:
+                raise ConfigError(
+                    f"{shown}: more than {most_values // len(wanted)} rows of {len(wanted)} columns"
+                )
             for column, name in zip(columns, wanted, strict=True):
                 column.append(batch[name])
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
+        row = _first_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
+        said = row or " ".join(str(error).split())[:200]
+        raise ConfigError(
+            f"{shown}: {'' if row else 'cannot be read: '}{said or type(error).__name__}"
+        ) from None
     read = {
         name: np.concatenate(parts) if parts else np.empty(0)
         for name, parts in zip(wanted, columns, strict=True)
@@ -174,6 +184,37 @@ def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
                 yield _floats(batch, wanted)
 
     return names, batches
+
+
+def _first_bad_row(path: Path, wanted: Sequence[str]) -> str:
+    """Say which row of a CSV file is the first that is not a number in each wanted column; empty: none."""
+    if path.suffix.lower() in (".parquet", ".mat"):
+        return ""
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        names = [name.strip() for name in next(csv.reader([file.readline(_MOST_HEADER)]), [])]
+        row = 0
+        while line := file.readline(_MOST_HEADER):
+            try:
+                cells = next(csv.reader([line.replace("\0", "?")]), [])
+            except csv.Error as error:
+                return f"row {row + 1}: {error}"
+            if not cells:
+                continue
+            row += 1
+            if len(cells) != len(names):
+                return f"row {row}: {len(cells)} columns, the header has {len(names)}"
+            for name, cell in zip(names, cells, strict=True):
+                if name in wanted and not _number(cell):
+                    return f"row {row}: {name} = {cell[:40]!r} is no number"
+    return ""
+
+
+def _number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return False
+    return True
 
 
 def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:

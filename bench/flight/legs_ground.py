@@ -97,6 +97,7 @@ def _climb_out(cockpit: Cockpit, leg: TakeOff, centre: _Centreline) -> Steps:
     cockpit.lat_mode(2)
     climb = cockpit.climb()
     cockpit.set_climb(climb)
+    cockpit.set_pitch_trim(cockpit.pitch_wanted())  # the climb begins with the pitch there is
     cockpit.lon_mode(2)
     for share in smooth(climb_ramp(leg.rate - climb) + 1.0):
         cockpit.set_climb(climb + share * (leg.rate - climb))

@@ -26,7 +26,7 @@ from bench.flight.increments import (
     step_increments,
     true_integrals,
 )
-from bench.flight.model import Condition, FlightError, load, node, settle, trim
+from bench.flight.model import Condition, FlightError, Trim, load, node, settle, trim
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.standing import stand
@@ -261,16 +261,26 @@ def simulation_step(rate: float) -> tuple[int, float]:
 def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     fdm = load(spec.aircraft, dt)
+    return fdm, begin(fdm, spec, trim)
+
+
+def begin(
+    fdm: Any,
+    spec: FlightSpec,
+    trim: Callable[[Any, Condition], Trim],
+    idle: Callable[[Any], None] = lambda fdm: None,
+) -> Cockpit:
+    """Put a model at the start of the plan, by a way to trim it and one to let its engines idle."""
     if spec.runway is not None:
         fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
     if spec.on_ground:
         trimmed = trim(fdm, replace(condition, alt=spec.alt + _CLEAR))  # of the climb to come
-        stand(fdm, condition)
+        stand(fdm, condition, idle)
     else:
         trimmed = trim(fdm, condition)
         settle(fdm)
     cockpit = engage(fdm, spec, trimmed)
     start_turbulence(fdm, spec.severity, spec.turbulence_seed, spec.turbulence_model)
-    return fdm, cockpit
+    return cockpit

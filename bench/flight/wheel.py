@@ -29,15 +29,14 @@ from bench.flight.model import (
     one_line,
     place,
     present_accelerations,
-    settle,
     silent_log,
     wait,
 )
-from bench.flight.recorder import simulation_step
+from bench.flight.recorder import begin, simulation_step
 from bench.flight.sequencer import RATE as TICK_RATE
-from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
+from bench.flight.sequencer import Cockpit, FlownLeg, fly_legs
 from bench.flight.tape import Tape, motion_of, truth_of, with_air
-from bench.flight.wind import air_velocity, start_turbulence
+from bench.flight.wind import Weather
 from bench.specs import AircraftSpec, FlightSpec, ForeignSpec
 
 _SETTLED = 1e-3  # largest acceleration left in a trimmed flight [m/s^2, rad/s^2]: 0.1 mg
@@ -82,7 +81,7 @@ def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
     steps = range(round(1.0 / (TICK_RATE * dt)))
     flown: list[FlownLeg] = []
     tape.step()
-    for t in fly_legs(cockpit, spec, flown):
+    for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
         tape.tick()
         for _ in steps:
             fdm.run()
@@ -99,16 +98,10 @@ def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
 
 
 def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
-    """Return the model, trimmed at the start of the plan in its wind, and its engaged guidance."""
+    """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     assert spec.aircraft.foreign is not None
     fdm = load(spec.aircraft, spec.aircraft.foreign, dt)
-    north, east, down = (float(v) for v in air_velocity(spec.wind_from, spec.wind_speed))
-    condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
-    trimmed = trim(fdm, condition)
-    settle(fdm)
-    cockpit = engage(fdm, spec, trimmed)
-    start_turbulence(fdm, spec.severity, spec.turbulence_seed)
-    return fdm, cockpit
+    return fdm, begin(fdm, spec, trim, _run_engines)
 
 
 def load(aircraft: AircraftSpec, foreign: ForeignSpec, dt: float) -> Any:

@@ -78,6 +78,11 @@ class Smoother:
             events=forward.events,
         )
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What its forward run needs."""
+        return self.filter.needs
+
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
         return self.filter.unmodelled(specs)

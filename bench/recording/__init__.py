@@ -16,7 +16,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.config.log import LogSpec
 from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
-from bench.recording import layout, plots, space, words
+from bench.recording import layout, plots, satellites, space, words
 from bench.recording.plots import TIMELINE
 from bench.specs import Profile
 
@@ -73,8 +73,11 @@ def _record(
 
     motion = plots.carrier(solutions) if truth is None else truth
     tabs = plots.tabs(motion, sensed, solutions, errors, profile.evaluation_from)
+    sky = profile.sensors.gnss.sky if isinstance(profile, Profile) and profile.sensors.gnss else None
+    if sensed.sky is not None:
+        tabs = {**tabs, satellites.TAB: {"": satellites.rows(sensed.sky)}}
     scene = space.scene(motion, sensed, solutions)
-    outages = [(start, end) for start, end, _ in sensed.events.of("gnss_outage")]
+    shades = plots.shades(sensed.events)
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
@@ -88,7 +91,9 @@ def _record(
         space.send(stream, mesh, motion, sensed, solutions)
         words.send(stream, profile, motion, sensed, solutions, metrics)
         for plot in plots.every(tabs):
-            plots.send(stream, plot, outages)
+            plots.send(stream, plot, shades)
+        if sensed.sky is not None and sky is not None and truth is not None:
+            satellites.send(stream, sensed.sky, truth, sky.antenna_mask)
         return memory.drain_as_bytes()
 
 

@@ -9,9 +9,18 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import BaroData, GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
+from bench.data import (
+    AirspeedData,
+    BaroData,
+    GnssFixes,
+    GnssObservations,
+    ImuData,
+    MagData,
+    NavSolution,
+    Trajectory,
+)
 from bench.store import initial_state
-from bench.store.columns import BARO, GNSS, IMU, MOTION, Layout, observations, solution
+from bench.store.columns import AIRSPEED, BARO, GNSS, IMU, MAG, MOTION, Layout, observations, solution
 
 WEEK, SECOND = 2400, 18.0
 """GPS week and second of t = 0, which is 2026-01-04 00:00:00 UTC, 18 leap seconds behind."""
@@ -44,6 +53,8 @@ class Outgoing:
     baro: BaroData | None
     observations: GnssObservations | None
     start: Mapping[str, Any]  # as `bench.store.start_document` makes it
+    mag: MagData | None = None
+    airspeed: AirspeedData | None = None
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
 
     @property
@@ -82,6 +93,10 @@ class Outgoing:
             found["observations"] = (self.observations, observations(bands))
         if self.baro is not None:
             found["baro"] = (self.baro, BARO)
+        if self.mag is not None:
+            found["mag"] = (self.mag, MAG)
+        if self.airspeed is not None:
+            found["airspeed"] = (self.airspeed, AIRSPEED)
         for name, track in self.tracks.items():
             names = track.extra_names if isinstance(track, NavSolution) else ()
             found[name] = (track, solution(names) if isinstance(track, NavSolution) else MOTION)
