@@ -25,6 +25,7 @@ from bench.config.log import load_log
 from bench.data import ImuData
 from bench.earth import difference_n
 from bench.evaluation import outages, validity
+from bench.evaluation.fixes import judge
 from bench.exchange.log import divided, read_log
 from bench.exchange.log_start import start
 from bench.navigation import estimator
@@ -332,8 +333,6 @@ def outcome(path):
     keep, withheld = session.withheld()
     data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
     one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
-    from bench.evaluation.fixes import judge
-
     solution = estimator.answer(one, "x", data, session.initial)
     _, metrics = judge(solution, withheld, data, spec.evaluation_from)
     return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
@@ -499,14 +498,17 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
     assert "differ in length" in said()
     savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
     assert mat.stat().st_size < 100_000
-    monkeypatch.setattr("bench.exchange.tables._MOST_MAT", 10_000_000)
+    monkeypatch.setattr("bench.exchange.mat_file.MOST_BYTES", 10_000_000)
     assert "larger than 10 MB when unpacked" in said()
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('file = "imu.csv"', 'file = "imu.txt"'), "must end in"),
+        (('file = "imu.csv"', 'file = "drive.toml"'), "its ending tells no format"),
+        (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
+        (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap"),
         (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
         (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
         (('gnss = "gnss.toml"', ""), "gnss is missing"),
@@ -520,7 +522,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (("from_s = 40.0", "from_s = 25.0"), None),
         (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
         (("[imu]", "[imu]\nmount_deg = [0.0, 0.0, 0.0]"), "Did you mean 'mounting_deg'"),
-        (("[gnss]", "[gnss]\ntime_offset_s = 20.0"), "is outside -10 to 10 s"),
+        (("[gnss]", "[gnss]\nvelocity_offset_s = 20.0"), "is outside -10 to 10 s"),
     ],
 )
 def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys, change, words):
@@ -547,3 +549,80 @@ def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys,
 def test_options_that_would_not_be_read_are_refused(arguments, words, capsys):
     assert main(["navigate", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+# --- data nobody simulated ----------------------------------------------------------------------------
+
+needs_drive = pytest.mark.skipif(
+    not DRIVE.is_dir(), reason="needs the recorded drive, shared/data/drive_0708"
+)
+ROOF = ('imu = "icm-45686"', 'imu = "icm-45686-on-the-roof.toml"')
+
+
+def real(tmp_path, *changes):
+    """The log of the drive in tests/logs beside its tables."""
+    for path in (*DRIVE.glob("*.csv"), *(Path(__file__).parent / "logs").glob("icm*.toml")):
+        (tmp_path / path.name).symlink_to(path)
+    text = (Path(__file__).parent / "logs" / "drive.toml").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "drive.toml").write_text(text)
+    return tmp_path / "drive.toml"
+
+
+@needs_drive
+def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
+    """The velocity of this receiver is that of the middle of its epoch of 0.25 s."""
+    said = checks(real(tmp_path, ("velocity_offset_s = -0.125\n", "")))
+    assert said["velocity_shift_s"].value == pytest.approx(-0.125, abs=0.01)
+    assert not said["velocity_shift_s"].good
+    (tmp_path / "sound").mkdir()
+    said = checks(real(tmp_path / "sound"))
+    assert abs(said["velocity_shift_s"].value) < 0.01
+    assert abs(said["imu_shift_s"].value) < 0.02
+    assert [c.name for c in said.values() if not c.good] == ["gnss_invalid_rows"]  # of no fixed ambiguities
+
+
+@needs_drive
+@pytest.mark.parametrize(
+    ("changes", "rmse", "medians"),
+    [  # the intervals of the README
+        ((), (0.27, 0.58), {10.0: (3.7, 9.4), 30.0: (27.0, 94.0), 60.0: (62.0, 465.0)}),
+        ((ROOF,), (0.0, 0.066), {10.0: (1.2, 3.2), 30.0: (17.0, 90.0), 60.0: (52.0, 451.0)}),
+    ],
+    ids=["datasheet", "as mounted"],
+)
+def test_the_drive_is_navigated_as_well_as_the_readme_says(tmp_path, changes, rmse, medians):
+    arguments = ["navigate", str(real(tmp_path, *changes)), "-e", "loose-15", "--outages", "10,30,60"]
+    assert main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    metrics = result["metrics"]["loose-15"]
+    assert metrics["withheld_fixes"] > 350
+    assert rmse[0] < metrics["pos_rmse_h_m"] < rmse[1]
+    for row in result["outages"]:
+        low, high = medians[row["duration_s"]]
+        assert row["places"] == 10
+        assert low < row["median_h_m"] < high
+        assert row["median_h_m"] > row["closed_form_median_h_m"]  # the law is a floor
+    if changes:
+        assert metrics["rejected_gnss_position"] < 30
+        assert 1.5 < metrics["nis_mean_gnss_position"] < 6.0  # 3 where the filter knows its noise
+        assert metrics["cep95_m"] < 0.05
+
+
+@needs_drive
+def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
+    """What the motion says and what the filter says agree: the offset of the log halves the error."""
+    found = []
+    other = ("time_offset_s = -0.2", "time_offset_s = -0.125")
+    for name, changes in (("a", (ROOF,)), ("b", (ROOF, other))):
+        (tmp_path / name).mkdir()
+        spec = load_log(str(real(tmp_path / name, *changes)))
+        recorded = read_log(spec)
+        session = Session(spec, recorded, start(recorded, spec))
+        keep, withheld = session.withheld()
+        data = session.data(keep, withheld.t)
+        solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)
+        found.append(judge(solution, withheld, data, spec.evaluation_from)[1]["pos_rmse_h_m"])
+    assert found[0] < 0.5 * found[1]

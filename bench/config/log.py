@@ -19,14 +19,25 @@ from bench.config.profile_tables import AlignmentTable, EstimatorTable, Evaluati
 from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, noting, read
 from bench.specs import AssumedSpecs, EstimatorChoice
 
-ENDINGS = (".csv", ".parquet", ".mat")
-"""Endings of the files a log may name."""
+FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
+"""How a file of a log may be written; a table is CSV, Parquet or MATLAB."""
+_TABLES = (".csv", ".parquet", ".mat")
+_ENDINGS = dict.fromkeys(_TABLES, "table") | {
+    ".ulg": "ulog",
+    ".bag": "rosbag",
+    ".db3": "rosbag",
+    ".mcap": "mcap",
+    ".pos": "rtklib",
+}
+"""Ending of a file -> its format, where a log does not say it; a folder is a ROS 2 bag."""
+_TOPICS = ("ulog", "rosbag", "mcap")
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
 _Arm = Annotated[float, between(-100, 100)]
 _Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
 _Shift = Annotated[float, between(-10, 10)]
+_Clock = Annotated[float, between(-1e10, 1e10)]
 
 
 def _names(value: dict[str, str]) -> dict[str, str]:
@@ -40,11 +51,13 @@ _Columns = Annotated[dict[str, str], AfterValidator(_names)]
 
 
 class _FileTable(Table):
-    """A file, what it calls its columns, and how its clock is off."""
+    """A file, how it is written, what it calls its columns, and how its clock is off."""
 
     file: str
+    format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
+    topic: str | None = None
     columns: _Columns = Field(default_factory=dict)
-    time_offset_s: _Shift = 0.0
+    time_offset_s: _Clock = 0.0
 
 
 class ImuTable(_FileTable):
@@ -121,6 +134,8 @@ class SourceSpec:
     """A file to read rows from."""
 
     path: Path
+    format: str = "table"
+    topic: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> what the file calls it
     time_offset: float = 0.0  # added to its times [s]
 
@@ -243,12 +258,22 @@ def _source(
     if row is None:
         return None
     path = beside / row.file
-    if path.suffix.lower() not in ENDINGS:
-        wrong.append(f"{place}[{kind}] file = {row.file!r} must end in {', '.join(ENDINGS)}")
-    elif not path.is_file():
-        wrong.append(f"{place}[{kind}] file = {row.file!r}: no such file beside the log")
+    form = row.format or ("rosbag" if path.is_dir() else _ENDINGS.get(path.suffix.lower()))
+    what = f"{place}[{kind}] file = {row.file!r}"
+    if not path.exists():
+        wrong.append(f"{what}: no such file beside the log")
+    elif form is None:
+        wrong.append(f"{what}: its ending tells no format; set format to {', '.join(FORMATS)}")
+    elif path.is_dir() and form != "rosbag":
+        wrong.append(f"{what} is a folder; only a ROS 2 bag is one")
+    elif form == "table" and path.suffix.lower() not in _TABLES:
+        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")
+    elif form != "table" and row.columns:
+        wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
+    elif form not in _TOPICS and row.topic is not None:
+        wrong.append(f"{place}[{kind}] topic is for {', '.join(_TOPICS)}; format {form!r} has none")
     else:
-        return SourceSpec(path, dict(row.columns), float(row.time_offset_s))
+        return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
     return None
 
 

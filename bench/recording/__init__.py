@@ -29,6 +29,7 @@ def write(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str = "",
 ) -> None:
     """Write the recording of one run.
 
@@ -42,13 +43,15 @@ def write(
         The flight and one draw of the sensors; without a truth the first estimator carries the vehicle.
     solutions, errors, metrics : mappings by estimator
         What the estimators made of it. The first is the main one: the overview shows it.
+    more : str
+        Markdown below the summary.
 
     Raises
     ------
     OSError
         When the file cannot be written.
     """
-    recorded = _record(profile, truth, sensed, solutions, errors, metrics)
+    recorded = _record(profile, truth, sensed, solutions, errors, metrics, more)
     part = path.with_name(f"{path.name}.tmp")
     try:
         part.write_bytes(recorded)
@@ -64,6 +67,7 @@ def _record(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str,
 ) -> bytes:
     """Return the recording as the bytes of its file.
 
@@ -89,7 +93,7 @@ def _record(
             title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
         stream.send_recording_name(title)
         space.send(stream, mesh, motion, sensed, solutions)
-        words.send(stream, profile, motion, sensed, solutions, metrics)
+        words.send(stream, profile, motion, sensed, solutions, metrics, more)
         for plot in plots.every(tabs):
             plots.send(stream, plot, shades)
         if sensed.sky is not None and sky is not None and truth is not None:

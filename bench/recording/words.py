@@ -24,11 +24,12 @@ def send(
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str,
 ) -> None:
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
     import rerun as rr
 
-    page = summary(profile, truth, metrics)
+    page = summary(profile, truth, metrics) + more
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
@@ -136,7 +137,7 @@ def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
 def _log(log: LogSpec, colours: str) -> list[str]:
     """Return what is said of a recording above its metrics."""
     assumed = [("IMU", log.assumed.imu), ("GNSS", log.assumed.gnss), ("barometer", log.assumed.baro)]
-    kept = f"every {log.withhold}. fix" if log.withhold else "no fix"
+    kept = f"one fix in {log.withhold}" if log.withhold else "no fix"
     return [
         f"- recording `{log.name}`",
         *[f"- {what} assumed to be a `{unit.name}`" for what, unit in assumed if unit is not None],
