@@ -226,7 +226,8 @@ def to_fault(table: FaultTable) -> Fault:
     said = [
         quantity(key, value)
         for key, value in given.items()
-        if key in table.model_fields_set - {"kind", "sensor", "start_s", "duration_s"}
+        if key not in ("kind", "sensor", "start_s", "duration_s")
+        and value != type(table).model_fields[key].default
     ]
     sensor = sensor_of(table)
     return Fault(
