@@ -227,6 +227,7 @@ def to_fault(table: FaultTable) -> Fault:
         quantity(key, value)
         for key, value in given.items()
         if key not in ("kind", "sensor", "start_s", "duration_s")
+        and value != type(table).model_fields[key].default
     ]
     sensor = sensor_of(table)
     return Fault(
