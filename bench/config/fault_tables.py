@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, TypeAdapter
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between, quantity
@@ -216,6 +216,18 @@ def sensor_of(table: _FaultTable) -> str:
     """Return the sensor a fault strikes."""
     named: str | None = getattr(table, "sensor", None)
     return named or _SENSOR.get(table.kind, "gnss")  # type: ignore[attr-defined]
+
+
+def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
+    """Return the faults of a profile as flown, as a ``result.json`` holds it.
+
+    Raises
+    ------
+    ValueError
+        When they are none.
+    """
+    one = TypeAdapter[Any](Annotated[FaultTable, Field(discriminator="kind")])
+    return tuple(to_fault(one.validate_python(row)) for row in rows)
 
 
 def to_fault(table: FaultTable) -> Fault:
