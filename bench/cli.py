@@ -628,6 +628,52 @@ def score(
     return DONE if measured["converged"] else NEGATIVE
 
 
+@commands.command(epilog=_STATUS)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.option("--udp", metavar="IP:PORT", help="send there, a datagram per message")
+@click.option("--tcp", metavar="IP:PORT", help="wait there for one connection; port 0 takes a free one")
+@click.option(
+    "--rate",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="R",
+    help="seconds of the run per second; 0 or inf: as fast as it goes",
+)
+@click.option("--allow-remote", is_flag=True, help="let the messages out to another machine")
+def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_remote: bool) -> int:
+    """Send the sensors of a run as they would arrive, for a filter in the loop.
+
+    RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
+    IMU, barometer, magnetometer and airspeed are binary frames, little-endian:
+
+    \b
+      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed), length n, uint32 number,
+      n bytes payload: float64 each, then one byte, 1 when valid;
+      uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
+    \b
+      IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
+      baro      t [s], altitude [m], sd [m]
+      mag       t [s], field x y z [T], sd [T]
+      airspeed  t [s], true airspeed [m/s], sd [m/s]
+
+    A message leaves when it would reach the filter: at its time and the latency of
+    its sensor. Only addresses of this machine are taken without --allow-remote.
+
+    \b
+    Examples:
+      bench stream runs/figure-eight-20260101 --udp 127.0.0.1:5600
+      bench stream runs/figure-eight-20260101 --tcp 127.0.0.1:5600 --rate 10
+    """
+    if (udp is None) == (tcp is None):
+        raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
+    from bench.workbench.stream import stream as stream_run
+
+    kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
+    stream_run(folder, kind, address, console=_console(), rate=rate, remote=allow_remote)
+    return DONE
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; a bug keeps its traceback.
 

@@ -13,7 +13,7 @@ int main(int argc, char **argv) {
     if (!gnss || !wanted || !out) return perror(path), 3;
     fgets(line, sizeof line, gnss);
     fgets(line, sizeof line, wanted);
-    fprintf(out, "t_s,lat_rad,lon_rad,alt_m,vel_n_mps,vel_e_mps,vel_d_mps,sd_pos_n_m,sd_pos_e_m,sd_pos_d_m\n");
+    fprintf(out, "t_s,lat_rad,lon_rad,alt_m,vel_n_mps,vel_e_mps,vel_d_mps\n");
     double t, next[9], held[9];
     int have = 0, more = 0, rows = 0;
     for (; fgets(line, sizeof line, wanted); ) {
@@ -31,7 +31,7 @@ int main(int argc, char **argv) {
             more = 0;
         }
         if (have)
-            fprintf(out, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,10,10,15\n", t, held[3], held[4], held[5],
+            fprintf(out, "%.9f,%.17g,%.17g,%.17g,%.17g,%.17g,%.17g\n", t, held[3], held[4], held[5],
                     held[6], held[7], held[8]), rows++;
     }
     fprintf(stderr, "%d rows\n", rows);

@@ -20,7 +20,7 @@ from bench import cli
 from bench.config import ConfigError, list_aircraft, load_profile
 from bench.data import Trajectory
 from bench.earth import difference_n, displace
-from bench.flight import FlightError, child, fly, wheel
+from bench.flight import FlightError, child, fly, fly_pieces, wheel
 from bench.flight.foreign import read_xml
 from bench.rotation import rotate, to_euler
 from bench.specs import (
@@ -350,28 +350,43 @@ def test_a_broken_model_is_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_flight_in_a_child_comes_in_pieces(tmp_path, monkeypatch):
+    """Put together they are the whole, bit for bit, with an event list in the last one only."""
+    monkeypatch.chdir(tmp_path)
+    spec = replace(plan(tmp_path), legs=(Straight(7.0),), duration=None)
+    whole, found = fly(spec), list(fly_pieces(spec, seconds=2.0))
+    assert [piece.t[-1] for piece in found] == [2.0, 4.0, 6.0, 7.0]
+    assert [len(piece.events) for piece in found] == [0, 0, 0, 1]
+    for name in ("lla", "q_nb"):
+        rows = [getattr(piece, name)[k > 0 :] for k, piece in enumerate(found)]
+        np.testing.assert_array_equal(np.concatenate(rows), getattr(whole, name))
+    np.testing.assert_array_equal(np.concatenate([piece.dvel_b for piece in found]), whole.dvel_b)
+    np.testing.assert_array_equal(np.concatenate([piece.air.wind_n for piece in found]), whole.air.wind_n)
+    np.testing.assert_array_equal(np.concatenate([piece.controls.t for piece in found]), whole.controls.t)
+
+
 def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
     folder = tmp_path / "flown.py"
     folder.write_text(
         "import os, time\n"
-        "def hangs(spec, progress):\n    progress(1.0)\n    time.sleep(600)\n"
-        "def dies(spec, progress):\n    os.kill(os.getpid(), 11)\n"
-        "def fails(spec, progress):\n    raise OSError('no room')\n"
+        "def hangs(spec, progress, seconds):\n    progress(1.0)\n    time.sleep(600)\n"
+        "def dies(spec, progress, seconds):\n    os.kill(os.getpid(), 11)\n"
+        "def fails(spec, progress, seconds):\n    raise OSError('no room')\n"
     )
     added = f"import bench.flight; bench.flight.__path__.append({str(tmp_path)!r}); from bench"
     monkeypatch.setattr(child, "_START", child._START.replace("from bench", added))
     seen: list[float] = []
     with pytest.raises(FlightError, match=r"^aircraft x: JSBSim did not answer for 4 s and was ended$"):
-        child.fly_in_child("flown:hangs", None, "aircraft x", seen.append, patience=4.0)
+        list(child.fly_in_child("flown:hangs", None, "aircraft x", seen.append, patience=4.0))
     assert seen == [1.0]
     with pytest.raises(
         FlightError, match=rf"^aircraft x: JSBSim ended its process with status -{int(signal.SIGSEGV)}"
     ):
-        child.fly_in_child("flown:dies", None, "aircraft x")
+        list(child.fly_in_child("flown:dies", None, "aircraft x"))
     with pytest.raises(
         FlightError, match=r"^aircraft x: JSBSim ended its process with status 1: OSError: no room$"
     ):
-        child.fly_in_child("flown:fails", None, "aircraft x")
+        list(child.fly_in_child("flown:fails", None, "aircraft x"))
 
 
 def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsys):

@@ -191,6 +191,17 @@ class GnssTable(Table):
     pos_decay_time_s: Figure | None = None
     vel_decay_time_s: Figure | None = None
     latency_s: Figure = 0.0
+    pos_h_jump_sd_m: Figure = 0.0
+    pos_v_jump_sd_m: Figure = 0.0
+    vel_jump_sd_mps: Figure = 0.0
+    pos_h_jump_markov_sd_m: Figure = 0.0
+    pos_v_jump_markov_sd_m: Figure = 0.0
+    vel_jump_markov_sd_mps: Figure = 0.0
+    optimism: Annotated[float, between(0.05, 20)] = 1.0  # true over reported standard deviation
+
+
+_JUMPS = ("pos_h_jump", "pos_v_jump", "vel_jump", "pos_h_jump_markov", "pos_v_jump_markov", "vel_jump_markov")
+"""Jumps of a position-level receiver where the satellites in use change."""
 
 
 class GnssSheet(Sheet):
@@ -294,6 +305,14 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         wrong.append("[gnss] pos_h_markov_sd_m needs pos_decay_distance_km or pos_decay_time_s")
     if table.vel_markov_sd_mps and table.vel_decay_time_s is None:
         wrong.append("[gnss] vel_markov_sd_mps needs vel_decay_time_s")
+    jumps = {name: getattr(table, f"{name}_sd_{'mps' if name.startswith('vel') else 'm'}") for name in _JUMPS}
+    lasting = jumps["pos_h_jump_markov"] or jumps["pos_v_jump_markov"]
+    if lasting and table.pos_decay_distance_km is None and table.pos_decay_time_s is None:
+        wrong.append("[gnss] pos_h_jump_markov_sd_m needs pos_decay_distance_km or pos_decay_time_s")
+    if jumps["vel_jump_markov"] and table.vel_decay_time_s is None:
+        wrong.append("[gnss] vel_jump_markov_sd_mps needs vel_decay_time_s")
+    if sheet.sky is not None and any(jumps.values()):
+        wrong.append("[gnss] jumps follow from the satellites of [sky]; leave their figures out")
     sky = None
     if sheet.sky is not None:
         with noting(wrong):
@@ -313,6 +332,8 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         pos_decay_time=1 / table.pos_decay_time_s if table.pos_decay_time_s else 0.0,
         vel_decay_time=1 / table.vel_decay_time_s if table.vel_decay_time_s else 0.0,
         latency=table.latency_s,
+        **{f"{name}_sd": value for name, value in jumps.items()},
+        optimism=table.optimism,
         sky=sky,
     )
 

@@ -72,8 +72,14 @@ _SLOW = (  # at 20 Hz, with the factor to SI
 )
 
 
-def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
-    """Fly a plan; the same plan gives the same bits in any process.
+def fly_pieces(
+    spec: FlightSpec, progress: Callable[[float], None] | None = None, seconds: float = PIECE
+) -> Iterator[Trajectory]:
+    """Fly a plan and yield the truth in pieces, so that a long flight needs no more memory than a short one.
+
+    A piece begins with the instant at which the one before ends; air data and controls of that
+    instant are in the earlier one, the legs in the last. Put together the pieces are one of
+    infinitely many seconds, bit for bit; the same plan gives the same bits in any process.
 
     Parameters
     ----------
@@ -81,9 +87,11 @@ def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Tr
         The plan; its rate is a multiple of 20 Hz.
     progress : callable, optional
         Called with the time flown so far [s], once per second of flight.
+    seconds : float
+        Length of a piece [s].
 
-    Returns
-    -------
+    Yields
+    ------
     Trajectory
         Truth at spec.rate from t = 0, of the IMU; air data and controls of the aircraft; the flown
         legs as events of kind "leg".
@@ -93,18 +101,7 @@ def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Tr
     FlightError
         When the aircraft cannot be loaded, trimmed, or flown as planned.
     """
-    (whole,) = record(spec, progress, seconds=math.inf)
-    return to_trajectory(whole)
-
-
-def fly_pieces(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Iterator[Trajectory]:
-    """Fly a plan and yield the truth in pieces, so that a long flight needs no more memory than a short one.
-
-    A piece begins with the instant at which the one before ends; air data and controls of that
-    instant are in the earlier one, the legs in the last. Put together the pieces are what
-    :func:`fly` returns, bit for bit. Parameters and errors as there.
-    """
-    return map(to_trajectory, record(spec, progress))
+    return map(to_trajectory, record(spec, progress, seconds=seconds))
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +121,7 @@ def record(
 ) -> Iterator[Recording]:
     """Fly a plan and yield the states of every step, in stretches of so many seconds.
 
-    Parameters and errors as for :func:`fly`.
+    Parameters and errors as for :func:`fly_pieces`.
     """
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)

@@ -137,6 +137,8 @@ def unmodelled(specs: AssumedSpecs, *, gnss: bool, baro: bool, gnss_markov: bool
             found.append("time-correlated GNSS velocity error")
         if specs.gnss.latency > 0:
             found.append("GNSS latency")
+        if specs.gnss.jumps:
+            found.append("jumps of the GNSS error where the satellites change")
     if baro and specs.baro is not None and specs.baro.quantization > 0:
         found.append("barometer quantization")
     if baro and specs.baro is not None and specs.baro.physical is not None:

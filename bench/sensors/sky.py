@@ -187,7 +187,10 @@ def measure(
     # a receiver that tracks predicts where it is; the prediction moves its fix by a centimetre at most
     solution = receiver.solve(observations, processing(sky), near=seen)
     solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
-    fixes = GnssFixes(*(getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__))
+    columns = {name: getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__}
+    for name in ("cov_pos_n", "cov_vel_n"):
+        columns[name] = columns[name] / spec.optimism**2
+    fixes = GnssFixes(**columns)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
     used = np.zeros(len(v.epoch), bool)
     used[_rows(start, content)[now & solution.used]] = True

@@ -66,7 +66,7 @@ def metrics(
             reason = values["reason"]
             text = reason if reason.startswith("failed: ") else f"diverged: {reason}"
             console.print(f"{label} {text}", style="bold red")
-        if values.get("program"):
+        elif values.get("program"):
             said = values["program"]["stderr"]
             last = f"; stderr ends: {said.splitlines()[-1][:200]}" if said else ""
             console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
@@ -187,7 +187,7 @@ def choices(console: Console, kind: str | None = None) -> None:
         "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
-        "Estimators (use = NAME, or 'module:Class' of your own)": [
+        "Estimators (use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...')": [
             (name, what) for name, (what, _, _) in BUILT_IN.items()
         ],
     }

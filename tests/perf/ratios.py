@@ -99,7 +99,7 @@ def flying(profile: Profile) -> list[Figure]:
         cost = ratio(lambda: record(spec), lambda: step(spec), 5)
         return Figure(f"recording a flight of the {spec.aircraft.name} / stepping it", cost, 1.4, "x")
 
-    whole = ratio(lambda: recorder.fly(profile.flight), lambda: step(profile.flight), 3)
+    whole = ratio(lambda: list(recorder.fly_pieces(profile.flight)), lambda: step(profile.flight), 3)
     return [
         *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise")),
         Figure("first flight / stepping it", whole, 4.0, "x"),
