@@ -302,6 +302,7 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
 )
 @click.option("--no-rrd", is_flag=True, help="of a log: write no recording")
 @click.option("--force", is_flag=True, help="of a log: replace an existing results folder")
+@click.option("--allow-commands", is_flag=True, help="of a log: let it start the programs it names")
 @click.option(
     "--observations",
     type=click.Path(path_type=Path),
@@ -371,6 +372,7 @@ def navigate(
     places: int,
     no_rrd: bool,
     force: bool,
+    allow_commands: bool,
     observations: Path | None,
     navigation: tuple[Path, ...],
     systems: Any,
@@ -420,6 +422,7 @@ def navigate(
             out=out,
             recording=not no_rrd,
             force=force,
+            allow_commands=allow_commands,
         )
         if as_json:
             click.echo(to_json(summary), nl=False)
@@ -445,7 +448,7 @@ def navigate(
     return DONE if figures["fixes"] else NEGATIVE
 
 
-_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force"})
+_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force", "allow_commands"})
 """Options of bench navigate that need a LOG.toml."""
 
 
