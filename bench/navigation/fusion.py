@@ -428,11 +428,11 @@ class Fusion:
         )
         count = int(log.filled[0])
         numbers, marks = log.numbers[:count], log.marks[:count]
-        out_state, out_P = (
-            np.full((len(sensors.output_t), n + 1), np.nan),
-            np.full((len(sensors.output_t), n, n), np.nan),
-        )
-        out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
+        out_state, out_P = stores.state, stores.P
+        if not np.array_equal(agenda.outputs, np.arange(len(sensors.output_t))):
+            out_state = np.full((len(sensors.output_t), n + 1), np.nan)
+            out_P = np.full((len(sensors.output_t), n, n), np.nan)
+            out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
         events = agenda.events + refusals(numbers[:, 0], marks, names)
         node = np.full(len(sensors.output_t), -1)
         if keep:
