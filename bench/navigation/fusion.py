@@ -7,7 +7,7 @@ position and velocity of the GNSS antenna, tight coupling every satellite by its
 
 A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
 to the instant of arrival by the transition in between: the process
-noise of the latency is left out, 1e-3 of a fix's variance at 0.2 s with the units of the catalog. The
+noise of the latency is left out, 2e-4 of the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The
 change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below 1e-4 for
 corrections below 0.01 rad (equations section 10).
 """
@@ -343,6 +343,17 @@ class Fusion:
         names = list(SENSORS)
         if seen is not None:
             names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
+        asked = {
+            "airspeed": self.airspeed and sensors.airspeed is None,
+            "magnetometer": self.magnetometer and sensors.mag is None,
+            "tight coupling": self.tight and self.gnss and seen is None and sensors.fixes is not None,
+        }
+        end = float(agenda.imu_t[-1]) if len(agenda.imu_t) else initial.t
+        agenda.events += [
+            (initial.t, end, "aiding", f"{what}: asked for, but the record holds nothing for it")
+            for what, absent in asked.items()
+            if absent
+        ]
         return self._filter(sensors, initial, model, agenda, sky, field, names, keep)
 
     def _filter(
