@@ -100,7 +100,8 @@ def commands(ctx: click.Context) -> None:
     "estimators",
     multiple=True,
     metavar="NAME",
-    help="evaluate only this one, of the profile or 'module:Class'; repeat for more",
+    help="evaluate only this one, of the profile, 'module:Class', 'file:solution.csv' or "
+    "'command:./program {sensors} {solution}'; repeat for more",
 )
 @_set
 @_seed
@@ -119,6 +120,9 @@ def commands(ctx: click.Context) -> None:
 )
 @click.option("--no-rrd", is_flag=True, help="write no recording")
 @click.option("--force", is_flag=True, help="replace an existing results folder")
+@click.option(
+    "--allow-commands", is_flag=True, help="let the profile start the programs it names (use = 'command:...')"
+)
 def run(
     profile: str,
     out: Path | None,
@@ -130,6 +134,7 @@ def run(
     as_json: bool,
     no_rrd: bool,
     force: bool,
+    allow_commands: bool,
 ) -> int:
     """Fly one profile and evaluate every estimator it names.
 
@@ -139,6 +144,7 @@ def run(
     Examples:
       bench run figure-eight                   a profile that ships with bench
       bench run figure-eight -e my_lab:Filter  an estimator of your own, my_lab.py here
+      bench run figure-eight -e loose-15 -e 'command:./myfilter {sensors} {solution}'
       bench run my_flight.toml -o out/trial-3  a profile of your own
       bench run figure-eight --seed 7 --set sensors.imu=stim300
 
@@ -163,6 +169,7 @@ def run(
         draw=draw,
         recording=not no_rrd,
         force=force,
+        allow_commands=allow_commands,
     )
     if as_json:
         click.echo(to_json(result.metrics), nl=False)
@@ -540,6 +547,130 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     from bench.workbench.export import export as export_run
 
     export_run(folder, kind, console=_console(), out=out, wanted=wanted, force=force)
+    return DONE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("solution", type=click.Path(path_type=Path))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.option("--label", metavar="NAME", help="what it is called  [default: the name of its file]")
+@click.option(
+    "--t0",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="S",
+    help="time of the file at the start of the run",
+)
+@click.option(
+    "--max-gap",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="longest interval between rows that is interpolated  [default: twice the usual one, 2 s at most]",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="write the results folder with the solution added, without the recording",
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="print its metrics as JSON on stdout, the rest on stderr"
+)
+@click.option("--force", is_flag=True, help="replace an existing results folder")
+def score(
+    solution: Path,
+    folder: Path,
+    label: str | None,
+    t0: float,
+    max_gap: float | None,
+    out: Path | None,
+    as_json: bool,
+    force: bool,
+) -> int:
+    """Judge anyone's solution on a run, beside the estimators of the bench.
+
+    RUN is a results folder of bench run, SOLUTION a table (.csv, .parquet, .mat) of
+    the motion of the IMU on its own times. Columns are named by quantity, frame and
+    unit; besides the time one of position, velocity, attitude is enough:
+
+    \b
+      t_s                                     since the start of the run
+      lat_deg, lon_deg, alt_m                 or ecef_x_m, ecef_y_m, ecef_z_m
+      vel_n_mps, vel_e_mps, vel_d_mps         or ecef_vel_x_mps, ...
+      roll_deg, pitch_deg, heading_deg        or q_nb_w, _x, _y, _z, or q_eb_w, ...
+      sd_pos_n_m, sd_vel_n_mps, sd_phi_n_deg  with _e, _d: claimed, optional
+      cov_pos_n_pos_n, cov_pos_n_vel_e, ...   instead of sd_: in SI and radians
+
+    Nothing is extrapolated; the share of instants it covers is reported.
+
+    \b
+    Examples:
+      bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
+      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
+    """
+    from bench.store import to_json
+    from bench.workbench.score import score as score_solution
+
+    measured = score_solution(
+        solution,
+        folder,
+        console=_console(stderr=as_json),
+        label=label,
+        t_0=t0,
+        longest=max_gap,
+        out=out,
+        force=force,
+    )
+    if as_json:
+        click.echo(to_json(measured), nl=False)
+    return DONE if measured["converged"] else NEGATIVE
+
+
+@commands.command(epilog=_STATUS)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.option("--udp", metavar="IP:PORT", help="send there, a datagram per message")
+@click.option("--tcp", metavar="IP:PORT", help="wait there for one connection; port 0 takes a free one")
+@click.option(
+    "--rate",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="R",
+    help="seconds of the run per second; 0 or inf: as fast as it goes",
+)
+@click.option("--allow-remote", is_flag=True, help="let the messages out to another machine")
+def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_remote: bool) -> int:
+    """Send the sensors of a run as they would arrive, for a filter in the loop.
+
+    RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
+    IMU, barometer, magnetometer and airspeed are binary frames, little-endian:
+
+    \b
+      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed), length n, uint32 number,
+      n bytes payload: float64 each, then one byte, 1 when valid;
+      uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
+    \b
+      IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
+      baro      t [s], altitude [m], sd [m]
+      mag       t [s], field x y z [T], sd [T]
+      airspeed  t [s], true airspeed [m/s], sd [m/s]
+
+    A message leaves when it would reach the filter: at its time and the latency of
+    its sensor. Only addresses of this machine are taken without --allow-remote.
+
+    \b
+    Examples:
+      bench stream runs/figure-eight-20260101 --udp 127.0.0.1:5600
+      bench stream runs/figure-eight-20260101 --tcp 127.0.0.1:5600 --rate 10
+    """
+    if (udp is None) == (tcp is None):
+        raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
+    from bench.workbench.stream import stream as stream_run
+
+    kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
+    stream_run(folder, kind, address, console=_console(), rate=rate, remote=allow_remote)
     return DONE
 
 

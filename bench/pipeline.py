@@ -97,7 +97,22 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
     bench.navigation.estimator.EstimatorFailedError
         When its ``run`` raises.
     """
-    return estimator.answer(estimator.load(choice.use, choice.options), choice.label, data, initial)
+    return estimator.answer(build(choice), choice.label, data, initial)
+
+
+def build(choice: EstimatorChoice) -> estimator.Estimator:
+    """Return the estimator of a choice: built in, a class, a solution in a file, or a program.
+
+    Raises
+    ------
+    bench.navigation.estimator.EstimatorError, bench.config.ConfigError
+        When there is no such estimator, file or program, or it refuses its options.
+    """
+    if choice.use.startswith(("file:", "command:")):
+        from bench.exchange import outside
+
+        return outside.load(choice)
+    return estimator.load(choice.use, choice.options)
 
 
 def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[ErrorSeries, dict[str, Any]]:
@@ -133,7 +148,9 @@ def run(
     progress : callable or None
         Called with the seconds flown so far.
     """
-    built = {c.label: estimator.load(c.use, c.options) for c in profile.estimators}  # fails before the flight
+    built = {c.label: build(c) for c in profile.estimators}  # fails before the flight
+    for label, one in built.items():
+        estimator.check_needs(one, label, _records(profile))
     clock = {"fly": time.process_time()}
     given = truth is not None
     if truth is None:
@@ -157,7 +174,11 @@ def run(
         seed=profile.seed,
         run=run,
         metrics={
-            label: {**judged[label][1], "unmodelled": _unmodelled(profile, one)}
+            label: {
+                **judged[label][1],
+                "unmodelled": _unmodelled(profile, one),
+                **_ended(solutions[label]),
+            }
             for label, one in built.items()
         },
         errors={label: errors for label, (errors, _) in judged.items()},
@@ -187,6 +208,21 @@ def _check_times(profile: Profile, end: float) -> None:
         )
     if wrong:
         raise ConfigError(*wrong)
+
+
+def _records(profile: Profile) -> set[str]:
+    """Return the records of `SensorData` that the sensors of a profile give."""
+    on_board = profile.sensors
+    found = {name for name in ("baro", "mag", "airspeed") if getattr(on_board, name) is not None}
+    if on_board.gnss is not None:
+        found |= {"fixes"} if on_board.gnss.sky is None else {"fixes", "observations"}
+    return found
+
+
+def _ended(solution: NavSolution) -> dict[str, Any]:
+    """Return how a program that stands for an estimator ended, and the end of what it wrote to stderr."""
+    said = {kind: [text for _, _, text in solution.events.of(kind)] for kind in ("program", "stderr")}
+    return {"program": {kind: " ".join(texts) for kind, texts in said.items()}} if said["program"] else {}
 
 
 def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:

@@ -556,7 +556,20 @@ class GnssSpec:
     pos_decay_time: float = 0.0  # decorrelation by time, lambda_st [1/s]
     vel_decay_time: float = 0.0  # lambda_V [1/s]
     latency: float = 0.0  # from validity to arrival [s]
+    pos_h_jump_sd: float = 0.0  # where the satellites in use change, at that epoch only [m]
+    pos_v_jump_sd: float = 0.0  # [m]
+    vel_jump_sd: float = 0.0  # each axis [m/s]
+    pos_h_jump_markov_sd: float = 0.0  # the same, and it decays as the Markov error does [m]
+    pos_v_jump_markov_sd: float = 0.0  # [m]
+    vel_jump_markov_sd: float = 0.0  # each axis [m/s]
+    optimism: float = 1.0  # true over reported standard deviation of a fix [1]
     sky: SkySpec | None = None  # measurement level; the errors above are then what filters assume
+
+    @property
+    def jumps(self) -> bool:
+        """Whether its error jumps where the satellites in use change."""
+        passing = (self.pos_h_jump_sd, self.pos_v_jump_sd, self.vel_jump_sd)
+        return any((*passing, self.pos_h_jump_markov_sd, self.pos_v_jump_markov_sd, self.vel_jump_markov_sd))
 
 
 @dataclass(frozen=True, slots=True)
@@ -633,7 +646,7 @@ class Fault:
     """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
 
     kind: str  # as in the profile
-    sensor: str  # "gnss", "baro", "imu", "gyro" or "accel"
+    sensor: str  # "gnss", "baro", "mag", "airspeed", "imu", "gyro" or "accel"
     start: float  # [s]
     end: float  # [s]
     text: str  # in words, as in the profile
@@ -690,11 +703,12 @@ class SensorsSpec:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """An estimator by its built-in name or ``module:Class``, with the keywords of its constructor."""
+    """An estimator by its name, ``module:Class``, ``file:`` or ``command:``, and the keywords it takes."""
 
     use: str
     label: str  # unique in the profile; names files and report columns
     options: Mapping[str, Any] = field(default_factory=dict)
+    beside: Path = Path()  # where the relative paths of "file:" and "command:" begin
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,8 +64,8 @@ position_m = [0.4, 0.3, -1.5]
 [sensors.assumed]
 imu = "imu.toml"
 gnss = "gnss.toml"
-[initial]
-alignment = "course"
+[alignment]
+kind = "course"
 [evaluation]
 from_s = 40.0
 """

@@ -12,6 +12,7 @@ from synthetic import turning
 from bench import config, sensors, store
 from bench.data import RunResult, Sensed, Trajectory
 from bench.evaluation import metrics
+from bench.evaluation.errors import at_rows
 
 LOST = (12.0, 14.0)
 INVALID = 4  # the fix at 5 s
@@ -19,7 +20,7 @@ ERROR = {"pos_n": [3.0, -2.0, 1.0], "vel_n": [0.1, 0.2, -0.1], "phi_n": [0.01, -
 
 
 def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple[Trajectory, Sensed]:
-    """Write the folder; no fixes from 12 to 14 s, an invalid one at 5 s, the solution "made" is at 10 Hz."""
+    """Write the folder; no fixes from 12 to 14 s, an invalid one at 5 s; "made" has 202 instants."""
     overrides = {
         "gnss_outage": [{"start_s": LOST[0], "duration_s": LOST[1] - LOST[0]}],
         "evaluation.from_s": 5.0,
@@ -31,7 +32,8 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     valid[INVALID] = False
     fixes = replace(sensed.data.fixes, valid=valid)
     sensed = replace(sensed, data=replace(sensed.data, fixes=fixes))
-    solution = wrong_solution(truth, **ERROR)
+    rows = np.round(sensed.data.output_t * rate).astype(int)
+    solution = at_rows(wrong_solution(truth, every=1, **ERROR), rows)
     errors, judged = metrics.judge(truth, solution, evaluation_from=5.0, outages=[LOST])
     result = RunResult(profile.document, 4, 0, {"made": judged}, {"made": errors}, {"made": solution}, {})
     with store.results_folder(folder) as partial:

@@ -9,7 +9,7 @@ import re
 import shutil
 import signal
 from dataclasses import replace
-from math import radians
+from math import cos, radians, sin
 from pathlib import Path
 
 import jsbsim
@@ -19,11 +19,24 @@ import pytest
 from bench import cli
 from bench.config import ConfigError, list_aircraft, load_profile
 from bench.data import Trajectory
-from bench.earth import difference_n
-from bench.flight import FlightError, child, fly, wheel
+from bench.earth import difference_n, displace
+from bench.flight import FlightError, child, fly, fly_pieces, wheel
 from bench.flight.foreign import read_xml
 from bench.rotation import rotate, to_euler
-from bench.specs import AircraftSpec, FlightSpec
+from bench.specs import (
+    AircraftSpec,
+    Approach,
+    Flare,
+    FlightSpec,
+    Gust,
+    LandingRoll,
+    Leg,
+    Runway,
+    Static,
+    Straight,
+    TakeOff,
+    WindLayer,
+)
 from bench.store.truth_cache import truth_key
 from tests.inertial import inertial, largest_difference, navigate
 from tests.plans import FIGURE_EIGHT
@@ -67,9 +80,13 @@ CESSNA = {"name": "jsbsim:c172x", "alt": 1200.0, "speed": 55.0, "duration": 60.0
 BOEING = {"name": "jsbsim:737", "alt": 6000.0, "speed": 200.0, "duration": 90.0, "turbulence": 0}
 
 
-def profile(folder: Path, **values: object):
+def written(folder: Path, **values: object) -> Path:
     (folder / "mine.toml").write_text(PROFILE.format(**CESSNA | values))
-    return load_profile(str(folder / "mine.toml"))
+    return folder / "mine.toml"
+
+
+def profile(folder: Path, **values: object):
+    return load_profile(str(written(folder, **values)))
 
 
 def plan(folder: Path, **values: object) -> FlightSpec:
@@ -103,6 +120,69 @@ def test_an_aircraft_of_the_wheel_flies_its_legs(tmp_path, values, alt_off, turb
     assert np.abs(truth.air.airspeed_true - values["speed"]).max() < (2.0 if turbulence == 0 else 15.0)
     assert truth.controls.throttle.max() <= 1.0
     assert truth.controls.throttle.min() > 0.1  # the engines carry it
+
+
+def on_runway(folder: Path, name: str, *legs: Leg, **changes: object) -> FlightSpec:
+    """Legs from rest on a runway at 600 m, heading 85 deg, or towards it."""
+    spec = plan(folder, name=name, alt=1200.0)
+    ground = Runway(spec.lat, spec.lon, 600.0, spec.heading)
+    start = {"on_ground": True, "alt": 600.0, "speed": 46.0, "duration": None, "runway": ground}
+    return replace(spec, legs=legs, **start | changes)
+
+
+def aside(truth: Trajectory, spec: FlightSpec) -> np.ndarray:
+    """Distance off the centreline of its runway, to the right [m]."""
+    assert spec.runway is not None
+    origin = np.array([spec.runway.lat, spec.runway.lon, spec.runway.alt])
+    north, east = difference_n(truth.lla, origin)[:, :2].T
+    return east * np.cos(spec.runway.heading) - north * np.sin(spec.runway.heading)
+
+
+def test_an_aircraft_of_the_wheel_stands_and_takes_off_from_its_runway(tmp_path):
+    """At rest with its engine idling, then off the ground within 5 m of the centreline, in wind."""
+    wind = {"wind_from": radians(60.0), "wind_speed": 3.0}
+    spec = on_runway(tmp_path, "jsbsim:c172x", Static(5.0), TakeOff(40.0, 2.5, 46.0), **wind)
+    truth = fly(spec)
+    assert spec.aircraft.runway is not None
+    still = truth.t < 5.0
+    assert np.abs(truth.vel_n[still]).max() < 1e-4
+    assert truth.lla[still, 2] - 600.0 == pytest.approx(spec.aircraft.runway.height, abs=0.01)
+    assert truth.air.engine_speed[:90].min() > 50.0  # rad/s: it idles
+    rolling = truth.lla[:, 2] < 601.5
+    assert np.abs(aside(truth, spec)[rolling]).max() < 5.0
+    assert truth.lla[-1, 2] == pytest.approx(640.0, abs=3.0)
+    assert truth.events.of("sanity") == []
+
+
+@pytest.mark.slow
+def test_an_aircraft_of_the_wheel_lands(tmp_path):
+    spec = on_runway(tmp_path, "jsbsim:c172x")
+    back = [-2700 * cos(spec.heading), -2700 * sin(spec.heading), 0.0]
+    lat, lon, _ = displace([spec.lat, spec.lon, 600.0], back)
+    start = {"on_ground": False, "wind_speed": 0.0, "lat": float(lat), "lon": float(lon), "alt": 720.0}
+    spec = replace(spec, legs=(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0)), **start)
+    truth = fly(spec)
+    text = truth.events.of("leg")[1][2]
+    assert float(text.split("touch-down at ")[1].split()[0]) < 1.5
+    touch = round(truth.events.of("leg")[1][1] * 100)
+    assert np.abs(aside(truth, spec)[touch:]).max() < 5.0
+    assert np.linalg.norm(truth.vel_n[-1]) < 1e-3
+
+
+def test_an_aircraft_without_figures_for_a_runway_is_refused_before_the_flight(tmp_path):
+    legs = {"start.on_ground": True, "leg.0.kind": "static", "duration_s": 60}
+    with pytest.raises(ConfigError, match=r"on_ground = true: the 737 has no \[runway\] in"):
+        load_profile(str(written(tmp_path, **BOEING)), legs)
+
+
+def test_wind_by_altitude_and_gusts_blow_on_an_aircraft_of_the_wheel_too(tmp_path):
+    layers = (WindLayer(1000.0, 0.0, 5.0), WindLayer(1400.0, 0.0, 9.0))
+    gust = Gust(start=2.0, rise=1.0, hold=2.0, fall=1.0, air_n=(0.0, 4.0, 0.0))
+    spec = replace(plan(tmp_path), legs=(Straight(8.0),), duration=None, wind_layers=layers, gusts=(gust,))
+    wind_n = fly(spec).air.wind_n
+    assert wind_n[0] == pytest.approx([-7.0, 0.0, 0.0], abs=0.2)
+    assert wind_n[80, 1] == pytest.approx(4.0, abs=0.2)
+    assert wind_n[-1, 1] == pytest.approx(0.0, abs=0.2)
 
 
 def test_the_trim_leaves_nothing_and_comes_back_to_the_same_whatever_was_before(tmp_path, monkeypatch):
@@ -270,28 +350,43 @@ def test_a_broken_model_is_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_flight_in_a_child_comes_in_pieces(tmp_path, monkeypatch):
+    """Put together they are the whole, bit for bit, with an event list in the last one only."""
+    monkeypatch.chdir(tmp_path)
+    spec = replace(plan(tmp_path), legs=(Straight(7.0),), duration=None)
+    whole, found = fly(spec), list(fly_pieces(spec, seconds=2.0))
+    assert [piece.t[-1] for piece in found] == [2.0, 4.0, 6.0, 7.0]
+    assert [len(piece.events) for piece in found] == [0, 0, 0, 1]
+    for name in ("lla", "q_nb"):
+        rows = [getattr(piece, name)[k > 0 :] for k, piece in enumerate(found)]
+        np.testing.assert_array_equal(np.concatenate(rows), getattr(whole, name))
+    np.testing.assert_array_equal(np.concatenate([piece.dvel_b for piece in found]), whole.dvel_b)
+    np.testing.assert_array_equal(np.concatenate([piece.air.wind_n for piece in found]), whole.air.wind_n)
+    np.testing.assert_array_equal(np.concatenate([piece.controls.t for piece in found]), whole.controls.t)
+
+
 def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
     folder = tmp_path / "flown.py"
     folder.write_text(
         "import os, time\n"
-        "def hangs(spec, progress):\n    progress(1.0)\n    time.sleep(600)\n"
-        "def dies(spec, progress):\n    os.kill(os.getpid(), 11)\n"
-        "def fails(spec, progress):\n    raise OSError('no room')\n"
+        "def hangs(spec, progress, seconds):\n    progress(1.0)\n    time.sleep(600)\n"
+        "def dies(spec, progress, seconds):\n    os.kill(os.getpid(), 11)\n"
+        "def fails(spec, progress, seconds):\n    raise OSError('no room')\n"
     )
     added = f"import bench.flight; bench.flight.__path__.append({str(tmp_path)!r}); from bench"
     monkeypatch.setattr(child, "_START", child._START.replace("from bench", added))
     seen: list[float] = []
     with pytest.raises(FlightError, match=r"^aircraft x: JSBSim did not answer for 4 s and was ended$"):
-        child.fly_in_child("flown:hangs", None, "aircraft x", seen.append, patience=4.0)
+        list(child.fly_in_child("flown:hangs", None, "aircraft x", seen.append, patience=4.0))
     assert seen == [1.0]
     with pytest.raises(
         FlightError, match=rf"^aircraft x: JSBSim ended its process with status -{int(signal.SIGSEGV)}"
     ):
-        child.fly_in_child("flown:dies", None, "aircraft x")
+        list(child.fly_in_child("flown:dies", None, "aircraft x"))
     with pytest.raises(
         FlightError, match=r"^aircraft x: JSBSim ended its process with status 1: OSError: no room$"
     ):
-        child.fly_in_child("flown:fails", None, "aircraft x")
+        list(child.fly_in_child("flown:fails", None, "aircraft x"))
 
 
 def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsys):

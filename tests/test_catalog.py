@@ -13,7 +13,8 @@ from synthetic import still
 import bench
 from bench.cli import main
 from bench.config import ConfigError
-from bench.config.datasheets import SENSORS, read_baro, read_gnss, read_imu
+from bench.config.air_sheets import read_baro
+from bench.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.sensors import imu
 from bench.specs import ThermalSpec
 
@@ -161,7 +162,13 @@ def test_the_list_of_sensors_shows_what_is_assumed(capsys):
     assert main(["list", "sensors"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "stim300" in out
-    assert "tactical, quoted; assumed: gyro.bias_correlation_s, accel.bias_correlation_s" in out
+    assert (
+        "tactical, quoted; assumed: gyro.bias_correlation_s, accel.bias_correlation_s; absent: "
+        "gyro temperature, "
+        "gyro bandwidth, accel temperature, accel bandwidth"
+    ) in out
+    assert "walking bias: synthetic; assumed: baro.rate_hz, baro.white_sd_m, baro.bias_sd_m, " in out
+    assert "baro.bias_walk_m_sqrt_s; absent: quantization, latency" in out
     assert "figure-eight" not in out
     assert main(["list", "profiles"]) == 0
     assert "figure-eight" in capsys.readouterr().out

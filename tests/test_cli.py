@@ -383,6 +383,24 @@ def test_an_outage_after_a_flight_of_open_length_is_refused(here, capsys):
     status, _, err = say(capsys, "run", "open.toml", outage)
     assert status == 2
     assert "[[gnss_outage]] 1: its end at 5005 s is outside the flight" in err
+    fault = "--set=fault=[{kind='frozen',sensor='gnss',start_s=5000.0,duration_s=5.0}]"
+    status, _, err = say(capsys, "run", "open.toml", fault)
+    assert status == 2
+    assert "[[fault]] 1 (frozen): its end at 5005 s is outside the flight" in err
+
+
+def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, capsys, monkeypatch):
+    def flown(*_, **__):
+        raise AssertionError("it was flown")
+
+    monkeypatch.setattr("bench.pipeline.fly", flown)
+    text = (here / "short.toml").read_text()
+    lines = [x for x in text.splitlines() if not x.startswith("gnss")]
+    (here / "blind.toml").write_text("\n".join(lines))
+    status, _, err = say(capsys, "run", "blind.toml", "-e", "loose-15")
+    assert status == 2
+    assert err.strip() == "error: estimator 'loose-15' needs a gnss; there is none in [sensors]"
+    assert not (here / "runs").exists()
 
 
 # --- the process as a whole ---------------------------------------------------------------------------

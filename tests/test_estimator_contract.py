@@ -20,7 +20,7 @@ import bench
 from bench import sensors
 from bench.data import NavSolution
 from bench.evaluation import metrics
-from bench.navigation.estimator import BUILT_IN, EstimatorError, load
+from bench.navigation.estimator import BUILT_IN, EstimatorError, check_needs, load
 from bench.navigation.fusion import Loose
 
 COLUMNS = ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd")
@@ -107,6 +107,40 @@ def test_they_refuse_only_what_has_no_datasheet(sensed, name):
         return
     with pytest.raises(ValueError, match=r"gnss data, but sensors\.assumed names no gnss unit"):
         load(name, {}).run(replace(data, baro=None), sensed.initial)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_what_they_need_is_said_before_the_flight(name):
+    """With all sensors none complains; without GNSS only those of IMU and barometer are content."""
+    built = load(name, {})
+    check_needs(built, name, {"fixes", "observations", "baro"})
+    if name in ("free-inertial", "baro-inertial"):
+        check_needs(built, name, {"baro"})
+    else:
+        with pytest.raises(EstimatorError, match=rf"estimator '{name}' needs a gnss.*; there is none"):
+            check_needs(built, name, {"baro"})
+    if name == "baro-inertial":
+        with pytest.raises(EstimatorError, match="estimator 'baro-inertial' needs a baro; there is none"):
+            check_needs(built, name, {"fixes"})
+    if name == "loose-15":
+        check_needs(built, name, {"fixes"})  # a barometer is used where there is one
+
+
+def test_an_estimator_of_yours_states_its_needs():
+    class Mine:
+        needs = ("mag", "fixes")
+
+    check_needs(Mine(), "mine", {"mag", "fixes"})
+    with pytest.raises(EstimatorError, match=r"estimator 'mine' needs a mag; there is none in \[sensors\]"):
+        check_needs(Mine(), "mine", {"fixes"})
+    Mine.needs = ("observations",)
+    with pytest.raises(EstimatorError, match=r"needs a gnss at measurement level, one with \[sky\] such as"):
+        check_needs(Mine(), "mine", {"fixes"})
+    Mine.needs = ("radar",)
+    with pytest.raises(EstimatorError, match="needs 'radar', which is none of fixes, observ"):
+        check_needs(Mine(), "mine", {"fixes"})
+    del Mine.needs
+    check_needs(Mine(), "mine", set())
 
 
 def test_the_contract_is_kept_by_an_estimator_of_ten_lines(sensed, tmp_path, monkeypatch):

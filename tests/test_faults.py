@@ -22,7 +22,16 @@ from bench.config.fault_tables import to_fault
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import checked
 from bench.sensors import faults, sense
-from bench.specs import AssumedSpecs, BaroSpec, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
+from bench.specs import (
+    AirspeedSpec,
+    AssumedSpecs,
+    BaroSpec,
+    GnssSpec,
+    ImuSpec,
+    MagSpec,
+    SensorsSpec,
+    TriadSpec,
+)
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
 SKY = read_gnss(CATALOG / "sky-l1.toml", "sky-l1.toml")
@@ -30,6 +39,8 @@ POSITION = GnssSpec("gnss", 2.0, 1.5, 2.5, 0.05, pos_h_markov_sd=3.0, pos_decay_
 TRIAD = TriadSpec(random_walk=4e-5, turn_on_bias_sd=1e-4, quantization=1e-7)
 IMU = ImuSpec("imu", TRIAD, replace(TRIAD, random_walk=1e-3))
 BARO = BaroSpec("baro", 5.0, 0.5, 3.0, 0.05, quantization=0.01)
+MAG = MagSpec("mag", 10.0, 2e-7, hard_iron_sd=5e-7, quantization=1e-8)
+PITOT = AirspeedSpec("pitot", 10.0, white_sd=0.3, bias_sd=0.3)
 START, END = 20.0, 30.0
 
 
@@ -48,7 +59,9 @@ def sensed(truth, gnss, *scripted, outages=(), seed=1):
         imu=IMU,
         gnss=gnss,
         baro=BARO,
-        assumed=AssumedSpecs(IMU, gnss, BARO),
+        mag=MAG,
+        airspeed=PITOT,
+        assumed=AssumedSpecs(IMU, gnss, BARO, MAG, PITOT),
         antenna_b=(0.5, 0.1, -0.3),
         gnss_outages=outages,
         initial_pos_sd=(3.0, 4.0, 5.0),
@@ -94,8 +107,9 @@ CASES = [
       if level == "sky" or kind not in NEEDS_SKY],
     *[("position", kind, {**EVERY[kind], "sensor": sensor})
       for kind, sensors in {
-          "frozen": ("baro", "gyro", "accel"), "noise-burst": ("baro", "gyro", "accel"), "latency": ("baro",),
-          "dropped": ("baro", "imu"), "repeated": ("baro", "imu"),
+          "frozen": ("baro", "mag", "airspeed", "gyro", "accel"),
+          "noise-burst": ("baro", "mag", "airspeed", "gyro", "accel"), "latency": ("baro", "mag", "airspeed"),
+          "dropped": ("baro", "mag", "airspeed", "imu"), "repeated": ("baro", "mag", "airspeed", "imu"),
       }.items() for sensor in sensors],
 ]  # fmt: skip
 
@@ -115,7 +129,12 @@ def test_outside_its_interval_and_its_sensor_no_bit_changes(turn, plain, level, 
     late = SKY.sky.reacquisition if kind in ("satellites-lost", "jamming") else 0.0
     touched = {"gyro": "imu", "accel": "imu"}.get(fault.sensor, fault.sensor)
     changed = False
-    for name, of in (("imu", "imu"), ("fixes", "gnss"), ("observations", "gnss"), ("baro", "baro")):
+    for name, of in (
+        ("imu", "imu"),
+        ("fixes", "gnss"),
+        ("observations", "gnss"),
+        *((s, s) for s in INSTRUMENTS),
+    ):
         before, after = getattr(clean.data, name), getattr(faulty.data, name)
         if before is None:
             continue
@@ -128,6 +147,9 @@ def test_outside_its_interval_and_its_sensor_no_bit_changes(turn, plain, level, 
     assert changed
     assert pickle.dumps(faulty.initial) == pickle.dumps(clean.initial)
     assert faulty.events.of("fault") == [(START, END, fault.text)]
+
+
+INSTRUMENTS = ("baro", "mag", "airspeed")
 
 
 def inside(record, late=0.0):
@@ -320,6 +342,8 @@ def test_a_frozen_output_repeats_the_row_before_and_its_time_goes_on(turn, plain
                 assert_allclose(o.t[this], before.t[m])
     baro = sensed(turn, POSITION, script("frozen", sensor="baro")).data.baro
     assert len(set(baro.alt_baro[inside(baro)])) == 1
+    field = sensed(turn, POSITION, script("frozen", sensor="mag")).data.mag.field_b
+    assert len(np.unique(field[inside(plain["sky"].data.mag)], axis=0)) == 1
     for sensor, column in (("gyro", "dtheta_b"), ("accel", "dvel_b")):
         stuck = sensed(turn, POSITION, script("frozen", sensor=sensor, axes=["z"])).data.imu
         rows, clean = inside(stuck), plain["position"].data.imu
@@ -329,14 +353,14 @@ def test_a_frozen_output_repeats_the_row_before_and_its_time_goes_on(turn, plain
 
 
 @pytest.mark.parametrize(
-    "sensor", ["gyro", "accel", "baro", "fix position", "fix velocity", "code", "doppler"]
+    "sensor", ["gyro", "accel", "baro", "mag", "airspeed", "fix position", "fix velocity", "code", "doppler"]
 )
 def test_a_noise_burst_is_as_large_as_it_says(sensor):
     """The added part over its sd, mean square in its 99.9 % band; 1.25 times would be seen."""
     from bench.sensors.sky import code_sd, doppler_sd
 
     truth = still(40.0, 50.0)
-    struck = sensor if sensor in ("gyro", "accel", "baro") else "gnss"
+    struck = sensor if sensor in ("gyro", "accel", *INSTRUMENTS) else "gnss"
     gnss = SKY if sensor in ("code", "doppler") else POSITION
     fault = replace(script("noise-burst", sensor=struck, times=6.0), start=5.0, end=35.0)
     clean, faulty = (
@@ -349,6 +373,12 @@ def test_a_noise_burst_is_as_large_as_it_says(sensor):
         sd, t = getattr(IMU, sensor).random_walk * np.sqrt(0.02), clean.imu.t
     elif sensor == "baro":
         added, sd, t = faulty.baro.alt_baro - clean.baro.alt_baro, BARO.white_sd, clean.baro.t
+    elif sensor == "mag":
+        added, sd, t = faulty.mag.field_b - clean.mag.field_b, MAG.white_sd, clean.mag.t
+    elif sensor == "airspeed":
+        added = faulty.airspeed.airspeed_true - clean.airspeed.airspeed_true
+        sd, t = clean.airspeed.sd, clean.airspeed.t
+        added, sd = added / sd, 1.0
     elif sensor == "fix position":
         added = earth.difference_n(faulty.fixes.lla, clean.fixes.lla)
         sd, t = np.array([1.5, 1.5, 2.5]), clean.fixes.t
@@ -383,7 +413,7 @@ def test_later_arrivals(turn, plain):
             assert_allclose(after.observations.t_arrival - o.t_arrival, 0.4 * inside(o), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("sensor", ["imu", "gnss", "baro"])
+@pytest.mark.parametrize("sensor", ["imu", "gnss", *INSTRUMENTS])
 def test_samples_dropped_or_repeated_in_their_share(turn, plain, sensor):
     """All of them with share 1; of a share the number struck lies in the 99.9 % band of the binomial."""
     for level in RECEIVERS:
@@ -409,6 +439,14 @@ def test_one_fault_more_leaves_the_others_their_bits(turn):
     other = [script("noise-burst", sensor="gyro", times=5.0), script("jamming", cn0_loss_db=5.0)]
     alone, among = sensed(turn, SKY, burst).data.baro, sensed(turn, SKY, *other, burst).data.baro
     assert pickle.dumps(alone) == pickle.dumps(among)
+
+
+def test_the_script_stays_out_of_what_filters_get(turn):
+    """Not a word of it in their record; it is in the events of the run alone."""
+    fault = script("spoofing", step_m=[30.0, 0.0, 0.0])
+    faulty = sensed(turn, SKY, fault)
+    assert b"spoofing" in pickle.dumps(faulty)
+    assert b"spoofing" not in pickle.dumps((faulty.data, faulty.initial))
 
 
 PROFILE = {
@@ -438,7 +476,7 @@ def wrong(gnss="sky-l1", **fault):
         ({"kind": "satellites-lost", "satellites": []}, "satellites = [] must have at least 1 entry"),
         ({"kind": "satellites-lost", "satellites": ["G06", "G06"]}, "names a satellite twice"),
         ({"kind": "spoofing"}, "step_m and ramp_mps: nothing happens; give one of them a value other than 0"),
-        ({"kind": "frozen", "sensor": "rope"}, "sensor = 'rope' must be 'gnss', 'baro', 'gyro' or 'accel'"),
+        ({"kind": "frozen", "sensor": "rope"}, "sensor = 'rope' must be 'gnss', 'baro', 'mag', "),
         ({"kind": "frozen", "sensor": "baro", "axes": ["x"]}, "axes are those of sensor = 'gyro' or 'accel'"),
         ({"kind": "gyro-step", "step_deg_h": [1.0, 2.0, 3.0], "start_s": 98.0}, "its end at 103 s is"),
         ({"kind": "gyro-step", "step_deg_h": [1.0, 2.0]}, "step_deg_h[2] is missing"),
@@ -450,6 +488,15 @@ def test_a_fault_that_cannot_be_gets_one_line(fault, said):
     assert said in message
     assert message.startswith("figure-eight.toml: [[fault]] 1")
     assert len([line for line in message.splitlines() if "known" not in line or said in line]) == 1
+
+
+@pytest.mark.parametrize(("level", "kind", "keys"), CASES)
+def test_every_fault_of_a_sensor_on_board_is_taken(level, kind, keys):
+    units = {"sensors.gnss": {"sky": "sky-l1", "position": "matched-white"}[level], "gnss_outage": []}
+    row = {"kind": kind, "start_s": 10.0, "duration_s": 5.0, **keys}
+    (fault,) = config.load_profile("all-sensors", {**units, "fault": [row]}).sensors.faults
+    assert (fault.kind, fault.start, fault.end) == (kind, 10.0, 15.0)
+    assert fault.sensor == keys.get("sensor", {"baro-step": "baro"}.get(kind, fault.sensor))
 
 
 def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_path):

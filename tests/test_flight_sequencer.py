@@ -101,10 +101,11 @@ def test_a_figure_eight_goes_right_then_left():
 def test_the_last_leg_is_held_to_the_duration():
     held = fly(plan(Straight(4.0), Turn(radians(20.0), radians(20.0)), duration=30.0))
     assert held.t[-1] == 30.0
-    assert held.events.of("leg")[-1][1] == 30.0
+    assert held.events.of("leg")[-1][1:] == (30.0, "2 turn: 20 deg right, bank 20 deg, then held to 30 s")
     assert_allclose(turned(held)[-1], 105.0, atol=0.5)
     free = fly(plan(Straight(4.0), Turn(radians(20.0), radians(20.0))))
     assert 5.0 < free.t[-1] < 15.0
+    assert "held" not in free.events.of("leg")[-1][2]
 
 
 def test_legs_that_need_longer_than_the_duration_say_how_long():

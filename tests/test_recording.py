@@ -33,7 +33,7 @@ from bench.data import (
     no_innovations,
 )
 from bench.evaluation.errors import error_series
-from bench.recording import words
+from bench.recording import plots, words
 from bench.specs import (
     AircraftSpec,
     AirspeedSpec,
@@ -428,6 +428,20 @@ def test_nees_stands_in_the_central_95_percent_of_chi_square(flight, run):
     assert_allclose(band[0], [2.70, 19.02], atol=0.005)  # 9 degrees of freedom, tables of chi-square
     _, nees = recording.column(flight, entity_of(MAIN, "nees", "value"), SCALARS)
     assert_array_equal(nees[:, 0], run["errors"][MAIN].nees)
+
+
+def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path):
+    """A line each, of the size of the error; an estimator alone is compared with nobody."""
+    for label, error in run["errors"].items():
+        t, found = recording.column(flight, plots.entity("comparison", "horizontal", "of", label), SCALARS)
+        wanted = np.interp(t, error.t, np.hypot(error.pos_n[:, 0], error.pos_n[:, 1]))
+        good = np.isfinite(wanted) & np.isfinite(found[:, 0])
+        assert good.any()
+        np.testing.assert_allclose(found[good, 0], wanted[good], rtol=1e-6, atol=1e-6)
+    alone = tmp_path / "alone.rrd"
+    recording.write(alone, **only(run, [MAIN]))
+    with pytest.raises(KeyError):
+        recording.column(alone, plots.entity("comparison", "horizontal", "of", MAIN), SCALARS)
 
 
 def test_a_block_that_is_not_estimated_has_no_plot(flight):

@@ -5,7 +5,9 @@ Statistical bounds are two-sided 99.9 % bands of the statistic itself, over inde
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,10 +15,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import gammaincinv, ndtri
 from synthetic import ORIGIN, still, turning
 
+import bench
 from bench import earth, rotation
+from bench.config import ConfigError
+from bench.config.datasheets import read_gnss
 from bench.sensors import gnss
 from bench.specs import GnssSpec, stream
 
+CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
 TAIL = 0.0005  # each side of a 99.9 % band
 Z = -ndtri(TAIL)
 LEVER = (1.5, -0.4, -0.8)
@@ -264,3 +270,140 @@ def test_a_rate_the_truth_cannot_give_is_refused(turn):
         measure(turn, replace(FULL, rate=400.0))
     with pytest.raises(ValueError, match=r"gnss: no epoch at 0.01 Hz within 60 s of truth"):
         measure(turn, replace(FULL, rate=0.01))
+
+
+JUMPS = {
+    "pos_h_jump_sd": 2.5,
+    "pos_v_jump_sd": 3.75,
+    "vel_jump_sd": 0.06,
+    "pos_h_jump_markov_sd": 3.5,
+    "pos_v_jump_markov_sd": 5.0,
+    "vel_jump_markov_sd": 0.015,
+}
+
+
+@pytest.fixture(scope="module")
+def day():
+    return still(86160.0, 0.1)
+
+
+def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
+    """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
+    from bench.sensors.view import view
+    from bench.specs import SkySpec
+
+    rows = np.arange(1, len(day.t))
+    names = [f for f in SkySpec.__slots__ if f not in ("gps", "glonass", "klobuchar", "systems")]
+    sky = SkySpec(**dict.fromkeys(names, 0.0), gps=None, glonass=None, klobuchar=(0.0,) * 8, systems="gps")
+    sky = replace(sky, elevation_mask=np.deg2rad(5.0), antenna_mask=-np.pi / 2)
+    seen = view(day, rows, sky, (0.0, 0.0, 0.0), lambda system, sat: np.empty((0, len(sat))))
+    up = np.zeros((len(rows), 24), bool)
+    gps = seen.system[seen.which] == 0
+    up[seen.epoch[gps], seen.sat[seen.which[gps]] - 1] = True
+    expected = (up[1:] != up[:-1]).any(axis=1)
+    changed = gnss.constellation_changes(day.t[rows], day.lla[rows])
+    assert not changed[0]
+    assert 60 < expected.sum() < 150
+    assert abs(changed[1:].sum() - expected.sum()) <= 1
+    assert (changed[1:] == expected).mean() > 0.9995  # an epoch apart where the travel time decides
+
+
+def test_jumps_at_constellation_changes_have_their_rms(day):
+    """#22: sqrt(sigma_dc^2 + sigma_ds^2) within 5 % over more than 1000 events; in between nothing jumps."""
+    spec = replace(SILENT, rate=0.1, pos_decay_time=5e-4, vel_decay_time=0.01, **JUMPS)
+    at = np.flatnonzero(gnss.constellation_changes(day.t[1:], day.lla[1:]))
+    kept = np.exp(-np.array([5e-4, 0.01]) * 10.0)
+    found = [[], []]
+    for run in range(16):
+        for k, error in enumerate(errors(day, spec, run=run)):
+            alone = at[~np.isin(at - 1, at) & (at > 0)]
+            found[k].append(error[alone] - kept[k] * error[alone - 1])
+            quiet = ~np.isin(np.arange(1, len(error)), np.concatenate([at, at + 1]))
+            assert np.abs(error[1:] - kept[k] * error[:-1])[quiet].max() < 1e-6
+    expected = [np.hypot([2.5, 2.5, 3.75], [3.5, 3.5, 5.0]), np.full(3, np.hypot(0.06, 0.015))]
+    for jumps, sd in zip(found, expected, strict=True):
+        jumps = np.concatenate(jumps)
+        assert len(jumps) >= 1000
+        low, high = band(jumps.size)
+        assert 0.95**2 < low < high < 1.05**2
+        ratio = np.mean((jumps / sd) ** 2)
+        assert low < ratio < high
+        assert not low < ratio * 1.1**2 < high
+
+
+@pytest.mark.parametrize("figure", JUMPS)
+def test_each_jump_has_its_own_share_and_its_own_stream(day, figure):
+    """Twice the figure, twice its jumps, and every other noise keeps its bits."""
+    noisy = replace(FULL, rate=0.1, **JUMPS)
+    once, twice = (replace(noisy, **{figure: k * JUMPS[figure]}) for k in (1, 2))
+    without = replace(noisy, **{figure: 0.0})
+    base, one, two = (measure(day, spec) for spec in (without, once, twice))
+    quantity = (
+        (lambda f: f.vel_n) if figure.startswith("vel") else (lambda f: earth.difference_n(f.lla, base.lla))
+    )
+    added = [quantity(f) - quantity(base) for f in (one, two)]
+    assert np.abs(added[0]).max() > 0.5 * JUMPS[figure]
+    assert_allclose(added[1], 2 * added[0], rtol=0, atol=1e-3 * JUMPS[figure])
+    other = [f.lla if figure.startswith("vel") else f.vel_n for f in (base, one)]
+    assert_array_equal(*other)
+
+
+def test_an_optimistic_receiver_reports_less_than_it_errs(turn):
+    """Same fixes, smaller covariance: by the square of the factor it states."""
+    honest, bold = measure(turn, FULL), measure(turn, replace(FULL, optimism=2.0))
+    assert_array_equal(bold.lla, honest.lla)
+    assert_allclose(bold.cov_pos_n, honest.cov_pos_n / 4, rtol=1e-12)
+    assert_allclose(bold.cov_vel_n, honest.cov_vel_n / 4, rtol=1e-12)
+
+
+def test_presets_are_the_ends_and_the_middle_of_the_source():
+    """A-5.2.2, all ranges: position, height, velocity; white, Markov, jumps."""
+    best, worst, middle, plain = (
+        read_gnss(CATALOG / f"{name}.toml", name)
+        for name in ("l1-code-best", "l1-code-worst", "l1-code-jumps", "l1-code")
+    )
+    ranges = {
+        "pos_h_white_sd": (1, 3), "pos_v_white_sd": (1.5, 4), "vel_white_sd": (0.01, 0.05),
+        "pos_h_markov_sd": (5, 7), "pos_v_markov_sd": (7, 10), "vel_markov_sd": (0.02, 0.3),
+        "pos_h_jump_sd": (1, 4), "vel_jump_sd": (0.02, 0.2), "pos_h_jump_markov_sd": (2, 5),
+        "pos_v_jump_markov_sd": (3, 7), "vel_jump_markov_sd": (0.01, 0.02),
+    }  # fmt: skip
+    for name, (low, high) in ranges.items():
+        assert (getattr(best, name), getattr(worst, name)) == (low, high), name
+        assert low < getattr(middle, name) < high
+    assert_allclose([best.vel_decay_time, worst.vel_decay_time], [0.05, 0.0017], rtol=1e-3)
+    off = dict.fromkeys(JUMPS, 0.0)
+    assert replace(middle, name="", **off) == replace(plain, name="")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pos_decay_time_s = 2000.0\n", "", "pos_h_jump_markov_sd_m needs pos_decay_distance_km or"),
+        ("vel_decay_time_s = 108.0\n", "", "[gnss] vel_jump_markov_sd_mps needs vel_decay_time_s"),
+        ("rate_hz = 1.0\n", "rate_hz = 1.0\noptimism = 50.0\n", "[gnss] optimism = 50 is outside 0.05 to 20"),
+        ("pos_h_jump_sd_m", "pos_h_jumps_sd_m", "unknown key 'pos_h_jumps_sd_m'. Did you mean"),
+    ],
+)  # fmt: skip
+def test_a_wrong_jump_gets_one_line(tmp_path, old, new, said):
+    text = (
+        (CATALOG / "l1-code-jumps.toml")
+        .read_text(encoding="utf-8")
+        .replace("pos_decay_distance_km = 250.0\n", "")
+    )
+    text = text.partition("[sources]")[0]
+    assert old in text
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        read_gnss(path, "mine.toml")
+
+
+def test_a_sky_makes_its_own_jumps(tmp_path):
+    text = (CATALOG / "sky-l1.toml").read_text(encoding="utf-8")
+    text = text.replace("[sky]\n", "pos_h_jump_sd_m = 2.0\n\n[sky]\n", 1)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=r"jumps follow from the satellites of \[sky\]; leave their figures"
+    ):
+        read_gnss(tmp_path / "mine.toml", "mine.toml")

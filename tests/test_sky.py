@@ -20,7 +20,7 @@ from bench.config import ConfigError
 from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.sensors import clock, gnss, sky
-from bench.signals import delays, orbits, receiver
+from bench.signals import allan, delays, orbits, receiver
 from bench.specs import SkySpec, stream
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
@@ -276,6 +276,50 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
         clock.receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0] for h in (2e-19, 8e-20)
     )
     assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
+
+
+def test_the_flicker_of_the_clock_is_flat_at_its_floor():
+    """sigma_y^2 = 2 ln 2 h-1 whatever tau (IEEE Std 1139): octaves to 1024 s, 24 runs of 20000 s.
+
+    Each mean lies within the 99.9 % band of the spread of its runs (Student t), widened by 2 % for the stages
+    themselves; white noise of the same level at 1 s would be 30 times less at 1024 s.
+    """
+    from scipy.special import stdtrit
+
+    h_m1, truth, rows = 7e-21, still(20000.0, 1.0, attitude=(0.0, 0.0, 0.0)), np.arange(1, 20001)
+    what = replace(QUIET, clock_h_m1=h_m1)
+    runs = [clock.receiver_clock(truth, rows, what, 1, run) for run in range(24)]
+    taus = np.geomspace(0.1, 1e4, 41)
+    stages = zip(clock._stage_sd(), clock._STAGES, strict=True)
+    flat = np.sqrt(sum(allan.gauss_markov(taus, sd, c) ** 2 for sd, c in stages))
+    assert np.abs(flat - 1).max() < 0.02
+    for tau in 2 ** np.arange(11):
+        variances = []
+        for offset, _ in runs:
+            x = offset / orbits.C
+            second = x[2 * tau :] - 2 * x[tau:-tau] + x[: -2 * tau]
+            variances.append(np.mean(second**2) / (2 * tau**2))
+        ratio = np.array(variances) / (2 * np.log(2) * h_m1)
+        spread = stdtrit(23, 0.9995) * ratio.std(ddof=1) / np.sqrt(24)
+        assert abs(ratio.mean() - 1) < spread + 0.04, tau
+        assert spread < 0.4
+    offset, drift = runs[0]
+    middle = 0.5 * (drift[1:] + drift[:-1])  # the offset is the integral of the drift
+    steps = np.diff(offset)
+    assert np.corrcoef(steps, middle)[0, 1] > 0.9
+
+
+def test_the_flicker_does_not_depend_on_the_step():
+    """Ten steps of 0.1 s are one of 1 s: the same Allan deviation at 1 s, within its 99.9 % band."""
+    h_m1 = 7e-21
+    for rate, count in ((1.0, 20000), (10.0, 200000)):
+        truth = still(20000.0, rate, attitude=(0.0, 0.0, 0.0))
+        offset, _ = clock.receiver_clock(
+            truth, np.arange(1, count + 1), replace(QUIET, clock_h_m1=h_m1), 1, 0
+        )
+        x = offset[:: int(rate)] / orbits.C
+        variance = np.mean(np.diff(x, n=2) ** 2) / 2
+        assert abs(variance / (2 * np.log(2) * h_m1) - 1) < 3.29 * np.sqrt(3.0 / len(x)) + 0.04
 
 
 def test_specific_force_bends_the_clock(turn):

@@ -129,6 +129,8 @@ def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
     labels: list[str] = []
     for number, choice in enumerate(choices, 1):
         place = f"[[estimator]] {number}: "
+        if choice.use in ("file:", "command:"):
+            wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
         if ":" not in choice.use and choice.use not in BUILT_IN:
             hint = suggest(choice.use, BUILT_IN, "estimators")
             wrong.append(f"{place}use = {choice.use!r} is no built-in estimator{hint}, 'module:Class'")
@@ -139,6 +141,16 @@ def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
             wrong.append(f"{what} is taken by an entry above; give each its own label")
         labels.append(choice.label)
     return wrong
+
+
+def commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
+    """Refuse programs that a profile would start: one from somebody else must not do so silently."""
+    return [
+        f"[[estimator]] {number}: {choice.use[:60]!r} starts a program on this machine; "
+        "--allow-commands lets a profile do so, -e 'command:...' is your own word"
+        for number, choice in enumerate(choices, 1)
+        if choice in run and choice.use.startswith("command:")
+    ]
 
 
 def asked(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:

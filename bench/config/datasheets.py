@@ -9,6 +9,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
+from bench.config.air_sheets import (
+    AirspeedTable,
+    BaroTable,
+    MagTable,
+    read_airspeed,
+    read_baro,
+    read_mag,
+)
+from bench.config.sheet import Figure, Rate, Sheet, reported, unsourced
 from bench.config.sky_sheet import SkyTable, read_sky
 from bench.config.tables import ROWS, ConfigError, Table, between, checked, noting, quantity, read
 from bench.specs import (
@@ -17,11 +26,11 @@ from bench.specs import (
     GnssSpec,
     ImuSpec,
     MagSpec,
-    StaticPressureSpec,
     ThermalSpec,
     TriadSpec,
     VibrationSpec,
 )
+from bench.unit_names import split_unit
 
 _DEG = math.pi / 180
 _HOUR = 3600.0
@@ -97,15 +106,22 @@ ACCEL: dict[str, dict[str, float]] = {
     **_COMMON,
 }
 """The same for accelerometers."""
+_TRIAD = {
+    "noise": ("random_walk",),
+    "bias instability": ("bias_instability",),
+    "turn-on bias": ("turn_on_bias_sd",),
+    "scale factor": ("scale_factor_sd",),
+    "misalignment": ("misalignment_sd", "nonorthogonality_sd", "alignment_sd"),
+    "temperature": ("temperature_sd",),
+    "range": ("range",),
+    "bandwidth": ("bandwidth",),
+}
+_EXPECTED = {
+    "gyro": _TRIAD | {"g-sensitivity": ("g_sensitivity_sd", "g2_sensitivity_sd")},
+    "accel": _TRIAD,
+}  # what a reader looks for on a datasheet -> the fields that may say it
 _CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
 """What a triad chooses instead of measuring, and what it chooses when it does not say."""
-
-Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
-Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]
-"""Where the figures were read: on the sheet, its front page, maker's pages, a quote, a table of grades."""
-
-Figure = Annotated[float, between(0, 1e6)]  # no unit has a figure beyond, in any of its units
-Rate = Annotated[float, between(0.01, 400)]
 
 
 def _triad(name: str, units: Mapping[str, Mapping[str, float]]) -> type[Table]:
@@ -115,17 +131,6 @@ def _triad(name: str, units: Mapping[str, Mapping[str, float]]) -> type[Table]:
     figures["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
     figures["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
     return create_model(name, __base__=Table, **figures)
-
-
-class Sheet(Table):
-    """What every datasheet says: where its figures come from."""
-
-    title: str | None = None
-    grade: Grade | None = Field(default=None, alias="class")
-    confidence: Confidence | None = None
-    source: str
-    sources: dict[str, str] = Field(default_factory=dict)  # of single figures, by "table.key"
-    assumed: list[str] = Field(default_factory=list)  # figures that no source states
 
 
 class ThermalTable(Table):
@@ -186,6 +191,17 @@ class GnssTable(Table):
     pos_decay_time_s: Figure | None = None
     vel_decay_time_s: Figure | None = None
     latency_s: Figure = 0.0
+    pos_h_jump_sd_m: Figure = 0.0
+    pos_v_jump_sd_m: Figure = 0.0
+    vel_jump_sd_mps: Figure = 0.0
+    pos_h_jump_markov_sd_m: Figure = 0.0
+    pos_v_jump_markov_sd_m: Figure = 0.0
+    vel_jump_markov_sd_mps: Figure = 0.0
+    optimism: Annotated[float, between(0.05, 20)] = 1.0  # true over reported standard deviation
+
+
+_JUMPS = ("pos_h_jump", "pos_v_jump", "vel_jump", "pos_h_jump_markov", "pos_v_jump_markov", "vel_jump_markov")
+"""Jumps of a position-level receiver where the satellites in use change."""
 
 
 class GnssSheet(Sheet):
@@ -193,83 +209,6 @@ class GnssSheet(Sheet):
 
     gnss: GnssTable
     sky: SkyTable | None = None
-
-
-class BaroTable(Table):
-    """Errors of the altitude, as the instrument puts it out."""
-
-    rate_hz: Rate
-    white_sd_m: Figure
-    bias_sd_m: Figure = 0.0
-    bias_walk_m_sqrt_s: Figure = 0.0
-    quantization_m: Figure = 0.0
-    latency_s: Figure = 0.0
-
-
-class PhysicalTable(Table):
-    """A barometer by the static pressure it feels; an error that is left out is off."""
-
-    pressure_white_sd_pa: Figure = 0.0
-    pressure_bias_sd_pa: Figure = 0.0
-    temperature_sd_pa_k: Figure = 0.0
-    isa_deviation_k: Annotated[float, between(-60, 60)] = 0.0
-    isa_deviation_sd_k: Annotated[float, between(0, 20)] = 0.0
-    qnh_sd_hpa: Annotated[float, between(0, 50)] = 0.0
-    qnh_walk_hpa_sqrt_h: Annotated[float, between(0, 50)] = 0.0
-    position_error: Annotated[float, between(-0.5, 0.5)] = 0.0
-    position_error_alpha_per_deg: Annotated[float, between(-0.1, 0.1)] = 0.0
-    position_error_beta2_per_deg2: Annotated[float, between(-0.01, 0.01)] = 0.0
-    lag_s: Annotated[float, between(0, 60)] = 0.0
-    quantization_pa: Figure = 0.0
-
-
-class BaroSheet(Sheet):
-    """A barometric altimeter: what it puts out and, with [physical], what it feels."""
-
-    baro: BaroTable
-    physical: PhysicalTable | None = None
-
-
-class MagTable(Table):
-    """Errors of the magnetic field, as the unit puts it out where it is mounted."""
-
-    rate_hz: Rate
-    white_sd_nt: Figure
-    hard_iron_sd_nt: Figure = 0.0
-    soft_iron_sd_percent: Annotated[float, between(0, 100)] = 0.0
-    scale_factor_sd_percent: Annotated[float, between(0, 100)] = 0.0
-    misalignment_sd_deg: Annotated[float, between(0, 45)] = 0.0
-    range_ut: Figure = 0.0
-    quantization_nt: Figure = 0.0
-    latency_s: Figure = 0.0
-
-
-class MagSheet(Sheet):
-    """A magnetometer."""
-
-    mag: MagTable
-
-
-class AirspeedTable(Table):
-    """Errors of a pitot tube, its pressure sensor and the true airspeed computed of it."""
-
-    rate_hz: Rate
-    pressure_white_sd_pa: Figure = 0.0
-    white_sd_mps: Figure = 0.0
-    pressure_bias_sd_pa: Figure = 0.0
-    bias_sd_mps: Figure = 0.0
-    scale_factor_sd_percent: Annotated[float, between(0, 50)] = 0.0
-    lag_s: Annotated[float, between(0, 60)] = 0.0
-    range_pa: Figure = 0.0
-    quantization_pa: Figure = 0.0
-    min_speed_mps: Annotated[float, between(0, 100)] = 0.0
-    latency_s: Figure = 0.0
-
-
-class AirspeedSheet(Sheet):
-    """An airspeed unit."""
-
-    airspeed: AirspeedTable
 
 
 def read_imu(path: Path, shown: str) -> ImuSpec:
@@ -282,7 +221,7 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
     """
     document = read(path, shown)
     sheet = checked(ImuSheet, document, shown)
-    wrong = _unsourced(sheet, document)
+    wrong = unsourced(sheet, document)
     triads = {}
     for name, units in {"gyro": GYRO, "accel": ACCEL}.items():
         given = document.get(name, {})  # checked above
@@ -353,19 +292,27 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
     document = read(path, shown)
     sheet = checked(GnssSheet, document, shown)
     table = sheet.gnss
-    wrong = _unsourced(sheet, document)
+    wrong = unsourced(sheet, document)
     decays = ("pos_decay_distance_km", "pos_decay_time_s", "vel_decay_time_s")
     wrong += [
         f"[gnss] {quantity(key, 0)} must be above 0; leave it out when there is no such decay"
         for key in decays
         if getattr(table, key) == 0
     ]
-    wrong += _reported(table, "gnss", "pos_h_white_sd_m", "pos_v_white_sd_m", "vel_white_sd_mps")
+    wrong += reported(table, "gnss", "pos_h_white_sd_m", "pos_v_white_sd_m", "vel_white_sd_mps")
     position = table.pos_h_markov_sd_m or table.pos_v_markov_sd_m
     if position and table.pos_decay_distance_km is None and table.pos_decay_time_s is None:
         wrong.append("[gnss] pos_h_markov_sd_m needs pos_decay_distance_km or pos_decay_time_s")
     if table.vel_markov_sd_mps and table.vel_decay_time_s is None:
         wrong.append("[gnss] vel_markov_sd_mps needs vel_decay_time_s")
+    jumps = {name: getattr(table, f"{name}_sd_{'mps' if name.startswith('vel') else 'm'}") for name in _JUMPS}
+    lasting = jumps["pos_h_jump_markov"] or jumps["pos_v_jump_markov"]
+    if lasting and table.pos_decay_distance_km is None and table.pos_decay_time_s is None:
+        wrong.append("[gnss] pos_h_jump_markov_sd_m needs pos_decay_distance_km or pos_decay_time_s")
+    if jumps["vel_jump_markov"] and table.vel_decay_time_s is None:
+        wrong.append("[gnss] vel_jump_markov_sd_mps needs vel_decay_time_s")
+    if sheet.sky is not None and any(jumps.values()):
+        wrong.append("[gnss] jumps follow from the satellites of [sky]; leave their figures out")
     sky = None
     if sheet.sky is not None:
         with noting(wrong):
@@ -385,119 +332,38 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         pos_decay_time=1 / table.pos_decay_time_s if table.pos_decay_time_s else 0.0,
         vel_decay_time=1 / table.vel_decay_time_s if table.vel_decay_time_s else 0.0,
         latency=table.latency_s,
+        **{f"{name}_sd": value for name, value in jumps.items()},
+        optimism=table.optimism,
         sky=sky,
     )
 
 
-def read_baro(path: Path, shown: str) -> BaroSpec:
-    """Return the barometer of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
-    document = read(path, shown)
-    sheet = checked(BaroSheet, document, shown)
-    table = sheet.baro
-    wrong = _unsourced(sheet, document) + _reported(table, "baro", "white_sd_m")
-    physical = sheet.physical
-    if physical is not None and table.quantization_m:
-        wrong.append(
-            "[baro] quantization_m is not for a barometer with [physical]: give quantization_pa there"
-        )
-    if wrong:
-        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return BaroSpec(
-        name=path.stem,
-        rate=table.rate_hz,
-        white_sd=table.white_sd_m,
-        bias_sd=table.bias_sd_m,
-        bias_walk=table.bias_walk_m_sqrt_s,
-        quantization=table.quantization_m,
-        latency=table.latency_s,
-        physical=None if physical is None else _physical(physical),
-    )
+def absent(kind: str, document: Mapping[str, Any]) -> list[str]:
+    """Name, in words, what a datasheet does not say: errors that the unit then does not have.
 
-
-def _physical(table: PhysicalTable) -> StaticPressureSpec:
-    return StaticPressureSpec(
-        white_sd=table.pressure_white_sd_pa,
-        bias_sd=table.pressure_bias_sd_pa,
-        temperature_sd=table.temperature_sd_pa_k,
-        isa_deviation=table.isa_deviation_k,
-        isa_deviation_sd=table.isa_deviation_sd_k,
-        qnh_sd=100.0 * table.qnh_sd_hpa,
-        qnh_walk=100.0 / math.sqrt(_HOUR) * table.qnh_walk_hpa_sqrt_h,
-        position_error=table.position_error,
-        position_error_alpha=table.position_error_alpha_per_deg / _DEG,
-        position_error_beta2=table.position_error_beta2_per_deg2 / _DEG**2,
-        lag=table.lag_s,
-        quantization=table.quantization_pa,
-    )
-
-
-def read_mag(path: Path, shown: str) -> MagSpec:
-    """Return the magnetometer of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
-    document = read(path, shown)
-    sheet = checked(MagSheet, document, shown)
-    table = sheet.mag
-    wrong = _unsourced(sheet, document) + _reported(table, "mag", "white_sd_nt")
-    if wrong:
-        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return MagSpec(
-        name=path.stem,
-        rate=table.rate_hz,
-        white_sd=1e-9 * table.white_sd_nt,
-        hard_iron_sd=1e-9 * table.hard_iron_sd_nt,
-        soft_iron_sd=1e-2 * table.soft_iron_sd_percent,
-        scale_factor_sd=1e-2 * table.scale_factor_sd_percent,
-        misalignment_sd=_DEG * table.misalignment_sd_deg,
-        range=1e-6 * table.range_ut,
-        quantization=1e-9 * table.quantization_nt,
-        latency=table.latency_s,
-    )
-
-
-def read_airspeed(path: Path, shown: str) -> AirspeedSpec:
-    """Return the airspeed unit of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
-    document = read(path, shown)
-    sheet = checked(AirspeedSheet, document, shown)
-    table = sheet.airspeed
-    wrong = _unsourced(sheet, document)
-    if table.pressure_white_sd_pa == 0 and table.white_sd_mps == 0:
-        wrong.append("[airspeed] pressure_white_sd_pa or white_sd_mps must be above 0: the unit reports it")
-    if wrong:
-        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return AirspeedSpec(
-        name=path.stem,
-        rate=table.rate_hz,
-        pressure_white_sd=table.pressure_white_sd_pa,
-        white_sd=table.white_sd_mps,
-        pressure_bias_sd=table.pressure_bias_sd_pa,
-        bias_sd=table.bias_sd_mps,
-        scale_factor_sd=1e-2 * table.scale_factor_sd_percent,
-        lag=table.lag_s,
-        range=table.range_pa,
-        quantization=table.quantization_pa,
-        min_speed=table.min_speed_mps,
-        latency=table.latency_s,
-    )
-
-
-def _reported(table: Table, name: str, *keys: str) -> list[str]:
-    """Say which of the noises that the unit itself reports, and a filter divides by, are 0."""
-    return [
-        f"[{name}] {quantity(key, getattr(table, key))} must be above 0: the unit reports it"
-        for key in keys
-        if getattr(table, key) == 0
-    ]
-
-
-def _unsourced(sheet: Sheet, document: Mapping[str, Any]) -> list[str]:
-    """Say which of the figures named in ``sources`` and ``assumed`` the file does not give."""
-    tables = [key for key in document if key not in Sheet.model_fields and isinstance(document[key], dict)]
-    figures = {f"{table}.{key}" for table in tables for key in document[table]}
-    return [
-        f"{where}: {name!r} is no figure of this file"
-        for where, names in {"[sources]": sheet.sources, "assumed": sheet.assumed}.items()
-        for name in names
-        if name not in figures
-    ]
+    Parameters
+    ----------
+    kind : str
+        A key of ``SENSORS``.
+    document : mapping
+        A file that has been checked.
+    """
+    if kind == "imu":
+        return [
+            f"{part} {what}"
+            for part, units in (("gyro", GYRO), ("accel", ACCEL))
+            for what, fields in _EXPECTED[part].items()
+            if not any(key in document.get(part, {}) for field in fields for key in units[field])
+        ]
+    tables: dict[str, type[Table]] = {
+        "gnss": GnssTable,
+        "baro": BaroTable,
+        "mag": MagTable,
+        "airspeed": AirspeedTable,
+    }
+    said = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
+    names = [split_unit(key)[0] for key in tables[kind].model_fields]
+    return [name.removesuffix("_sd").replace("_", " ") for name in names if name not in said]
 
 
 SENSORS: dict[str, Callable[[Path, str], ImuSpec | GnssSpec | BaroSpec | MagSpec | AirspeedSpec]] = {

@@ -60,7 +60,7 @@ _DegH = Annotated[float, between(-1e6, 1e6)]
 _Mg = Annotated[float, between(-1e5, 1e5)]
 Axes = Annotated[tuple[Literal["x", "y", "z"], ...], ROWS, Field(min_length=1)]
 
-Timed = Literal["gnss", "baro"]
+Timed = Literal["gnss", "baro", "mag", "airspeed"]
 """Sensors whose rows have a time of arrival."""
 
 
@@ -144,7 +144,7 @@ class FrozenTable(_FaultTable):
     """The output sticks at its last value; times go on."""
 
     kind: Literal["frozen"]
-    sensor: Literal["gnss", "baro", "gyro", "accel"]
+    sensor: Literal["gnss", "baro", "mag", "airspeed", "gyro", "accel"]
     axes: Axes | None = None  # of gyro or accel, all when left out
 
 
@@ -152,7 +152,7 @@ class NoiseBurstTable(_FaultTable):
     """More white noise, so many times that of the unit."""
 
     kind: Literal["noise-burst"]
-    sensor: Literal["gnss", "baro", "gyro", "accel"]
+    sensor: Literal["gnss", "baro", "mag", "airspeed", "gyro", "accel"]
     times: Times
 
 
@@ -168,7 +168,7 @@ class DroppedTable(_FaultTable):
     """Samples are left out, at random."""
 
     kind: Literal["dropped"]
-    sensor: Literal["gnss", "baro", "imu"]
+    sensor: Literal["gnss", "baro", "mag", "airspeed", "imu"]
     share: Share = 1.0
 
 
@@ -176,7 +176,7 @@ class RepeatedTable(_FaultTable):
     """Samples come twice, at random."""
 
     kind: Literal["repeated"]
-    sensor: Literal["gnss", "baro", "imu"]
+    sensor: Literal["gnss", "baro", "mag", "airspeed", "imu"]
     share: Share = 1.0
 
 
@@ -317,4 +317,5 @@ def _has_noise(unit: Any, sensor: str) -> bool:
         return bool(getattr(unit, sensor).random_walk > 0)
     if isinstance(unit, GnssSpec) and unit.sky is not None:
         return unit.sky.dll_bandwidth > 0 or unit.sky.fll_bandwidth > 0
-    return True  # the sheet of a barometer or a receiver of positions has some
+    names = ("white_sd", "pressure_white_sd", "pos_h_white_sd", "pos_v_white_sd", "vel_white_sd")
+    return any(getattr(unit, name, 0.0) > 0 for name in names)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from bench.config import brought
-from bench.config.datasheets import SENSORS
+from bench.config.datasheets import SENSORS, absent
 from bench.config.leg_tables import Altitude, Speed
 from bench.config.profile_tables import Category
 from bench.config.tables import ROWS, ConfigError, Table, between, checked, quantity, read, suggest
@@ -301,18 +301,20 @@ def _figures(sheet: Mapping[str, Any]) -> str:
 def list_sensors() -> list[tuple[str, str, str, str]]:
     """Return kind, name, title and provenance of every sensor of the catalog.
 
-    The provenance: class, where the figures were read, and which of them no source states.
+    The provenance: class, where the figures were read, which of them no source states, and what the
+    entry leaves out.
     """
     return [
-        (kind, path.stem, str(sheet.get("title", "")), _provenance(sheet))
+        (kind, path.stem, str(sheet.get("title", "")), _provenance(kind, sheet))
         for kind in SENSORS
         for path in sorted((_CATALOG / kind).glob("*.toml"))
         for sheet in [read(path, path.name)]
     ]
 
 
-def _provenance(sheet: Mapping[str, Any]) -> str:
+def _provenance(kind: str, sheet: Mapping[str, Any]) -> str:
     """Say in a line how far the figures of a datasheet can be trusted."""
     known = ", ".join(str(sheet[key]) for key in ("class", "confidence") if key in sheet)
     assumed = [str(name) for name in sheet.get("assumed", [])]
-    return f"{known}; assumed: {', '.join(assumed)}" if assumed else known
+    said = {"assumed": assumed, "absent": absent(kind, sheet)}
+    return "; ".join([known, *(f"{what}: {', '.join(names)}" for what, names in said.items() if names)])

@@ -15,18 +15,29 @@ from pydantic_core import PydanticCustomError
 from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import sensor_file
-from bench.config.profile_tables import EstimatorTable, EvaluationTable, Metres3
+from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, noting, read
 from bench.specs import AssumedSpecs, EstimatorChoice
 
-ENDINGS = (".csv", ".parquet", ".mat")
-"""Endings of the files a log may name."""
+FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
+"""How a file of a log may be written; a table is CSV, Parquet or MATLAB."""
+_TABLES = (".csv", ".parquet", ".mat")
+_ENDINGS = dict.fromkeys(_TABLES, "table") | {
+    ".ulg": "ulog",
+    ".bag": "rosbag",
+    ".db3": "rosbag",
+    ".mcap": "mcap",
+    ".pos": "rtklib",
+}
+"""Ending of a file -> its format, where a log does not say it; a folder is a ROS 2 bag."""
+_TOPICS = ("ulog", "rosbag", "mcap")
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
 _Arm = Annotated[float, between(-100, 100)]
 _Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
 _Shift = Annotated[float, between(-10, 10)]
+_Clock = Annotated[float, between(-1e10, 1e10)]
 
 
 def _names(value: dict[str, str]) -> dict[str, str]:
@@ -40,11 +51,13 @@ _Columns = Annotated[dict[str, str], AfterValidator(_names)]
 
 
 class _FileTable(Table):
-    """A file, what it calls its columns, and how its clock is off."""
+    """A file, how it is written, what it calls its columns, and how its clock is off."""
 
     file: str
+    format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
+    topic: str | None = None
     columns: _Columns = Field(default_factory=dict)
-    time_offset_s: _Shift = 0.0
+    time_offset_s: _Clock = 0.0
 
 
 class ImuTable(_FileTable):
@@ -81,19 +94,20 @@ class SensorsTable(Table):
     assumed: AssumedTable
 
 
-class InitialTable(Table):
-    """How a filter starts: attitude given, or found by levelling and the course over ground."""
+class LogAlignmentTable(AlignmentTable):
+    """What the estimators are told of the start.
 
-    alignment: Literal["given", "level", "course"] = "course"
-    at_s: Annotated[float, between(0, 86400)] | None = None
+    ``given``: position and velocity of a fix, and this attitude. ``level``: the position of a standstill.
+    ``course``: nothing. What is not told they have to find.
+    """
+
+    kind: Literal["given", "level", "course"] = "course"
+    at_s: Annotated[float, between(0, 86400)] = 0.0
     roll_deg: _Angle | None = None
     pitch_deg: Annotated[float, between(-90, 90)] | None = None
     heading_deg: _Angle | None = None
-    pos_sd_m: Metres3 | None = None
-    vel_sd_mps: Metres3 | None = None
-    tilt_sd_deg: Annotated[float, between(1e-4, 30)] = 2.0
-    heading_sd_deg: Annotated[float, between(1e-4, 180)] = 5.0
-    min_speed_mps: Annotated[float, between(0.1, 100)] = 3.0
+    tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
+    heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
 
 
 class LogEvaluationTable(EvaluationTable):
@@ -110,7 +124,7 @@ class LogTable(Table):
     gnss: GnssTable | None = None
     baro: BaroTable | None = None
     sensors: SensorsTable
-    initial: InitialTable = InitialTable()
+    alignment: LogAlignmentTable = LogAlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
     evaluation: LogEvaluationTable = LogEvaluationTable()
 
@@ -120,24 +134,23 @@ class SourceSpec:
     """A file to read rows from."""
 
     path: Path
+    format: str = "table"
+    topic: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> what the file calls it
     time_offset: float = 0.0  # added to its times [s]
 
 
 @dataclass(frozen=True, slots=True)
-class InitialSpec:
-    """How a filter starts."""
+class StartSpec:
+    """What the estimators are told of the start."""
 
     alignment: str  # "given", "level" or "course"
-    at: float | None  # since the first row of the IMU; None: as soon as can be [s]
-    roll: float | None  # [rad]
-    pitch: float | None  # [rad]
-    heading: float | None  # [rad]
-    pos_sd: tuple[float, float, float] | None  # n; None: of the first fix [m]
-    vel_sd: tuple[float, float, float] | None  # [m/s]
-    tilt_sd: float  # [rad]
-    heading_sd: float  # [rad]
-    min_speed: float  # over ground, that a course needs [m/s]
+    at: float  # not before, since the first row of the IMU [s]
+    align_for: float  # level: longest standstill to use, course: length of the stretch [s]
+    drift_sd: float  # course: of the angle from course to nose [rad]
+    attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
+    tilt_sd: float  # given [rad]
+    heading_sd: float  # given [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +168,7 @@ class LogSpec:
     velocity_offset: float  # from the time of a fix to that of its velocity [s]
     quality: tuple[int, ...]  # of the fixes to use; none: all
     assumed: AssumedSpecs
-    initial: InitialSpec
+    start: StartSpec
     estimators: tuple[EstimatorChoice, ...]
     evaluation_from: float  # [s]
     output_rate: float  # [Hz]
@@ -186,7 +199,7 @@ def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
     given = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
     sources = {kind: _source(row, kind, beside, place, wrong) for kind, row in given.items()}
     assumed: dict[str, Any] = {}
-    for kind in SENSORS:
+    for kind in given:
         asked = getattr(table.sensors.assumed, kind)
         if asked is None and given[kind] is not None:
             wrong.append(
@@ -226,7 +239,7 @@ def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
         assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
-        initial=_initial(table.initial),
+        start=_start(table.alignment),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
         output_rate=float(table.evaluation.output_hz),
@@ -245,51 +258,59 @@ def _source(
     if row is None:
         return None
     path = beside / row.file
-    if path.suffix.lower() not in ENDINGS:
-        wrong.append(f"{place}[{kind}] file = {row.file!r} must end in {', '.join(ENDINGS)}")
-    elif not path.is_file():
-        wrong.append(f"{place}[{kind}] file = {row.file!r}: no such file beside the log")
+    form = row.format or ("rosbag" if path.is_dir() else _ENDINGS.get(path.suffix.lower()))
+    what = f"{place}[{kind}] file = {row.file!r}"
+    if not path.exists():
+        wrong.append(f"{what}: no such file beside the log")
+    elif form is None:
+        wrong.append(f"{what}: its ending tells no format; set format to {', '.join(FORMATS)}")
+    elif path.is_dir() and form != "rosbag":
+        wrong.append(f"{what} is a folder; only a ROS 2 bag is one")
+    elif form == "table" and path.suffix.lower() not in _TABLES:
+        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")
+    elif form != "table" and row.columns:
+        wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
+    elif form not in _TOPICS and row.topic is not None:
+        wrong.append(f"{place}[{kind}] topic is for {', '.join(_TOPICS)}; format {form!r} has none")
     else:
-        return SourceSpec(path, dict(row.columns), float(row.time_offset_s))
+        return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
     return None
 
 
+_OF_A_GIVEN = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
+
+
 def _starts(table: LogTable) -> list[str]:
-    """Check that the start is neither told too little nor what it would not read."""
-    start = table.initial
-    needed = {"given": ("roll_deg", "pitch_deg", "heading_deg"), "level": ("heading_deg",), "course": ()}
-    told = [key for key in ("roll_deg", "pitch_deg", "heading_deg") if getattr(start, key) is not None]
-    wanted = needed[start.alignment]
-    wrong = [
-        f"[initial] {key} is missing; alignment = {start.alignment!r} needs it"
-        for key in wanted
-        if key not in told
-    ]
-    wrong += [
-        f"[initial] {key} is not read with alignment = {start.alignment!r}; leave it out"
-        for key in told
-        if key not in wanted
-    ]
+    """Check that the start is neither told too little nor what would not be read."""
+    asked = table.alignment
+    kind = f"kind = {asked.kind!r}"
+    told = [key for key in _OF_A_GIVEN if getattr(asked, key) is not None]
+    wrong = []
+    if asked.kind == "given":
+        wrong += [
+            f"[alignment] {key} is missing; {kind} needs it" for key in _OF_A_GIVEN[:3] if key not in told
+        ]
+        wrong += [f"[alignment] duration_s is not read with {kind}"] if asked.duration_s is not None else []
+    else:
+        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in told]
+    if asked.kind != "course" and asked.drift_deg is not None:
+        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
     if table.gnss is None:
-        wrong.append("[gnss] is missing: a start needs a position, and a judgement the fixes")
+        wrong.append("[gnss] is missing: the start needs a position, and the judgement needs the fixes")
     return wrong
 
 
-def _initial(row: InitialTable) -> InitialSpec:
-    def angle(value: float | None) -> float | None:
-        return None if value is None else math.radians(value)
-
-    return InitialSpec(
-        alignment=row.alignment,
-        at=row.at_s,
-        roll=angle(row.roll_deg),
-        pitch=angle(row.pitch_deg),
-        heading=angle(row.heading_deg),
-        pos_sd=row.pos_sd_m,
-        vel_sd=row.vel_sd_mps,
-        tilt_sd=math.radians(row.tilt_sd_deg),
-        heading_sd=math.radians(row.heading_sd_deg),
-        min_speed=row.min_speed_mps,
+def _start(row: LogAlignmentTable) -> StartSpec:
+    told = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
+    usual = 10.0 if row.kind == "course" else 60.0  # as in a profile
+    return StartSpec(
+        alignment=row.kind,
+        at=float(row.at_s),
+        align_for=float(usual if row.duration_s is None else row.duration_s),
+        drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
+        attitude=_radians(told),
+        tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
+        heading_sd=math.radians(2.0 if row.heading_sd_deg is None else row.heading_sd_deg),
     )
 
 

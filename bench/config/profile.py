@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, cast
@@ -38,6 +40,7 @@ from bench.specs import (
     WindLayer,
 )
 
+_OUTSIDE = ("file:", "command:")
 _DRIFT_DEG = 10.0  # a crosswind of a sixth of the airspeed; 1 sigma of what nobody told the filter
 DEFAULT_DAY = date(2026, 1, 1)
 """When a flight is flown that does not say it."""
@@ -48,6 +51,7 @@ def load_profile(
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
     estimators: Sequence[str] | None = None,
+    allow_commands: bool = False,
 ) -> Profile:
     """Return a profile in SI, checked.
 
@@ -62,7 +66,9 @@ def load_profile(
         Replaces both ``seed`` and ``turbulence_seed`` of the file.
     estimators : sequence of str
         Estimators to evaluate instead of all of the profile's: labels of the profile, built-in names or
-        ``module:Class``.
+        ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
+    allow_commands : bool
+        The file itself may name a ``command:``, a program that is started; ``estimators`` always may.
 
     Raises
     ------
@@ -95,7 +101,7 @@ def load_profile(
         table: ExperimentTable = checked(bring[0] if bring else ProfileTable, document, shown)
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
-    choices = tuple(_choice(row.use, row.label, row.options) for row in table.estimator)
+    choices = tuple(_choice(row.use, row.label, row.options, beside) for row in table.estimator)
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
@@ -115,14 +121,17 @@ def load_profile(
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
+    own = choices
     if estimators is not None:
         by_label = {choice.label: choice for choice in choices}
-        choices = tuple(by_label.get(name) or _choice(name) for name in estimators)
+        choices = _numbered([by_label.get(name) or _choice(name) for name in estimators])
         twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
         if twice:
             raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
         if not choices:
             raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
+    if not allow_commands and (wrong := checks.commands(own, choices)):
+        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -184,8 +193,34 @@ def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> 
     return found
 
 
-def _choice(use: str, label: str | None = None, options: Mapping[str, Any] | None = None) -> EstimatorChoice:
-    return EstimatorChoice(use, label or use.rpartition(":")[2], dict(options or {}))
+def _choice(
+    use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
+) -> EstimatorChoice:
+    beside = beside if beside and use.startswith(_OUTSIDE) else Path()
+    return EstimatorChoice(use, label or _label(use), dict(options or {}), beside)
+
+
+def _label(use: str) -> str:
+    """Return what an estimator is called when nobody says: a class, file or program by its own name."""
+    kind, _, rest = use.rpartition(":")
+    if use.startswith(_OUTSIDE):
+        kind, _, rest = use.partition(":")
+        words = rest.split() if kind == "command" else [rest]
+        return re.sub(r"[^A-Za-z0-9_.-]+", "-", Path(words[0] if words else kind).stem) or kind
+    return rest
+
+
+def _numbered(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
+    """Return the choices with a number behind the label of a file or program that is taken."""
+    taken: Counter[str] = Counter()
+    found = []
+    for choice in choices:
+        taken[choice.label] += 1
+        count = taken[choice.label]
+        if count > 1 and choice.use.startswith(_OUTSIDE):
+            choice = replace(choice, label=f"{choice.label}-{count}")
+        found.append(choice)
+    return tuple(found)
 
 
 def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:

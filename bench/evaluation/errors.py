@@ -16,6 +16,9 @@ _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 """Rows of ``NavSolution.cov``."""
 
+FAILED, NOT_COVERED = "failed", "not_covered"
+"""Kinds of events: there is no solution, the text says why; a solution brought along says nothing then."""
+
 SAME_INSTANT = 1e-6
 """Fraction of the truth's step within which two times are one instant [1]; 0.2 um at 40 m/s and 200 Hz."""
 
@@ -55,7 +58,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
         turned = rotation.to_euler(solution.q_nb)[2] - rotation.to_euler(q_nb)[2]
         heading = np.pi - np.mod(np.pi - turned, 2 * np.pi)
         error = np.hstack([pos_n, vel_error_n, phi_n])
-        present = estimated_blocks(solution)
+        present = claimed_blocks(solution)
         counted = np.repeat([name in present for name in BLOCKS], 3)
         nees = normalized_squares(error[:, counted], solution.cov[:, counted][:, :, counted])
     return ErrorSeries(
@@ -78,6 +81,12 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
         for name, rows in BLOCKS.items()
         if not (np.isnan(values[name]).all() and np.isnan(variance[:, rows]).all())
     )
+
+
+def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
+    """Return the estimated blocks with any number on the diagonal of cov: those whose accuracy is claimed."""
+    variance = np.einsum("kii->ki", solution.cov)
+    return tuple(name for name in estimated_blocks(solution) if not np.isnan(variance[:, BLOCKS[name]]).all())
 
 
 def truth_at(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -189,8 +198,12 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
     It cannot when a state or covariance is not finite, the covariance is not positive
     definite, or the horizontal error exceeds both 10 sigma (root of the sum of the two
     horizontal variances) and 1 km at some epoch. A block that is NaN throughout, values
-    and covariance, is not estimated and does not count.
+    and covariance, is not estimated and does not count; where no covariance is claimed there is none to
+    judge. An event of kind `FAILED` says that there is no solution, and why.
     """
+    failed = solution.events.of(FAILED)
+    if failed:
+        return False, f"failed: {failed[0][2]}"
     blocks = estimated_blocks(solution)
     if not blocks:
         return False, "no finite position, velocity or attitude at any epoch"
@@ -207,13 +220,15 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
         bad = _not_finite(column)
         if bad.any():
             return False, f"{title} is not finite at {_when(solution, bad)}"
-    counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in blocks])
-    bad = _not_finite(solution.cov[:, counted][:, :, counted])
-    if bad.any():
-        return False, f"covariance is not finite at {_when(solution, bad)}"
-    bad = np.isnan(errors.nees)
-    if bad.any():
-        return False, f"covariance is not positive definite at {_when(solution, bad)}"
+    claimed = claimed_blocks(solution)
+    if claimed:
+        counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in claimed])
+        bad = _not_finite(solution.cov[:, counted][:, :, counted])
+        if bad.any():
+            return False, f"covariance is not finite at {_when(solution, bad)}"
+        bad = np.isnan(errors.nees)
+        if bad.any():
+            return False, f"covariance is not positive definite at {_when(solution, bad)}"
     if "pos" in blocks:
         distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
         sigma = np.sqrt(solution.cov[:, 0, 0] + solution.cov[:, 1, 1])
@@ -237,9 +252,26 @@ def aligning(solution: NavSolution, until: float) -> int:
 
 def from_row(record: _Series, first: int) -> _Series:
     """Return the epochs of a solution or error series from a row on; innovations and events are kept."""
+    return _taken(record, slice(first, None))
+
+
+def covered(solution: NavSolution) -> BoolArray:
+    """Return which epochs (M,) no event of kind `NOT_COVERED` takes out; all when none would be left."""
+    rows = np.ones(len(solution), np.bool_)
+    for start, end, _ in solution.events.of(NOT_COVERED):
+        rows[(solution.t >= start) & (solution.t <= end)] = False
+    return rows if rows.any() else ~rows
+
+
+def at_rows(record: _Series, rows: BoolArray) -> _Series:
+    """Return some epochs of a solution or error series; innovations and events are kept."""
+    return _taken(record, rows)
+
+
+def _taken(record: _Series, rows: Any) -> _Series:
     columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
-    later: dict[str, Any] = {name: c[first:] for name, c in columns.items() if isinstance(c, np.ndarray)}
-    return replace(record, **later)
+    taken: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
+    return replace(record, **taken)
 
 
 def _not_finite(values: FloatArray) -> BoolArray:

@@ -15,7 +15,7 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation import metrics
-from bench.evaluation.errors import converged, normalized_squares
+from bench.evaluation.errors import aligning, converged, from_row, normalized_squares
 
 SAME_TIME = 1e-6
 """Two times closer than this are one instant [s]."""
@@ -80,12 +80,16 @@ def judge(
     errors = antenna_errors(solution, fixes, data)
     rows, _ = _matched(solution.t, errors.t)
     at = _rows(solution, rows)
-    found, reason = converged(errors, at) if len(rows) else (True, None)
-    if reason is not None and "positive definite" in reason:  # a fix without a velocity has no NEES
-        found, reason = True, None
-    values: dict[str, Any] = {"converged": found, "reason": reason, "withheld_fixes": len(rows)}
+    begun = aligning(at, evaluation_from) if len(rows) else 0
+    judged, at = from_row(errors, begun), from_row(at, begun)
+    sound, reason = converged(judged, at) if len(at) else (True, None)
+    if reason is not None and "positive definite" in reason and np.isfinite(at.cov).all():
+        sound, reason = True, None  # a fix without a velocity has no NEES
+    if len(at) and aligning(at, np.inf):
+        sound, reason = False, f"no solution before the metrics begin at {evaluation_from:g} s"
+    values: dict[str, Any] = {"converged": sound, "reason": reason, "withheld_fixes": len(rows)}
     for suffix, start in (("", evaluation_from), ("_all", -np.inf)):
-        case = metrics.case_from(errors, at, start, ())
+        case = metrics.case_from(judged, at, start, ())
         if not len(case.t):
             continue
         for metric in metrics.METRICS:
@@ -96,8 +100,8 @@ def judge(
             result = metric.function(case)
             named = result.items() if isinstance(result, Mapping) else [("", result)]
             for key, value in named:
-                sound = found and value is not None and np.isfinite(value)
-                values[f"{metric.name.format(key)}{suffix}"] = value if sound else None
+                good = sound and value is not None and np.isfinite(value)
+                values[f"{metric.name.format(key)}{suffix}"] = value if good else None
     return errors, values
 
 

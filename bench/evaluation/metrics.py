@@ -20,7 +20,10 @@ from bench.evaluation.consistency import SensorNis, chi2_quantile, mean_nis, nis
 from bench.evaluation.errors import (
     BLOCKS,
     aligning,
+    at_rows,
+    claimed_blocks,
     converged,
+    covered,
     error_series,
     estimated_blocks,
     from_row,
@@ -39,6 +42,9 @@ HEADING_LIMIT = np.deg2rad(1.0)
 
 SAME_TIME = 1e-6
 """Two times closer than this are one instant [s]: far below any step, far above rounding."""
+
+
+_NOTHING = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +67,7 @@ class Case:
     scripted: tuple[Fault, ...]  # all of the run
     alarms: tuple[detection.Alarms, ...]  # of the whole run
     from_s: float  # [s]
+    asked: int  # number of epochs asked for, of which t holds those that the solution covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +77,7 @@ class Metric:
     name: str  # ends in the unit; ``{}`` stands for each key of a function that returns several values
     function: Callable[[Case], Value | Values]
     unit: str
-    block: Literal["pos", "vel", "phi", ""]  # absent when the estimator has no such block
+    block: Literal["pos", "vel", "phi", "cov", "pos cov", "vel cov", "phi cov", ""]  # absent without it
     direction: Literal["lower", "both", ""]  # what a baseline holds: lower is better, no drift, nothing
     description: str
 
@@ -203,40 +210,6 @@ def heading_convergence(case: Case) -> Value:
     return None
 
 
-# --- faults -------------------------------------------------------------------------------------------
-
-
-def fault_detected(case: Case) -> Values:
-    """1 when an alarm came while the fault was there, else 0."""
-    return {k: float(detection.delay(f, case.alarms) is not None) for k, f in case.faults.items()}
-
-
-def fault_delay(case: Case) -> Values:
-    """Time from the start of the fault to its first alarm [s]; None when undetected."""
-    return {k: detection.delay(f, case.alarms) for k, f in case.faults.items()}
-
-
-def fault_max_h(case: Case) -> Values:
-    """Largest horizontal position error while the fault was there [m]."""
-    found: dict[str, Value] = {}
-    for key, fault in case.faults.items():
-        first, stop = np.searchsorted(case.t, [fault.start - SAME_TIME, fault.end - SAME_TIME])
-        if first < stop:
-            found[key] = float(_norm_h(case.pos_n[first:stop]).max())
-    return found
-
-
-def false_alarms(case: Case) -> Values:
-    """Number of alarms of each sensor that no fault explains; none are counted in a run without faults."""
-    if not case.scripted:
-        return {}
-    names = dict.fromkeys(one.name for one in case.alarms)
-    return {
-        name: float(detection.false_alarms(case.scripted, case.alarms, name, case.from_s - SAME_TIME))
-        for name in names
-    }
-
-
 # --- consistency --------------------------------------------------------------------------------------
 
 
@@ -274,6 +247,11 @@ def coverage_vel(case: Case) -> Values:
 def coverage_phi(case: Case) -> Values:
     """Fraction of epochs with the attitude error within 3 sigma, by axis of n; 0.9973 is right."""
     return _coverage(case.phi_n, case.sd[:, BLOCKS["phi"]])
+
+
+def output_coverage(case: Case) -> float:
+    """Fraction of the epochs asked for at which there is a solution; metrics are of these."""
+    return len(case.t) / case.asked
 
 
 def nis_mean(case: Case) -> Values:
@@ -332,16 +310,23 @@ METRICS: tuple[Metric, ...] = (
         "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at its last instant"
     ),
     Metric("outage_{}_growth_h_m", outage_growth_h, "m", "pos", "lower", "last minus first horizontal error"),
-    Metric("fault_{}_detected", fault_detected, "1", "", "both", "1: an alarm came while it was there"),
-    Metric("fault_{}_delay_s", fault_delay, "s", "", "lower", "from its start to its first alarm"),
-    Metric("fault_{}_max_h_m", fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"),
-    Metric("false_alarms_{}", false_alarms, "1", "", "", "alarms of a sensor that no fault explains"),
-    Metric("nees_mean", nees_mean, "1", "", "both", "mean NEES; nees_states is expected"),
-    Metric("nees_states", nees_states, "1", "", "", "states that NEES counts"),
-    Metric("nees_inside_95", nees_inside_95, "1", "", "both", "epochs in the 95 % interval of NEES"),
-    Metric("coverage_3sigma_pos_{}", coverage_pos, "1", "pos", "both", "epochs within 3 sigma"),
-    Metric("coverage_3sigma_vel_{}", coverage_vel, "1", "vel", "both", "epochs within 3 sigma"),
-    Metric("coverage_3sigma_phi_{}", coverage_phi, "1", "phi", "both", "epochs within 3 sigma"),
+    Metric(
+        "fault_{}_detected", detection.fault_detected, "1", "", "both", "1: an alarm came while it was there"
+    ),
+    Metric("fault_{}_delay_s", detection.fault_delay, "s", "", "lower", "from its start to its first alarm"),
+    Metric(
+        "fault_{}_max_h_m", detection.fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"
+    ),
+    Metric(
+        "false_alarms_{}", detection.false_alarms, "1", "", "", "alarms of a sensor that no fault explains"
+    ),
+    Metric("nees_mean", nees_mean, "1", "cov", "both", "mean NEES; nees_states is expected"),
+    Metric("nees_states", nees_states, "1", "cov", "", "states that NEES counts"),
+    Metric("nees_inside_95", nees_inside_95, "1", "cov", "both", "epochs in the 95 % interval of NEES"),
+    Metric("coverage_3sigma_pos_{}", coverage_pos, "1", "pos cov", "both", "epochs within 3 sigma"),
+    Metric("coverage_3sigma_vel_{}", coverage_vel, "1", "vel cov", "both", "epochs within 3 sigma"),
+    Metric("coverage_3sigma_phi_{}", coverage_phi, "1", "phi cov", "both", "epochs within 3 sigma"),
+    Metric("output_coverage", output_coverage, "1", "", "", "epochs with a solution; metrics are of these"),
     Metric("nis_mean_{}", nis_mean, "1", "", "both", "mean NIS of a sensor, rejected updates included"),
     Metric("nis_low_{}", nis_low, "1", "", "", "lower edge of the 99.9 % band of nis_mean"),
     Metric("nis_high_{}", nis_high, "1", "", "", "upper edge of the 99.9 % band of nis_mean"),
@@ -395,15 +380,17 @@ def judge(
     if len(solution) == 0:
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
+    rows = covered(solution)
+    judged, missing, solution = at_rows(errors, rows), solution.t[~rows], at_rows(solution, rows)
     begun = aligning(solution, evaluation_from)
-    judged, solution = from_row(errors, begun), from_row(solution, begun)
+    judged, solution = from_row(judged, begun), from_row(solution, begun)
     sound, reason = converged(judged, solution)
     if aligning(solution, np.inf):
         first = solution.t[aligning(solution, np.inf)]
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole = _values(case_from(judged, solution, -np.inf, outages, faults), solution)
-        after = case_from(judged, solution, evaluation_from, outages, faults)
+        whole = _values(case_from(judged, solution, -np.inf, outages, faults, missing), solution)
+        after = case_from(judged, solution, evaluation_from, outages, faults, missing)
         window = _values(after, solution) if len(after.t) else {}
     metrics: dict[str, Any] = {"converged": sound, "reason": reason}
     metrics.update({name: window.get(name) if sound else None for name in whole})
@@ -412,9 +399,14 @@ def judge(
 
 
 def case_from(
-    errors: ErrorSeries, solution: NavSolution, from_s: float, outages: Outages, faults: Sequence[Fault] = ()
+    errors: ErrorSeries,
+    solution: NavSolution,
+    from_s: float,
+    outages: Outages,
+    faults: Sequence[Fault] = (),
+    missing: FloatArray = _NOTHING,
 ) -> Case:
-    """Return what the metrics see of a run from an instant [s] on."""
+    """Return what the metrics see of a run from an instant [s] on; ``missing`` are instants not covered."""
     rows = errors.t >= from_s - SAME_TIME
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
     with np.errstate(invalid="ignore"):
@@ -432,18 +424,22 @@ def case_from(
         nis=nis_by_sensor(solution.innovations, from_s - SAME_TIME),
         events={kind: kinds.count(kind) for kind in sorted(set(kinds))},
         outages=tuple(
-            (k, start, end) for k, (start, end) in enumerate(outages, 1) if start >= from_s - SAME_TIME
+            (k, start, end)
+            for k, (start, end) in enumerate(outages, 1)
+            if start >= from_s - SAME_TIME and not ((missing >= start) & (missing < end)).any()
         ),
         faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_TIME},
         scripted=tuple(faults),
         alarms=detection.alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
         from_s=from_s,
+        asked=int(rows.sum() + np.sum(missing >= from_s - SAME_TIME)),
     )
 
 
 def _values(case: Case, solution: NavSolution) -> dict[str, Value]:
     """Return every metric of the blocks that are estimated; None for one that is not a finite number."""
-    blocks = ("", *estimated_blocks(solution))
+    claimed = claimed_blocks(solution)
+    blocks = ("", *estimated_blocks(solution), *(f"{name} cov" for name in claimed), *["cov"][: len(claimed)])
     values: dict[str, Value] = {}
     for metric in METRICS:
         if metric.block in blocks:

@@ -15,6 +15,7 @@ from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, SourceSpec
 from bench.config.tables import ConfigError
 from bench.data import BaroData, GnssFixes, ImuData
+from bench.exchange import imports
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
 from bench.exchange.tables import read_table
 from bench.rotation import from_euler, multiply, rotate
@@ -69,9 +70,12 @@ def read_log(spec: LogSpec) -> Recording:
 
 
 def _read(source: SourceSpec, kind: str) -> Rows:
-    kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
-    table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
-    rows = Rows.of(table, source.path.name)
+    if source.format == "table":
+        kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
+        table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
+        rows = Rows.of(table, source.path.name)
+    else:
+        rows = imports.read(source.format, source.path, kind, source.topic)
     bad = ~np.isfinite(rows.t)
     if not len(rows.t) or bad.all():
         raise ConfigError(f"{source.path.name}: no rows")

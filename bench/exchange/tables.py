@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import math
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +17,13 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.config.tables import ConfigError
+from bench.exchange.mat_file import read_mat, vector
 from bench.unit_names import split_unit
 
 ENDINGS = (".csv", ".parquet", ".mat")
 """Endings of the files that :func:`read_table` takes."""
 MOST_BYTES = 2_000_000_000
 """Of a file."""
-_MOST_MAT = 1_000_000_000  # of a MATLAB file when unpacked: it comes into memory as a whole [byte]
 _MOST_HEADER = 1_000_000  # of the first line [byte]
 _BLOCK = 1 << 20  # read at a time [byte]
 _STANDARD_G = 9.80665  # [m/s^2]
@@ -88,6 +87,7 @@ def read_table(
     optional: Sequence[str],
     most_rows: int,
     aliases: Mapping[str, str] | None = None,
+    most_values: int | None = None,
 ) -> Columns:
     """Return the columns of a file by kind.
 
@@ -103,13 +103,15 @@ def read_table(
         More rows are refused.
     aliases : mapping or None
         Name with unit -> what the file calls that column.
+    most_values : int or None
+        More rows times columns are refused; None: no such limit.
 
     Raises
     ------
     ConfigError
         When the file cannot be read, is too large or has no such columns: one line.
     """
-    shown, aliases = path.name, aliases or {}
+    shown, aliases, wanted = path.name, aliases or {}, list[str]()
     import pyarrow as pa
 
     try:
@@ -124,13 +126,20 @@ def read_table(
             count += len(batch[wanted[0]])
             if count > most_rows:
                 raise ConfigError(f"{shown}: more than {most_rows} rows")
+            if most_values is not None and count * len(wanted) > most_values:
+                raise ConfigError(
+                    f"{shown}: more than {most_values // len(wanted)} rows of {len(wanted)} columns"
+                )
             for column, name in zip(columns, wanted, strict=True):
                 column.append(batch[name])
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
+        row = _first_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
+        said = row or " ".join(str(error).split())[:200]
+        raise ConfigError(
+            f"{shown}: {'' if row else 'cannot be read: '}{said or type(error).__name__}"
+        ) from None
     read = {
         name: np.concatenate(parts) if parts else np.empty(0)
         for name, parts in zip(wanted, columns, strict=True)
@@ -177,6 +186,37 @@ def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     return names, batches
 
 
+def _first_bad_row(path: Path, wanted: Sequence[str]) -> str:
+    """Say which row of a CSV file is the first that is not a number in each wanted column; empty: none."""
+    if path.suffix.lower() in (".parquet", ".mat"):
+        return ""
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        names = [name.strip() for name in next(csv.reader([file.readline(_MOST_HEADER)]), [])]
+        row = 0
+        while line := file.readline(_MOST_HEADER):
+            try:
+                cells = next(csv.reader([line.replace("\0", "?")]), [])
+            except csv.Error as error:
+                return f"row {row + 1}: {error}"
+            if not cells:
+                continue
+            row += 1
+            if len(cells) != len(names):
+                return f"row {row}: {len(cells)} columns, the header has {len(names)}"
+            for name, cell in zip(names, cells, strict=True):
+                if name in wanted and not _number(cell):
+                    return f"row {row}: {name} = {cell[:40]!r} is no number"
+    return ""
+
+
+def _number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return False
+    return True
+
+
 def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     """As ``_open_csv``, of a Parquet file whose footer does not promise too much."""
     import pyarrow as pa
@@ -211,7 +251,7 @@ def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     variables = read_mat(path)
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
-        columns = {name: mat_vector(variables[name], name, path.name) for name in wanted}
+        columns = {name: vector(variables[name], name, path.name) for name in wanted}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             said = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -226,74 +266,6 @@ _OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
     ".parquet": _open_parquet,
     ".mat": _open_mat,
 }
-
-
-def read_mat(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file up to version 7, as ``scipy.io.loadmat`` gives them.
-
-    Raises
-    ------
-    ConfigError
-        When it is none, of version 7.3, broken, or larger than it may be when unpacked.
-    """
-    from scipy.io import loadmat
-
-    shown = path.name
-    with path.open("rb") as file:
-        head = file.read(128)
-        if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
-            raise ConfigError(f"{shown}: a MATLAB file of version 7.3; save it with -v7")
-        if not head.startswith(b"MATLAB 5.0") or len(head) < 128:
-            raise ConfigError(f"{shown}: no MATLAB file of version 5 to 7")
-        order = "little" if head[126:128] == b"IM" else "big"
-        unpacked = 0
-        while tag := file.read(8):
-            kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)  # type: ignore[arg-type]
-            unpacked += _unpacked(file, size) if kind == _PACKED else _skipped(file, size)
-            if unpacked > _MOST_MAT:
-                raise ConfigError(f"{shown}: larger than {_MOST_MAT // 1_000_000} MB when unpacked")
-    try:
-        read = loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-    except (ConfigError, OSError, MemoryError):
-        raise
-    except Exception as error:  # scipy raises what comes: TypeError, KeyError, zlib.error ...
-        said = " ".join(str(error).split())[:200]
-        raise ConfigError(f"{shown}: cannot be read: {said or type(error).__name__}") from None
-    return {name: value for name, value in read.items() if not name.startswith("__")}
-
-
-_PACKED = 15  # miCOMPRESSED, MAT-File Format, table 1-1
-
-
-def _skipped(file: Any, size: int) -> int:
-    file.seek(size, 1)
-    return size
-
-
-def _unpacked(file: Any, size: int) -> int:
-    """Return how many bytes a packed element has, stopping early when they are too many."""
-    unpack, count = zlib.decompressobj(), 0
-    while size > 0 and count <= _MOST_MAT:
-        block = file.read(min(size, _BLOCK))
-        if not block:
-            raise ValueError("it ends within a variable")
-        size -= len(block)
-        while block and count <= _MOST_MAT:
-            try:
-                count += len(unpack.decompress(block, 16 * _BLOCK))
-            except zlib.error:
-                raise ValueError("a packed variable is broken") from None
-            block = unpack.unconsumed_tail
-    return count
-
-
-def mat_vector(value: Any, name: str, shown: str) -> FloatArray:
-    """Return a variable as a column of numbers."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu" or array.ndim > 1:
-        what = f"{array.dtype} of shape {array.shape}"
-        raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {what}")
-    return np.atleast_1d(array).astype(np.float64)
 
 
 def _renamed(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:

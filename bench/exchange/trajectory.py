@@ -57,13 +57,14 @@ _ATTITUDES = (
     group("angle", "roll", "pitch", "heading"),
     group("angle", "roll", "pitch", "yaw"),
 )
-_VELOCITIES = (
+VELOCITIES = (
     group("speed", "vel_n", "vel_e", "vel_d"),
     group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
 )
-_KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": _VELOCITIES}
+KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": VELOCITIES}
+"""Kind -> groups of columns it may come in, the first complete one is taken."""
 
-COLUMNS = {kind: described(groups) for kind, groups in _KINDS.items()}
+COLUMNS = {kind: described(groups) for kind, groups in KINDS.items()}
 """What a table may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
 lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed WGS 84. roll, pitch, heading (or
@@ -91,7 +92,7 @@ def read_trajectory(spec: TableSpec) -> Trajectory:
     ConfigError
         When the table cannot be read or no truth can be made of it; one line says which row.
     """
-    table = read_table(spec.path, _KINDS, ("velocity",), MOST_ROWS)
+    table = read_table(spec.path, KINDS, ("velocity",), MOST_ROWS)
     rows = _checked(table, spec.path.name)
     fit = _fit(rows, spec.path.name)
     length = float(rows.t[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 from bench.data import Trajectory
@@ -35,27 +36,23 @@ def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None 
     FlightError
         When it cannot be loaded, trimmed, or flown as planned.
     """
-    if isinstance(spec, ScriptSpec):
-        from bench.flight import script
-
-        return script.fly(spec, progress)
-    foreign = spec.aircraft.foreign
-    if foreign is not None and foreign.guided:
-        return fly_in_child("recorder:fly", spec, f"aircraft {spec.aircraft.name}", progress)
-    if foreign is not None:
-        from bench.flight import wheel
-
-        return wheel.fly(spec, progress)
-    return recorder.fly(spec, progress)
+    (whole,) = fly_pieces(spec, progress, math.inf)
+    return whole
 
 
 def fly_pieces(
-    spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None
+    spec: FlightSpec | ScriptSpec,
+    progress: Callable[[float], None] | None = None,
+    seconds: float = recorder.PIECE,
 ) -> Iterator[Trajectory]:
-    """Fly and yield the truth in pieces, as `bench.flight.recorder.fly_pieces` says.
+    """Fly and yield the truth in pieces of so many seconds, as `bench.flight.recorder.fly_pieces` says.
 
-    What was not made for the bench comes in one piece. Parameters and errors as for :func:`fly`.
+    Parameters and errors as for :func:`fly`.
     """
-    if isinstance(spec, FlightSpec) and spec.aircraft.foreign is None:
-        return recorder.fly_pieces(spec, progress)
-    return iter([fly(spec, progress)])
+    if isinstance(spec, ScriptSpec):
+        return fly_in_child("script:fly_pieces", spec, f"script {spec.name}", progress, seconds)
+    foreign = spec.aircraft.foreign
+    if foreign is None:
+        return recorder.fly_pieces(spec, progress, seconds)
+    module = "recorder" if foreign.guided else "wheel"
+    return fly_in_child(f"{module}:fly_pieces", spec, f"aircraft {spec.aircraft.name}", progress, seconds)

@@ -8,6 +8,7 @@ folder as its working directory, and must say something once a minute.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import selectors
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,9 +35,12 @@ def fly_in_child(
     spec: Any,
     what: str,
     progress: Callable[[float], None] | None = None,
+    seconds: float = math.inf,
     patience: float | None = None,
-) -> Trajectory:
-    """Return ``function(spec, progress)`` of a module of this package, run in a child process.
+) -> Iterator[Trajectory]:
+    """Yield the pieces of ``function(spec, progress, seconds)`` of a module of this package, run in a child.
+
+    They come from a file when the child has ended: this process holds one at a time.
 
     Parameters
     ----------
@@ -48,6 +52,8 @@ def fly_in_child(
         How messages call it: "aircraft c310".
     progress : callable, optional
         Called with the time flown so far [s].
+    seconds : float
+        Length of a piece [s].
     patience : float, optional
         Longest silence of the child [s]; ``PATIENCE`` when None.
 
@@ -70,7 +76,7 @@ def fly_in_child(
             assert child.stdout is not None
             try:
                 with contextlib.suppress(BrokenPipeError):  # it has ended; its status says so below
-                    child.stdin.write(pickle.dumps((spec, str(answer_file))))
+                    child.stdin.write(pickle.dumps((spec, seconds, str(answer_file))))
                     child.stdin.close()
                 if not _listen(child.stdout, progress, patience):
                     raise FlightError(f"{what}: JSBSim did not answer for {patience:g} s and was ended")
@@ -79,15 +85,16 @@ def fly_in_child(
                 child.kill()
         if status or not answer_file.is_file():
             raise FlightError(f"{what}: JSBSim ended its process{_last_line(trouble, status)}")
-        answered = pickle.loads(answer_file.read_bytes())
-    if isinstance(answered, str):
-        raise FlightError(answered)
-    return answered  # type: ignore[no-any-return]
+        with answer_file.open("rb") as answered:
+            while (piece := pickle.load(answered)) is not None:
+                if isinstance(piece, str):
+                    raise FlightError(piece)
+                yield piece
 
 
 def answer(function: str) -> None:
     """Run a function in this child: the spec comes by stdin, progress goes to stdout, truth to a file."""
-    spec, answer_file = pickle.loads(sys.stdin.buffer.read())
+    spec, seconds, answer_file = pickle.loads(sys.stdin.buffer.read())
     speak = os.fdopen(os.dup(1), "w", buffering=1)
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
@@ -103,12 +110,15 @@ def answer(function: str) -> None:
     import importlib
 
     fly = getattr(importlib.import_module(f"bench.flight.{module}"), name)
-    try:
-        answered: Trajectory | str = fly(spec, progress)
-    except FlightError as error:
-        answered = str(error)
     part = Path(f"{answer_file}.part")
-    part.write_bytes(pickle.dumps(answered, protocol=pickle.HIGHEST_PROTOCOL))
+    with part.open("wb") as file:
+        try:
+            for piece in fly(spec, progress, seconds):
+                pickle.dump(piece, file, protocol=pickle.HIGHEST_PROTOCOL)
+        except FlightError as error:
+            file.seek(0)  # what was flown until then is no truth
+            pickle.dump(str(error), file)
+        pickle.dump(None, file)
     part.replace(answer_file)
     speak.close()
     os._exit(0)  # the destructor of a broken model may throw

@@ -51,7 +51,7 @@ class Cockpit:
         self.pitch_wanted = reader("guidance/pitch-wanted-rad")
         self.lat_mode, self.lon_mode, self.thr_mode = (writer(f"{k}-mode") for k in ("lat", "lon", "thr"))
         self.set_bank, self.set_heading = writer("bank-setpoint-rad"), writer("heading-setpoint-rad")
-        self.set_pitch = writer("pitch-setpoint-rad")
+        self.set_pitch, self.set_pitch_trim = writer("pitch-setpoint-rad"), writer("pitch-trim-rad")
         self.set_climb, self.set_alt = writer("climb-setpoint-mps"), writer("altitude-setpoint-m")
         self.set_speed, self.set_throttle = writer("airspeed-setpoint-mps"), writer("throttle-cmd-norm")
         self.throttle = reader("guidance/throttle-cmd-norm")

@@ -26,7 +26,7 @@ from bench.flight.increments import (
     step_increments,
     true_integrals,
 )
-from bench.flight.model import Condition, FlightError, load, node, settle, trim
+from bench.flight.model import Condition, FlightError, Trim, load, node, settle, trim
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.standing import stand
@@ -72,8 +72,14 @@ _SLOW = (  # at 20 Hz, with the factor to SI
 )
 
 
-def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
-    """Fly a plan; the same plan gives the same bits in any process.
+def fly_pieces(
+    spec: FlightSpec, progress: Callable[[float], None] | None = None, seconds: float = PIECE
+) -> Iterator[Trajectory]:
+    """Fly a plan and yield the truth in pieces, so that a long flight needs no more memory than a short one.
+
+    A piece begins with the instant at which the one before ends; air data and controls of that
+    instant are in the earlier one, the legs in the last. Put together the pieces are one of
+    infinitely many seconds, bit for bit; the same plan gives the same bits in any process.
 
     Parameters
     ----------
@@ -81,9 +87,11 @@ def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Tr
         The plan; its rate is a multiple of 20 Hz.
     progress : callable, optional
         Called with the time flown so far [s], once per second of flight.
+    seconds : float
+        Length of a piece [s].
 
-    Returns
-    -------
+    Yields
+    ------
     Trajectory
         Truth at spec.rate from t = 0, of the IMU; air data and controls of the aircraft; the flown
         legs as events of kind "leg".
@@ -93,18 +101,7 @@ def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Tr
     FlightError
         When the aircraft cannot be loaded, trimmed, or flown as planned.
     """
-    (whole,) = record(spec, progress, seconds=math.inf)
-    return to_trajectory(whole)
-
-
-def fly_pieces(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Iterator[Trajectory]:
-    """Fly a plan and yield the truth in pieces, so that a long flight needs no more memory than a short one.
-
-    A piece begins with the instant at which the one before ends; air data and controls of that
-    instant are in the earlier one, the legs in the last. Put together the pieces are what
-    :func:`fly` returns, bit for bit. Parameters and errors as there.
-    """
-    return map(to_trajectory, record(spec, progress))
+    return map(to_trajectory, record(spec, progress, seconds=seconds))
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +121,7 @@ def record(
 ) -> Iterator[Recording]:
     """Fly a plan and yield the states of every step, in stretches of so many seconds.
 
-    Parameters and errors as for :func:`fly`.
+    Parameters and errors as for :func:`fly_pieces`.
     """
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)
@@ -261,16 +258,26 @@ def simulation_step(rate: float) -> tuple[int, float]:
 def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     fdm = load(spec.aircraft, dt)
+    return fdm, begin(fdm, spec, trim)
+
+
+def begin(
+    fdm: Any,
+    spec: FlightSpec,
+    trim: Callable[[Any, Condition], Trim],
+    idle: Callable[[Any], None] = lambda fdm: None,
+) -> Cockpit:
+    """Put a model at the start of the plan, by a way to trim it and one to let its engines idle."""
     if spec.runway is not None:
         fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
     if spec.on_ground:
         trimmed = trim(fdm, replace(condition, alt=spec.alt + _CLEAR))  # of the climb to come
-        stand(fdm, condition)
+        stand(fdm, condition, idle)
     else:
         trimmed = trim(fdm, condition)
         settle(fdm)
     cockpit = engage(fdm, spec, trimmed)
     start_turbulence(fdm, spec.severity, spec.turbulence_seed, spec.turbulence_model)
-    return fdm, cockpit
+    return cockpit

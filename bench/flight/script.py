@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from bench.data import Trajectory
 from bench.flight import sanity
-from bench.flight.child import fly_in_child
 from bench.flight.foreign import copy_aircraft, copy_script, executive
 from bench.flight.increments import from_states
 from bench.flight.model import FlightError, one_line, silent_log
 from bench.flight.recorder import simulation_step
 from bench.flight.sequencer import RATE as TICK_RATE
-from bench.flight.tape import Tape, motion_of, truth_of, with_air
+from bench.flight.tape import Tape, motion_of, pieces, truth_of, with_air
 from bench.flight.units import FT
 from bench.specs import ScriptSpec, stream
 
@@ -23,32 +22,29 @@ LONGEST = 4 * 3600.0
 """A script that runs longer is not flown without a duration [s]."""
 
 
-def fly(spec: ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
-    """Fly a script in a process that can be ended; the same script gives the same bits.
+def fly_pieces(spec: ScriptSpec, progress: Callable[[float], None], seconds: float) -> Iterator[Trajectory]:
+    """Fly a script, with the working directory as scratch folder; the same script gives the same bits.
 
     Parameters
     ----------
     spec : ScriptSpec
         The script; its rate is a multiple of 20 Hz.
-    progress : callable, optional
+    progress : callable
         Called with the time flown so far [s].
+    seconds : float
+        Length of a piece [s].
 
     Returns
     -------
-    Trajectory
-        Truth at spec.rate. Events of kind "sanity" say what no aircraft of its class does,
+    iterator of Trajectory
+        Truth at spec.rate in pieces. Events of kind "sanity" say what no aircraft of its class does,
         and which part of the script is truth where it puts the aircraft elsewhere.
 
     Raises
     ------
     FlightError
-        When the script cannot be loaded, does not answer, or no truth can be made of it.
+        When the script cannot be loaded or no truth can be made of it.
     """
-    return fly_in_child("script:fly_here", spec, f"script {spec.name}", progress)
-
-
-def fly_here(spec: ScriptSpec, progress: Callable[[float], None]) -> Trajectory:
-    """Fly a script in this process, with its working directory as scratch folder."""
     what = f"script {spec.name}"
     substeps, dt = simulation_step(spec.rate)
     try:
@@ -69,7 +65,7 @@ def fly_here(spec: ScriptSpec, progress: Callable[[float], None]) -> Trajectory:
     events += sanity.report(motion, ticks, spec.category)
     end = (len(motion.epa) - 2) // substeps * substeps * dt
     events.append((0.0, end, "leg", f"script {spec.name}"))
-    return with_air(truth_of(motion, substeps, events), ticks)
+    return pieces(with_air(truth_of(motion, substeps, events), ticks), seconds)
 
 
 def _run(spec: ScriptSpec, dt: float, progress: Callable[[float], None]) -> Tape:

@@ -122,6 +122,8 @@ def fly_legs(
                     break
                 yield instant(leg)
                 tick += 1
+            if number == len(spec.legs) and tick < end:
+                text += f", then held to {end / RATE:g} s"
             while number == len(spec.legs) and tick < end:
                 yield instant(leg)
                 tick += 1

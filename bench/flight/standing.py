@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bench.flight.cockpit import SURFACES
-from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, FlightError, node, place
+from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, FlightError, place
 from bench.flight.units import FT
 from bench.flight.wind import set_wind
 
@@ -16,8 +17,8 @@ _SETTLE = 30.0  # until gear and friction are at rest [s]
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
-def stand(fdm: Any, condition: Condition) -> None:
-    """Put the aircraft on the ground of a condition's place, heading and wind, at rest.
+def stand(fdm: Any, condition: Condition, idle: Callable[[Any], None]) -> None:
+    """Put the aircraft on the ground of a condition's place, heading and wind, at rest, its engines idling.
 
     Raises
     ------
@@ -28,7 +29,11 @@ def stand(fdm: Any, condition: Condition) -> None:
     for name in ("u-fps", "v-fps", "w-fps", "phi-rad", "theta-rad"):
         fdm[f"ic/{name}"] = 0.0
     fdm["ic/h-agl-ft"] = 10.0
-    wheels = [node(fdm, f"gear/unit[{k}]/AGL-ft") for k in range(int(fdm["gear/num-units"]))]
+    manager = fdm.get_property_manager()  # what is no wheel counts among the units too
+    units = (manager.get_node(f"gear/unit[{k}]/AGL-ft") for k in range(int(fdm["gear/num-units"])))
+    wheels = [unit for unit in units if unit is not None]
+    if not wheels:
+        raise FlightError(f"aircraft {fdm.get_model_name()} has no wheels to stand on")
     _evaluate(fdm)
     fdm["ic/h-agl-ft"] = 10.0 - min(wheel.get_double_value() for wheel in wheels) + _DROP / FT
     _evaluate(fdm)
@@ -41,6 +46,7 @@ def stand(fdm: Any, condition: Condition) -> None:
     fdm["guidance/throttle-cmd-norm"] = 0.0
     for side in ("left", "right"):
         fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
+    idle(fdm)
     for _ in range(round(_SETTLE / fdm.get_delta_t())):
         fdm.run()
     moves = FT * max(abs(fdm[f"velocities/v-{axis}-fps"]) for axis in ("north", "east", "down"))

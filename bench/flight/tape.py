@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from bench.flight.units import FT, KT, PSF, RANKINE
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate
 
 INCH = 0.0254  # [m]
+_Record = TypeVar("_Record", AirData, Controls)
 _MOTION = (
     *(f"position/eci-{axis}-ft" for axis in "xyz"),
     *(f"velocities/eci-{axis}-fps" for axis in "xyz"),
@@ -227,3 +228,29 @@ def with_air(truth: Trajectory, ticks: Ticks) -> Trajectory:
     last = math.floor(truth.t[-1] * TICK_RATE + 1e-9)
     air, controls = ticks.between(0, last + 1).air()
     return replace(truth, air=air, controls=controls)
+
+
+def pieces(truth: Trajectory, seconds: float) -> Iterator[Trajectory]:
+    """Yield a truth from t = 0 in pieces, as `bench.flight.recorder.fly_pieces` does."""
+    end = len(truth) - 1
+    length = max(1, round(min(seconds, truth.t[-1]) / truth.t[1]))
+    taken = 0
+    for start in range(0, max(end, 1), length):
+        stop = min(start + length, end)
+        ready = len(truth.air.t) if stop == end else int(np.searchsorted(truth.air.t, truth.t[stop], "right"))
+        yield Trajectory(
+            t=truth.t[start : stop + 1],
+            lla=truth.lla[start : stop + 1],
+            vel_n=truth.vel_n[start : stop + 1],
+            q_nb=truth.q_nb[start : stop + 1],
+            dtheta_b=truth.dtheta_b[start:stop],
+            dvel_b=truth.dvel_b[start:stop],
+            air=_rows(truth.air, taken, ready),
+            controls=_rows(truth.controls, taken, ready),
+            events=truth.events if stop == end else Events.from_rows([]),
+        )
+        taken = ready
+
+
+def _rows(record: _Record, first: int, end: int) -> _Record:
+    return type(record)(*(getattr(record, field.name)[first:end] for field in fields(record)))

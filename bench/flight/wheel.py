@@ -9,7 +9,7 @@ every trim; and its start may need properties of its own (mixture, gear up).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +19,6 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.flight import sanity
-from bench.flight.child import fly_in_child
 from bench.flight.foreign import NAME, copy_aircraft, executive, read_xml, write_xml
 from bench.flight.model import (
     Condition,
@@ -29,15 +28,14 @@ from bench.flight.model import (
     one_line,
     place,
     present_accelerations,
-    settle,
     silent_log,
     wait,
 )
-from bench.flight.recorder import simulation_step
+from bench.flight.recorder import begin, simulation_step
 from bench.flight.sequencer import RATE as TICK_RATE
-from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
-from bench.flight.tape import Tape, motion_of, truth_of, with_air
-from bench.flight.wind import air_velocity, start_turbulence
+from bench.flight.sequencer import Cockpit, FlownLeg, fly_legs
+from bench.flight.tape import Tape, motion_of, pieces, truth_of, with_air
+from bench.flight.wind import Weather
 from bench.specs import AircraftSpec, FlightSpec, ForeignSpec
 
 _SETTLED = 1e-3  # largest acceleration left in a trimmed flight [m/s^2, rad/s^2]: 0.1 mg
@@ -49,32 +47,29 @@ _THROTTLE = "guidance/throttle-cmd-norm"
 _STARTS = ((0.05, 0.0, 0.6), (0.1, -0.1, 0.8), (0.02, 0.1, 0.4))  # alpha [rad], elevator, throttle
 
 
-def fly(spec: FlightSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
-    """Fly a plan with a foreign aircraft, in a process that can be ended.
+def fly_pieces(spec: FlightSpec, progress: Callable[[float], None], seconds: float) -> Iterator[Trajectory]:
+    """Fly a plan with a foreign aircraft, with the working directory as scratch folder.
 
     Parameters
     ----------
     spec : FlightSpec
         The plan; its rate is a multiple of 20 Hz and its aircraft has a foreign part.
-    progress : callable, optional
+    progress : callable
         Called with the time flown so far [s].
+    seconds : float
+        Length of a piece [s].
 
     Returns
     -------
-    Trajectory
-        Truth at spec.rate: the motion of the IMU, a fixed point of the body that is given from
-        the centre of gravity at the start. Events hold the flown legs and the sanity report.
+    iterator of Trajectory
+        Truth at spec.rate in pieces: the motion of the IMU, a fixed point of the body that is given
+        from the centre of gravity at the start. Events hold the flown legs and the sanity report.
 
     Raises
     ------
     FlightError
-        When the aircraft cannot be loaded, trimmed, or flown as planned, or does not answer.
+        When the aircraft cannot be loaded, trimmed, or flown as planned.
     """
-    return fly_in_child("wheel:fly_here", spec, f"aircraft {spec.aircraft.name}", progress)
-
-
-def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
-    """Fly a plan in this process, with its working directory as scratch folder."""
     assert spec.aircraft.foreign is not None
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)
@@ -82,7 +77,7 @@ def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
     steps = range(round(1.0 / (TICK_RATE * dt)))
     flown: list[FlownLeg] = []
     tape.step()
-    for t in fly_legs(cockpit, spec, flown):
+    for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
         tape.tick()
         for _ in steps:
             fdm.run()
@@ -95,20 +90,14 @@ def fly_here(spec: FlightSpec, progress: Callable[[float], None]) -> Trajectory:
     motion, ticks = motion_of(dt, tape.columns(), spec.aircraft.imu_b), tape.ticks()
     events = [(leg.start, leg.end, "leg", leg.text) for leg in flown]
     events += sanity.report(motion, ticks, spec.aircraft.category)
-    return with_air(truth_of(motion, substeps, events), ticks)
+    return pieces(with_air(truth_of(motion, substeps, events), ticks), seconds)
 
 
 def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
-    """Return the model, trimmed at the start of the plan in its wind, and its engaged guidance."""
+    """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     assert spec.aircraft.foreign is not None
     fdm = load(spec.aircraft, spec.aircraft.foreign, dt)
-    north, east, down = (float(v) for v in air_velocity(spec.wind_from, spec.wind_speed))
-    condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
-    trimmed = trim(fdm, condition)
-    settle(fdm)
-    cockpit = engage(fdm, spec, trimmed)
-    start_turbulence(fdm, spec.severity, spec.turbulence_seed)
-    return fdm, cockpit
+    return fdm, begin(fdm, spec, trim, _run_engines)
 
 
 def load(aircraft: AircraftSpec, foreign: ForeignSpec, dt: float) -> Any:

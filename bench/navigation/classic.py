@@ -625,6 +625,8 @@ class Classic22:
         horizontal [m, each axis], height [m], velocity [m/s, each axis] (A-5.2.1, A-5.2.2).
     """
 
+    needs = ("fixes",)
+
     def __init__(
         self,
         *,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,11 +19,15 @@ class Estimator(Protocol):
     Settings go to ``__init__`` as keywords and are checked there; ``run`` takes
     data only, keeps nothing between calls and never sees the truth. A method
     ``unmodelled(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
-    errors of the units that the state has no room for.
+    errors of the units that the state has no room for. An attribute ``needs: tuple[str, ...]`` is
+    optional too: the records of `SensorData` without which it has nothing to work on, of :data:`RECORDS`.
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``."""
+        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
+
+        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds what is NaN.
+        """
         ...
 
 
@@ -82,6 +86,16 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
 """Name -> (what it is, "module:Class", options that make it so)."""
 
 
+RECORDS: Mapping[str, str] = {
+    "fixes": "a gnss",
+    "observations": "a gnss at measurement level, one with [sky] such as 'sky-l1'",
+    "baro": "a baro",
+    "mag": "a mag",
+    "airspeed": "an airspeed",
+}
+"""Record of `SensorData` that an estimator may need -> the sensor that gives it."""
+
+
 class EstimatorError(ValueError):
     """An estimator cannot be built, or cannot start, as asked."""
 
@@ -118,6 +132,23 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         raise EstimatorError(
             f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
         )
+    return construct(use, factory, options, fixed)
+
+
+def construct(
+    use: str,
+    factory: Callable[..., Estimator],
+    options: Mapping[str, Any],
+    fixed: Mapping[str, Any] | None = None,
+) -> Estimator:
+    """Build an estimator from the keywords it takes.
+
+    Raises
+    ------
+    EstimatorError
+        When it has no such option or refuses one, in one line.
+    """
+    fixed = fixed or {}
     keywords = {**fixed, **options}
     known = inspect.signature(factory).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in known.values())
@@ -126,10 +157,26 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         offered = ", ".join(name for name in known if name not in fixed) or "none"
         raise EstimatorError(f"estimator {use!r}: unknown option {unknown[0]!r}; known options: {offered}")
     try:
-        built: Estimator = factory(**keywords)
+        return factory(**keywords)
     except (ValueError, TypeError) as error:
         raise EstimatorError(f"estimator {use!r}: {error}") from error
-    return built
+
+
+def check_needs(estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]") -> None:
+    """Check, before anything is flown, that an estimator will get what it needs.
+
+    ``records`` of `SensorData` are those there will be; messages say where they come from by ``place``.
+
+    Raises
+    ------
+    EstimatorError
+        When one of its ``needs`` is not among them, or is no record.
+    """
+    for need in getattr(estimator, "needs", ()):
+        if need not in RECORDS:
+            raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
+        if need not in records:
+            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
 
 
 class EstimatorFailedError(RuntimeError):

@@ -6,10 +6,10 @@ measurement (`bench.navigation.aiding`, `bench.navigation.ranging`) is fed back 
 position and velocity of the GNSS antenna, tight coupling every satellite by itself.
 
 A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
-to the instant of arrival by the transition in between: the process
-noise of the latency is left out, 2e-4 of the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The
-change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below 1e-4 for
-corrections below 0.01 rad (equations section 10).
+to the instant of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
+the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The change of P by the turn of the frame at
+feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations
+section 10).
 """
 
 from __future__ import annotations
@@ -295,7 +295,6 @@ class Fusion:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
         initial, aligned = alignment.complete(sensors, initial)
         specs = sensors.specs
-        initial, aligned = alignment.complete(sensors, initial)
         fixes = sensors.fixes if self.gnss and not self.tight else None
         seen = sensors.observations if self.gnss and self.tight else None
         baro = sensors.baro if self.baro else None
@@ -472,6 +471,12 @@ class Fusion:
             level=np.ones(len(SENSORS)),
         )
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
+        aiding = ("observations" if self.tight else "fixes",) if self.gnss else ("baro",) if self.baro else ()
+        return aiding + ("airspeed",) * self.airspeed + ("mag",) * self.magnetometer
+
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
         return unmodelled(
@@ -514,7 +519,7 @@ def _is_count(value: object) -> bool:
 def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
     """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
 
-    What is left out at 100 km is 10 nT, at 500 km 300 nT.
+    What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
     """
     step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
     ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])

@@ -43,6 +43,8 @@ class GnssOnly:
         Refusals in a row after which the next sub-vector is used all the same.
     """
 
+    needs = ("fixes",)
+
     def __init__(
         self,
         *,

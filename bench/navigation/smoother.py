@@ -60,6 +60,11 @@ class Smoother:
         x[served], cov[served] = state[nodes.output[served]], P[nodes.output[served]]
         return solution(forward.t, nodes.layout, x, cov, forward.innovations, forward.events)
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What its forward run needs."""
+        return self.filter.needs
+
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
         return self.filter.unmodelled(specs)

@@ -251,6 +251,8 @@ def unmodelled(
                 found.append("time-correlated GNSS velocity error")
         if specs.gnss.latency > 0 and not latency:
             found.append("GNSS latency")
+        if specs.gnss.jumps and not tight:
+            found.append("jumps of the GNSS error where the satellites change")
     if airspeed and specs.airspeed is not None:
         a = specs.airspeed
         if max(a.bias_sd, a.pressure_bias_sd, a.scale_factor_sd) > 0:

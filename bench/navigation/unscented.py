@@ -185,6 +185,11 @@ class Unscented:
             events=Events.from_rows(events),
         )
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
+        return ("fixes",) if self.gnss else ("baro",) if self.baro else ()
+
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
         return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=False)

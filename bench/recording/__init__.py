@@ -16,7 +16,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.config.log import LogSpec
 from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
-from bench.recording import layout, plots, space, words
+from bench.recording import layout, plots, satellites, space, words
 from bench.recording.plots import TIMELINE
 from bench.specs import Profile
 
@@ -29,6 +29,7 @@ def write(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str = "",
 ) -> None:
     """Write the recording of one run.
 
@@ -42,13 +43,15 @@ def write(
         The flight and one draw of the sensors; without a truth the first estimator carries the vehicle.
     solutions, errors, metrics : mappings by estimator
         What the estimators made of it. The first is the main one: the overview shows it.
+    more : str
+        Markdown below the summary.
 
     Raises
     ------
     OSError
         When the file cannot be written.
     """
-    recorded = _record(profile, truth, sensed, solutions, errors, metrics)
+    recorded = _record(profile, truth, sensed, solutions, errors, metrics, more)
     part = path.with_name(f"{path.name}.tmp")
     try:
         part.write_bytes(recorded)
@@ -64,6 +67,7 @@ def _record(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str,
 ) -> bytes:
     """Return the recording as the bytes of its file.
 
@@ -73,8 +77,11 @@ def _record(
 
     motion = plots.carrier(solutions) if truth is None else truth
     tabs = plots.tabs(motion, sensed, solutions, errors, profile.evaluation_from)
+    sky = profile.sensors.gnss.sky if isinstance(profile, Profile) and profile.sensors.gnss else None
+    if sensed.sky is not None:
+        tabs = {**tabs, satellites.TAB: {"": satellites.rows(sensed.sky)}}
     scene = space.scene(motion, sensed, solutions)
-    outages = [(start, end) for start, end, _ in sensed.events.of("gnss_outage")]
+    shades = plots.shades(sensed.events)
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
@@ -86,9 +93,11 @@ def _record(
             title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
         stream.send_recording_name(title)
         space.send(stream, mesh, motion, sensed, solutions)
-        words.send(stream, profile, motion, sensed, solutions, metrics)
+        words.send(stream, profile, motion, sensed, solutions, metrics, more)
         for plot in plots.every(tabs):
-            plots.send(stream, plot, outages)
+            plots.send(stream, plot, shades)
+        if sensed.sky is not None and sky is not None and truth is not None:
+            satellites.send(stream, sensed.sky, truth, sky.antenna_mask)
         return memory.drain_as_bytes()
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.recording import satellites
 from bench.recording.plots import TIMELINE, Plot, Rows, Tabs
 from bench.recording.space import Scene
 
@@ -36,7 +37,9 @@ def blueprint(scene: Scene, tabs: Tabs, main: str) -> Any:
     views = [_overview(scene, tabs, main)]
     for name, by_label in tabs.items():
         columns = {label: rows for label, rows in by_label.items() if any(rows)}
-        if columns:
+        if columns and name == satellites.TAB:
+            views.append(_satellites(scene, columns[""]))
+        elif columns:
             views.append(_tab(scene, name, columns))
     return rrb.Blueprint(
         rrb.Tabs(*views, active_tab=0),
@@ -85,6 +88,15 @@ def _tab(scene: Scene, name: str, columns: Mapping[str, Rows]) -> Any:
     return rrb.Tabs(*grids, name=name, active_tab=0)
 
 
+def _satellites(scene: Scene, rows: Rows) -> Any:
+    import rerun.blueprint as rrb
+
+    plots = rrb.Vertical(
+        *[_row(scene, row) for row in rows], _strip(scene), row_shares=[4.0] * len(rows) + [2.0]
+    )
+    return rrb.Horizontal(satellites.view(), plots, column_shares=[1, 1], name=satellites.TAB)
+
+
 def _row(scene: Scene, row: Sequence[Plot]) -> Any:
     import rerun.blueprint as rrb
 
@@ -116,7 +128,7 @@ def _plot(scene: Scene, plot: Plot) -> Any:
 def _strip(scene: Scene) -> Any:
     import rerun.blueprint as rrb
 
-    return rrb.StateTimelineView(origin="/phase", name="Legs and GNSS", time_view=_whole_flight(scene))
+    return rrb.StateTimelineView(origin="/phase", name="Legs, GNSS, faults", time_view=_whole_flight(scene))
 
 
 def _log() -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -59,6 +59,7 @@ def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
 TRUTH: Colour = (110, 190, 90)
 FIX: Colour = (255, 205, 50)
 OUTAGE: Colour = (255, 150, 0)
+FAULT: Colour = (225, 70, 225)
 REJECTED: Colour = (255, 60, 60)
 BAND: Colour = (150, 150, 150)
 AXIS_COLOURS: tuple[Colour, ...] = ((235, 90, 90), (90, 190, 90), (90, 140, 250))  # x, y, z and n, e, d
@@ -238,7 +239,7 @@ def tabs(
         for label, rows in by_label.items():
             by_label[label] = [[replace(plot, scale_from=evaluation_from) for plot in row] for row in rows]
     found["Flight"] = {"": _flight_rows(truth, sensed)}
-    return found
+    return {"Comparison": {"": _comparison(errors, colours, evaluation_from)}, **found}
 
 
 def every(tabs: Tabs) -> Iterator[Plot]:
@@ -247,6 +248,30 @@ def every(tabs: Tabs) -> Iterator[Plot]:
         for rows in by_label.values():
             for row in rows:
                 yield from row
+
+
+def _comparison(
+    errors: Mapping[str, ErrorSeries], colours: Mapping[str, Colour], evaluation_from: float
+) -> Rows:
+    """Return what two or more estimators have in common, a line each in one plot."""
+    sizes: dict[str, Callable[[ErrorSeries], FloatArray]] = {
+        "horizontal position error [m]": lambda e: np.hypot(e.pos_n[:, 0], e.pos_n[:, 1]),
+        "vertical position error [m]": lambda e: e.pos_n[:, 2],
+        "velocity error, 3D [m/s]": lambda e: np.linalg.norm(e.vel_n, axis=1),
+        "heading error [deg]": lambda e: np.rad2deg(e.heading),
+    }
+    rows = []
+    for title, size in sizes.items():
+        lines = {label: size(error) for label, error in errors.items()}
+        series = tuple(
+            _line(entity("of", label)[1:], errors[label].t, values, label, colours[label])
+            for label, values in lines.items()
+            if np.isfinite(values).any()
+        )
+        if len(series) > 1:
+            path = entity("comparison", title.partition(" ")[0])
+            rows.append([Plot(path, title, series, evaluation_from)])
+    return rows
 
 
 def _error_rows(
@@ -434,13 +459,33 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
     ]
 
 
-def send(stream: Any, plot: Plot, outages: Sequence[tuple[float, float]]) -> None:
-    """Send the series of a plot, and a shade over its whole height where GNSS is lost."""
+@dataclass(frozen=True, slots=True)
+class Shade:
+    """Intervals that are hatched in every plot."""
+
+    key: str  # last part of the entity path
+    name: str  # for the legend
+    colour: Colour
+    intervals: tuple[tuple[float, float], ...]  # (start, end) [s]
+
+
+def shades(events: Events) -> tuple[Shade, ...]:
+    """Return what is hatched: where GNSS is lost, and where faults are scripted."""
+    told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
+    found = (
+        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.of(kind)))
+        for key, name, colour, kind in told
+    )
+    return tuple(shade for shade in found if shade.intervals)
+
+
+def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
+    """Send the series of a plot, and shades over its whole height."""
     for series in plot.series:
         names, colours = list(series.names), [list(colour) for colour in series.colours]
         _send_series(stream, f"{plot.path}/{series.key}", series, names, colours)
-    if outages:
-        _send_shade(stream, f"{plot.path}/outage", outages, plot)
+    for shade in shades:
+        _send_shade(stream, f"{plot.path}/{shade.key}", shade, plot)
 
 
 def _send_series(
@@ -470,22 +515,22 @@ def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -
         )
 
 
-def _send_shade(stream: Any, entity: str, outages: Sequence[tuple[float, float]], plot: Plot) -> None:
+def _send_shade(stream: Any, entity: str, shade: Shade, plot: Plot) -> None:
     """Send a hatch over the height of a plot: it has no shaded region, and a wide line ends in round caps."""
     import rerun as rr
 
     low, high = plot.limits()
     spacing = HATCH * max(float(series.t[-1]) for series in plot.series if len(series.t))
     t, y = [], []
-    for start, end in outages:
+    for start, end in shade.intervals:
         strokes = max(2, round((end - start) / spacing))
         t.append(np.append(np.linspace(start, end, strokes + 1), end + 1e-6))
         y.append(np.append(np.where(np.arange(strokes + 1) % 2, low, high), np.nan))
     stream.log(
         entity,
         rr.SeriesLines(
-            colors=[[*OUTAGE, 80]],
-            names="GNSS outage",
+            colors=[[*shade.colour, 80]],
+            names=shade.name,
             widths=1.0,
             aggregation_policy=rr.components.AggregationPolicy.Off,
         ),

@@ -24,11 +24,12 @@ def send(
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     metrics: Mapping[str, Mapping[str, Any]],
+    more: str,
 ) -> None:
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
     import rerun as rr
 
-    page = summary(profile, truth, metrics)
+    page = summary(profile, truth, metrics) + more
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
@@ -60,6 +61,17 @@ def send(
             changes += [(start, "outage"), (end, "available")]
         changes.append((float(truth.t[-1]), ""))
         _send_phase(stream, "/phase/gnss", changes, {"available": (70, 110, 70), "outage": OUTAGE})
+    struck = sensed.events.of("fault")
+    if struck:
+        edges = sorted({float(truth.t[0]), *(edge for start, end, _ in struck for edge in (start, end))})
+        changes = [(edge, _faults_at(edge, struck)) for edge in edges if edge < truth.t[-1]]
+        changes.append((float(truth.t[-1]), ""))
+        _send_phase(stream, "/phase/faults", changes, {})
+
+
+def _faults_at(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
+    """Name the faults that are there at an instant [s]."""
+    return ", ".join(text.partition(":")[0] for start, end, text in struck if start <= t < end) or "none"
 
 
 def _send_phase(
@@ -111,16 +123,21 @@ def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
         f"- {_flight(profile.flight, truth)}",
         *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
         *([f"- GNSS outage {lost}"] if lost else []),
+        *[
+            f"- fault {k}, {fault.start:g} to {fault.end:g} s: {fault.text}"
+            for k, fault in enumerate(sensors.faults, 1)
+        ],
         "",
         f"Truth is green, GNSS yellow; {colours}. ±3σ is what a filter claims about itself. Plots are "
-        f"hatched where GNSS is lost, and scaled to what comes after {profile.evaluation_from:g} s.",
+        f"hatched where GNSS is lost or a fault is scripted, and scaled to what comes after "
+        f"{profile.evaluation_from:g} s.",
     ]
 
 
 def _log(log: LogSpec, colours: str) -> list[str]:
     """Return what is said of a recording above its metrics."""
     assumed = [("IMU", log.assumed.imu), ("GNSS", log.assumed.gnss), ("barometer", log.assumed.baro)]
-    kept = f"every {log.withhold}. fix" if log.withhold else "no fix"
+    kept = f"one fix in {log.withhold}" if log.withhold else "no fix"
     return [
         f"- recording `{log.name}`",
         *[f"- {what} assumed to be a `{unit.name}`" for what, unit in assumed if unit is not None],

@@ -57,14 +57,20 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
                 truth, spec.baro, spec.qnh, spec.static_port_b, seed, run
             )
         baro_bias = np.interp(bias.t, baro_data.t, drawn) + stepped("baro", 1)[:, 0]
-        baro_data = faults.baro(baro_data, spec.baro, scripted, seed, run)
+        lsb = spec.baro.quantization
+        baro_data = faults.instrument(baro_data, "baro", "alt_baro", lsb, scripted, seed, run)
     mag_data, mag_bias_b = None, np.full((len(bias.t), 3), np.nan)
     if spec.mag is not None:
         mag_data, mag_bias_b[:] = magnetometer.measure(truth, spec.mag, spec.date, seed, run)
+        lsb = spec.mag.quantization
+        mag_data = faults.instrument(mag_data, "mag", "field_b", lsb, scripted, seed, run)
     airspeed_data, airspeed_bias = None, np.full(len(bias.t), np.nan)
     if spec.airspeed is not None:
         airspeed_data, drawn = airspeed.measure(truth, spec.airspeed, seed, run)
         airspeed_bias = np.interp(bias.t, airspeed_data.t, drawn)
+        airspeed_data = faults.instrument(
+            airspeed_data, "airspeed", "airspeed_true", 0.0, scripted, seed, run
+        )
     data = SensorData(
         imu=imu_data,
         fixes=fixes,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
@@ -12,14 +14,15 @@ from bench.signals.orbits import C
 from bench.specs import SkySpec, stream
 
 _STAGES = np.array([0.05, 0.55, 6.05, 66.55, 732.05, 8052.55])  # correlation times of flicker [s]
-_FLAT = (0.1, 1e4)  # their Allan deviation is flat between, within 1.5 % [s]
+_FLAT = (0.1, 1e4)  # the Allan deviation of their sum is flat between [s]
 
 
-def _stage_sd(level: float) -> FloatArray:
-    """Return the sds of the stages whose summed Allan deviation is flat at a level (least squares)."""
+@lru_cache(maxsize=1)
+def _stage_sd() -> FloatArray:
+    """Return the sds of the stages whose summed Allan deviation is flat at 1 (least squares)."""
     tau = np.geomspace(*_FLAT, 161)
     curves = np.column_stack([allan.gauss_markov(tau, 1.0, c) ** 2 for c in _STAGES])
-    sd: FloatArray = level * np.sqrt(np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0])
+    sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0])
     return sd
 
 
@@ -89,7 +92,7 @@ def receiver_clock(
         level = C * float(np.sqrt(2.0 * np.log(2.0) * sky.clock_h_m1))
         noise = stream(seed, run, "gnss.sky.clock.flicker").standard_normal((len(t), len(_STAGES), 2))
         flicker = np.zeros((len(t), 2))
-        _flicker_kernel(np.diff(t), _STAGES, _stage_sd(level), noise, flicker)
+        _flicker_kernel(np.diff(t), _STAGES, level * _stage_sd(), noise, flicker)
         offset += flicker[:, 0]
         drift += flicker[:, 1]
     if sky.clock_g != 0:

@@ -13,12 +13,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import BaroData, GnssFixes, ImuData
+from bench.data import AirspeedData, BaroData, GnssFixes, ImuData, MagData
 from bench.sensors.timing import interval_rows
-from bench.specs import BaroSpec, Fault, GnssSpec, ImuSpec, TriadSpec, stream
+from bench.specs import Fault, GnssSpec, ImuSpec, TriadSpec, stream
 
 Faults = Sequence[Fault]
-_Record = TypeVar("_Record", BaroData, GnssFixes)
+_Record = TypeVar("_Record", BaroData, MagData, AirspeedData, GnssFixes)
+_Instrument = TypeVar("_Instrument", BaroData, MagData, AirspeedData)
 
 
 class Reported(NamedTuple):
@@ -140,19 +141,38 @@ def _triad(
     return increment
 
 
-def baro(record: BaroData, spec: BaroSpec, faults: Faults, seed: int, run: int) -> BaroData:
-    """Return what a barometer with faults reports; the same record when it has none."""
-    stepped = list(of(faults, "baro", "baro-step"))
-    burst = noise(record.t, faults, "baro", "white", 1, seed, run)
+def instrument(
+    record: _Instrument, sensor: str, column: str, lsb: float, faults: Faults, seed: int, run: int
+) -> _Instrument:
+    """Return what a barometer, magnetometer or airspeed indicator with faults reports.
+
+    Parameters
+    ----------
+    record : BaroData, MagData or AirspeedData
+        Without them; returned when it has none.
+    sensor, column : str
+        "baro", "mag" or "airspeed", and the column of its values.
+    lsb : float
+        Least bit of the values, 0 none.
+    faults : sequence of Fault
+        Those of other sensors count for nothing.
+    seed, run : int
+        Which draw of the faults' own noise.
+    """
+    values = getattr(record, column)
+    wide = values.reshape(len(record), -1)
+    width = wide.shape[1]
+    stepped = list(of(faults, sensor, f"{sensor}-step"))
+    burst = noise(record.t, faults, sensor, "white", width, seed, run)
     if stepped or burst is not None:
-        added = steps(record.t, stepped, 1)[:, 0]
+        added = steps(record.t, stepped, width)
         if burst is not None:
-            added += spec.white_sd * burst[:, 0]
-        alt = record.alt_baro + added
-        if spec.quantization > 0:
-            alt = np.where(added != 0.0, spec.quantization * np.rint(alt / spec.quantization), alt)
-        record = replace(record, alt_baro=alt)
-    return put_out(record, reported(record.t, faults, "baro", seed, run))
+            added += record.sd[:, None] * burst
+        faulty = wide + added
+        if lsb > 0:
+            faulty = np.where(added != 0.0, lsb * np.rint(faulty / lsb), faulty)
+        record = replace(record, **{column: faulty.reshape(values.shape)})
+    return put_out(record, reported(record.t, faults, sensor, seed, run))
 
 
 def spoofed(t: FloatArray, faults: Faults) -> tuple[FloatArray, FloatArray]:

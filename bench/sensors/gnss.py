@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench import earth, rotation
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
 from bench.sensors import faults
 from bench.sensors.processes import gauss_markov
 from bench.sensors.timing import epoch_rows, interval_rows
 from bench.specs import Fault, GnssSpec, stream
+
+_MASK = float(np.deg2rad(5.0))  # of the satellites whose changes make jumps
 
 SATELLITES_UNKNOWN = -1
 """What ``GnssFixes.satellites`` holds here: a position-level receiver has no sky to count in."""
@@ -48,7 +50,8 @@ def measure(
     Returns
     -------
     fixes : GnssFixes
-        At t = 1/rate, 2/rate, ... The reported covariance is the total of white and Markov errors.
+        At t = 1/rate, 2/rate, ... The reported covariance is the total of white and Markov errors,
+        its standard deviations over ``optimism``; a receiver knows nothing of its jumps.
 
     Raises
     ------
@@ -70,6 +73,8 @@ def measure(
     pos_err_n += _markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
     vel_err_n = _white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
     vel_err_n += _markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
+    pos_err_n += _jumps("gnss.position", spec, truth, rows, lla, pos_decay, seed, run)
+    vel_err_n += _jumps("gnss.velocity", spec, truth, rows, lla, vel_decay, seed, run)
     if scripted:
         pos_added, vel_added = faults.fix_errors(t, spec, scripted, seed, run)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
@@ -85,8 +90,8 @@ def measure(
         valid=np.ones(count, bool),
         lla=earth.displace(lla, pos_err_n)[kept],
         vel_n=(vel_n + vel_err_n)[kept],
-        cov_pos_n=np.tile(np.diag(pos_white_sd**2 + pos_markov_sd**2), (count, 1, 1)),
-        cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2), (count, 1, 1)),
+        cov_pos_n=np.tile(np.diag(pos_white_sd**2 + pos_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
+        cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
         satellites=np.full(count, SATELLITES_UNKNOWN),
     )
     return faults.put_out(fixes, faults.reported(fixes.t, scripted, "gnss", seed, run))
@@ -128,3 +133,57 @@ def _markov(name: str, t: FloatArray, rate: FloatArray, sd: FloatArray, seed: in
     decay = np.exp(-rate[1:] * np.diff(t))[:, None]
     noise = stream(seed, run, name).standard_normal((len(t), 1, 3))
     return sd * gauss_markov(decay, np.ones(1), noise)
+
+
+def _jumps(
+    name: str,
+    spec: GnssSpec,
+    truth: Trajectory,
+    rows: IntArray,
+    lla: FloatArray,
+    rate: FloatArray,
+    seed: int,
+    run: int,
+) -> FloatArray:
+    """Return the jumps (M, 3) of A-5.2.1 and A-5.2.2, mu = 1: one part passes, one decays at ``rate``."""
+    if name == "gnss.position":
+        passing = np.array([spec.pos_h_jump_sd, spec.pos_h_jump_sd, spec.pos_v_jump_sd])
+        lasting = np.array([spec.pos_h_jump_markov_sd, spec.pos_h_jump_markov_sd, spec.pos_v_jump_markov_sd])
+    else:
+        passing, lasting = np.full(3, spec.vel_jump_sd), np.full(3, spec.vel_jump_markov_sd)
+    error = np.zeros((len(rows), 3))
+    if not (passing.any() or lasting.any()):
+        return error
+    t = truth.t[rows]
+    at = np.flatnonzero(constellation_changes(t, lla))
+    error[at] += _white(f"{name}.jump", len(at), passing, seed, run)
+    forgotten = np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(t))])
+    for k, jump in zip(at, _white(f"{name}.jump.markov", len(at), lasting, seed, run), strict=True):
+        error[k:] += np.exp(forgotten[k] - forgotten[k:])[:, None] * jump
+    return error
+
+
+def constellation_changes(t: FloatArray, lla: FloatArray) -> BoolArray:
+    """Return at which epochs (M,) the satellites in use are others than at the epoch before.
+
+    In use are those of the nominal GPS constellation (A-2.1.2), at midnight GPS time when t = 0, that stand
+    more than 5 deg above the horizon: about a hundred changes a day.
+
+    Parameters
+    ----------
+    t : (M,) array
+        Epochs [s].
+    lla : (M, 3) array
+        Of the antenna [rad, rad, m].
+    """
+    from bench.signals import orbits
+
+    sets = orbits.nominal_gps()
+    pos_e = earth.to_ecef(lla)
+    up_e = -earth.matrix_en(lla[:, 0], lla[:, 1])[:, :, 2]
+    changed = np.zeros(len(t), bool)
+    for satellite in range(len(sets)):
+        away = orbits.states(sets, np.full(len(t), satellite), t).pos_e - pos_e
+        up = np.einsum("mi,mi->m", away, up_e) > np.sin(_MASK) * np.linalg.norm(away, axis=1)
+        changed[1:] |= up[1:] != up[:-1]
+    return changed

@@ -187,15 +187,20 @@ def measure(
     # a receiver that tracks predicts where it is; the prediction moves its fix by a centimetre at most
     solution = receiver.solve(observations, processing(sky), near=seen)
     solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
-    fixes = GnssFixes(*(getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__))
+    columns = {name: getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__}
+    for name in ("cov_pos_n", "cov_vel_n"):
+        columns[name] = columns[name] / spec.optimism**2
+    fixes = GnssFixes(**columns)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
     used = np.zeros(len(v.epoch), bool)
     used[_rows(start, content)[now & solution.used]] = True
-    return Sky(observations, fixes, solution, _above(t, everything, used))
+    heard = np.zeros(len(t), bool)
+    heard[tag] = True
+    return Sky(observations, fixes, solution, _above(t, everything, heard, used))
 
 
-def _above(t: FloatArray, v: View, used: BoolArray) -> SkyView:
-    """Return what was above the aircraft; ``used`` counts the received rows."""
+def _above(t: FloatArray, v: View, heard: BoolArray, used: BoolArray) -> SkyView:
+    """Return what was above the aircraft, epochs (M,) heard of or not; ``used`` counts the received rows."""
     of_all = np.zeros(len(v.epoch), bool)
     of_all[v.received] = used
     return SkyView(
@@ -204,7 +209,7 @@ def _above(t: FloatArray, v: View, used: BoolArray) -> SkyView:
         sat=v.sat[v.which],
         azimuth=v.azimuth,
         elevation=np.arcsin(v.sin_el),
-        cn0=np.where(v.received, v.cn0, np.nan),
+        cn0=np.where(v.received & heard[v.epoch], v.cn0, np.nan),
         used=of_all,
     )
 

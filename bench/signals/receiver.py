@@ -46,8 +46,9 @@ class ErrorBudget(NamedTuple):
 
     [45] RTKLIB, rtkpos.c and rtkcmn.c. [46] RTCA DO-229D, appendix J, as in GPSTk ComputeMOPSWeights.cpp.
     [47] Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed. (2013),
-    values of its examples. Montenbruck, Steigenberger, Hauschild, Advances in Space Research 61 (2018): 0.6 m
-    for GPS, 2 m for GLONASS.
+    values of its examples. Montenbruck, Steigenberger, Hauschild, Multi-GNSS signal-in-space range error
+    assessment - methodology and results, Advances in Space Research 61 (2018) 3020-3038, abstract: global
+    average RMS of 2017, 0.6 m for GPS and 2 m for GLONASS.
     """
 
     signal_in_space: float = 0.6  # GPS, ephemeris and satellite clock [m], Montenbruck et al. 2018

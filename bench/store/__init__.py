@@ -5,6 +5,7 @@ from __future__ import annotations
 from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
     RESULT,
+    add_solution,
     load,
     load_observations,
     load_sensors,
@@ -22,6 +23,7 @@ from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth
 __all__ = [
     "RESULT",
     "START",
+    "add_solution",
     "initial_state",
     "load",
     "load_observations",

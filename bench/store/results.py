@@ -117,11 +117,7 @@ def save(
         parquet.write(folder / "sensors-airspeed.parquet", sensed.data.airspeed, columns.AIRSPEED)
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
-        layout = columns.solution(solution.extra_names)
-        extra_names = list(solution.extra_names)
-        parquet.write(folder / f"solution-{label}.parquet", solution, layout, extra_names=extra_names)
-        parquet.write(folder / f"events-{label}.parquet", solution.events, columns.EVENTS)
-        _save_innovations(folder / f"innovations-{label}.parquet", solution.innovations)
+        _save_solution(folder, label, solution)
     for label, errors in result.errors.items():
         parquet.write(folder / f"errors-{label}.parquet", errors, columns.ERRORS, states=errors.states)
     summary = {
@@ -133,6 +129,31 @@ def save(
         **(more or {}),
     }
     write_json(folder / RESULT, summary)
+
+
+def add_solution(
+    folder: Path, label: str, solution: NavSolution, errors: ErrorSeries, metrics: Mapping[str, object]
+) -> None:
+    """Write one more solution into a results folder.
+
+    Raises
+    ------
+    OSError
+        When the disk does not take it.
+    """
+    summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    _save_solution(folder, label, solution)
+    parquet.write(folder / f"errors-{label}.parquet", errors, columns.ERRORS, states=errors.states)
+    summary["metrics"][label] = metrics
+    write_json(folder / RESULT, summary)
+
+
+def _save_solution(folder: Path, label: str, solution: NavSolution) -> None:
+    layout = columns.solution(solution.extra_names)
+    extra_names = list(solution.extra_names)
+    parquet.write(folder / f"solution-{label}.parquet", solution, layout, extra_names=extra_names)
+    parquet.write(folder / f"events-{label}.parquet", solution.events, columns.EVENTS)
+    _save_innovations(folder / f"innovations-{label}.parquet", solution.innovations)
 
 
 def load(folder: str | os.PathLike[str]) -> RunResult:

@@ -41,6 +41,7 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 
 _SOURCES = (
     "flight",
+    "exchange/mat_file.py",
     "exchange/tables.py",
     "exchange/trajectory.py",
     "unit_names.py",

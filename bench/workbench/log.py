@@ -101,6 +101,9 @@ def navigate(
         session.check_room(duration)
     keep, withheld = session.withheld()
     data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
+    records = {name for name in estimator.RECORDS if getattr(data, name) is not None}
+    for label, one in built.items():
+        estimator.check_needs(one, label, records, spec.name)
     solutions, errors, metrics = {}, {}, {}
     for label, one in built.items():
         solutions[label] = estimator.answer(one, label, data, session.initial)
@@ -133,7 +136,7 @@ def navigate(
         if recording:
             from bench.recording import write
 
-            write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics)
+            write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
     if recording:
         console.print(f"Next: bench view {folder}")
@@ -150,18 +153,19 @@ class Session:
     def __init__(self, spec: LogSpec, recorded: Recording, initial: InitialState) -> None:
         fixes, imu = recorded.fixes, recorded.imu
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
-        good = fixes.valid & (fixes.t > newest) & (fixes.t > initial.t) & (fixes.t <= imu.t.max())
+        begun = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
+        good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
         self.fixes = taken(fixes, good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
-        first, last = initial.t, float(imu.t.max())
+        last = float(imu.t.max())
         if spec.evaluation_from >= last:
             raise ConfigError(
                 f"{spec.name}.toml: [evaluation] from_s = {spec.evaluation_from:g} s is outside the "
                 f"recording, 0 to {last:.2f} s"
             )
-        self.first, self.last = max(first, spec.evaluation_from), last
+        self.first, self.last = max(initial.t, spec.evaluation_from), last
 
     def grid(self) -> FloatArray:
         """Return the instants at which solutions are wanted [s]."""
@@ -272,24 +276,40 @@ def _events(recorded: Recording, checks: Sequence[validity.Check]) -> Events:
 
 def _drifts(console: Console, table: Sequence[Mapping[str, Any]]) -> None:
     """Print the drift table; an end of an interval that so few places cannot give is a dash."""
-    columns = ("outage", "estimator", "places", "median [m]", "95 % [m]", "claimed median", "datasheet law")
-    shown = Table(*columns, title="Horizontal drift without GNSS", title_justify="left")
+    shown = Table(*_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
     for row in table:
-        shown.add_row(
-            f"{row['duration_s']:g} s",
-            row["estimator"],
-            str(row["places"]),
-            _interval(row, "median_h"),
-            _interval(row, "p95_h"),
-            f"{row['claimed_median_h_m']:.3g}",
-            f"{row['closed_form_median_h_m']:.3g}",
-        )
+        shown.add_row(*_cells(row))
     console.print(shown)
-    console.print(
-        "In brackets the 95 % interval of the quantile, from the places alone. Claimed: what the filter says "
-        "of itself. Law: bias instability and noise of the assumed datasheet after a perfect start.",
-        soft_wrap=True,
+    console.print(_MEANING, soft_wrap=True)
+
+
+_COLUMNS = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
+_MEANING = (
+    "In brackets the 95 % interval of the quantile, from the places alone. Claimed: the median the filter "
+    "says of itself. Law: the median by bias instability and noise of the assumed datasheet after a perfect "
+    "start."
+)
+
+
+def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        f"{row['duration_s']:g} s",
+        row["estimator"],
+        str(row["places"]),
+        _interval(row, "median_h"),
+        _interval(row, "p95_h"),
+        f"{row['claimed_median_h_m']:.3g}",
+        f"{row['closed_form_median_h_m']:.3g}",
     )
+
+
+def _page(table: Sequence[Mapping[str, Any]]) -> str:
+    """Return the drift table in markdown."""
+    if not table:
+        return ""
+    rows = [_COLUMNS, ("---",) * len(_COLUMNS), *map(_cells, table)]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join(["", "**Horizontal drift without GNSS** [m]", "", *lines, "", _MEANING, ""])
 
 
 def _interval(row: Mapping[str, Any], name: str) -> str:

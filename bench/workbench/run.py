@@ -37,6 +37,7 @@ def run(
     draw: int = 0,
     recording: bool = True,
     force: bool = False,
+    allow_commands: bool = False,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, and write the results folder.
 
@@ -56,6 +57,8 @@ def run(
         Write ``flight.rrd`` too.
     force : bool
         Replace an existing results folder.
+    allow_commands : bool
+        The profile itself may name programs that are started.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def run(
     """
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # where the user's own estimators are looked for, after all else
-    profile = load_profile(name, overrides, seed, estimators)
+    profile = load_profile(name, overrides, seed, estimators, allow_commands)
     label = f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else "")
     folder = out or RUNS / label
     check_folder(folder, force=force)
@@ -103,6 +106,12 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
 
     ``ours`` says whether what is there may be replaced; None: when it is a results folder.
     """
+    try:
+        folder.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:  # a name too long, a folder above that may not be searched
+        raise ConfigError(f"{folder}: no folder can be made there: {error.strerror}") from None
     if folder.is_dir():
         empty = not any(folder.iterdir())
         if not force and not empty:

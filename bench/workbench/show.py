@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -37,6 +38,7 @@ _SUMMARY = (
     "nis_mean_",
 )
 """Metrics of the table, or how their names begin; all the others are in result.json."""
+_COVERAGE = "output_coverage"  # shown where one is not 1
 
 
 def result(console: Console, profile: Profile, run: RunResult) -> None:
@@ -49,28 +51,59 @@ def metrics(
     console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
 ) -> None:
     """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
-    table = _table("metric", *measured)
-    names = dict.fromkeys(name for values in measured.values() for name in values)
+    names = list(dict.fromkeys(name for values in measured.values() for name in values))
+    table = _metrics(measured, names, narrow=False)
+    if console.measure(table, options=console.options.update(max_width=10_000)).maximum > console.width:
+        table = _metrics(measured, names, narrow=True)
+    console.print(table)
+    if any(name.startswith("nis_low_") for name in names):
+        console.print("nis_mean: the range with it is that of 99.9 % of matched filters.")
+    remarks: dict[str, list[str]] = {}
+    for label, values in measured.items():
+        for begun, end, text in solutions[label].events.of("alignment"):
+            remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
+        if not values["converged"]:
+            reason = values["reason"]
+            text = reason if reason.startswith("failed: ") else f"diverged: {reason}"
+            console.print(f"{label} {text}", style="bold red")
+        elif values.get("program"):
+            said = values["program"]["stderr"]
+            last = f"; stderr ends: {said.splitlines()[-1][:200]}" if said else ""
+            console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
+        if values.get("unmodelled"):
+            remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
+    for text, labels in remarks.items():
+        console.print(f"{', '.join(labels)}: {text}")
+
+
+def _metrics(results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, narrow: bool) -> Table:
+    """Return the table of the main metrics; a narrow one has no lines and its bands below their values."""
+    table = _table("metric", *results)
+    if narrow:
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        table.add_column("metric", no_wrap=True)
+        for label in results:
+            table.add_column(label.replace("-", "-\n", 1), justify="right", overflow="fold")
     for start in _SUMMARY:
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
-                row = [_number(values.get(name)) + _band(name, values) for values in measured.values()]
-                table.add_row(name, *row)
-    console.print(table)
-    for label, values in measured.items():
-        for begun, end, text in solutions[label].events.of("alignment"):
-            console.print(f"{label} aligned from {begun:g} to {end:g} s: {text}")
-        if not values["converged"]:
-            console.print(f"{label} diverged: {values['reason']}", style="bold red")
-        if values.get("unmodelled"):
-            console.print(f"{label} does not model: {', '.join(values['unmodelled'])}")
+                cells = [
+                    _number(values.get(name)) + _band(name, values, narrow=narrow)
+                    for values in results.values()
+                ]
+                table.add_row(name, *cells)
+    if any(values.get(_COVERAGE) not in (None, 1.0) for values in results.values()):
+        table.add_row(_COVERAGE, *(_number(values.get(_COVERAGE)) for values in results.values()))
+    return table
 
 
-def _band(name: str, metrics: Mapping[str, Any]) -> str:
+def _band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
     """Return the 99.9 % band of a mean NIS, where the filter is matched."""
     sensor = name.removeprefix("nis_mean_")
     low, high = metrics.get(f"nis_low_{sensor}"), metrics.get(f"nis_high_{sensor}")
-    return f" ({low:.3g} to {high:.3g})" if sensor != name and low is not None else ""
+    if sensor == name or low is None:
+        return ""
+    return f"\n{low:.2f}-{high:.2f}" if narrow else f" ({low:.3g} to {high:.3g})"
 
 
 def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
@@ -154,7 +187,7 @@ def choices(console: Console, kind: str | None = None) -> None:
         "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
         if kind is None
         else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
-        "Estimators (use = NAME, or 'module:Class' of your own)": [
+        "Estimators (use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...')": [
             (name, what) for name, (what, _, _) in BUILT_IN.items()
         ],
     }

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +100,7 @@ def flying(profile: Profile) -> list[Figure]:
         cost = ratio(lambda: record(spec), lambda: step(spec), 5)
         return Figure(f"recording a flight of the {spec.aircraft.name} / stepping it", cost, 1.4, "x")
 
-    whole = ratio(lambda: recorder.fly(profile.flight), lambda: step(profile.flight), 3)
+    whole = ratio(lambda: list(recorder.fly_pieces(profile.flight)), lambda: step(profile.flight), 3)
     return [
         *(recording(name) for name in ("figure-eight", "circuit-navion", "long-cruise")),
         Figure("first flight / stepping it", whole, 4.0, "x"),
@@ -351,6 +351,43 @@ def commands() -> list[Figure]:
     ]
 
 
+FIRST_ANSWER = """
+import pickle, sys
+from bench.navigation.estimator import BUILT_IN, load
+with open(sys.argv[1], "rb") as file:
+    data, initial = pickle.load(file)
+for name in sys.argv[2:] or BUILT_IN:
+    load(name, {}).run(data, initial)
+"""
+
+
+def starting(sensed: Sensed) -> list[Figure]:
+    """First answers to two seconds of a record, each in a process of its own: compiling, and compiled."""
+    imu = sensed.data.imu
+    begun = {f.name: getattr(imu, f.name)[:400] for f in fields(imu)}
+    data = replace(sensed.data, imu=replace(imu, **begun), output_t=sensed.data.output_t[:21])
+
+    def process(cache: Path, *names: str) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [sys.executable, "-c", FIRST_ANSWER, str(given), *names],
+            env=dict(os.environ) | {"BENCH_CACHE": str(cache)},
+            check=True,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    with tempfile.TemporaryDirectory() as folder:
+        given, cache = Path(folder) / "given.pickle", Path(folder) / "cache"
+        given.write_bytes(pickle.dumps((data, sensed.initial)))
+        first = process(cache)
+        warm = float(np.median([process(cache, "loose-22") for _ in range(3)]))
+    return [
+        Figure("all built-in estimators, first ever, compiling", first, 40.0, "s CPU"),
+        Figure("loose-22, kernels warm: start of Python to first answer", warm, 1.5, "s CPU"),
+    ]
+
+
 def main() -> None:
     profile = config.load_profile("figure-eight")
     matched = config.load_profile("figure-eight-matched")
@@ -362,6 +399,7 @@ def main() -> None:
         *compiling(truth),
         *slower_covariance(matched, truth),
         *against_python_ins(truth, sensed),
+        *starting(sensed),
         *sensing(profile, truth),
         *flying(profile),
         *commands(),

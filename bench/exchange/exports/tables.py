@@ -15,6 +15,8 @@ _WHAT = {
     "gnss": "fixes of the GNSS antenna; t_s is their validity, t_arrival_s when they reach the filter",
     "observations": "what the receiver measures of each satellite, a row per satellite and epoch",
     "baro": "barometric altitude; sd_m is the white noise the instrument claims",
+    "mag": "the magnetic field as the magnetometer reports it; the date of the flight is in start.json",
+    "airspeed": "true airspeed as the air data computer reports it",
     "truth": "the true motion of the IMU",
 }
 
@@ -38,10 +40,10 @@ _START = f"""
 
 What an estimator is told beside the measurements, in SI and radians. `initial`: time, position, velocity and
 attitude of the IMU at the start, and `cov`, the covariance (9 x 9) of their errors: position north, east,
-down
-[m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the GNSS
-antenna from the IMU. `assumed`: the datasheets of the units: random walks per sqrt(s), biases per s, times
-in s. """
+down [m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the
+GNSS antenna from the IMU. `assumed`: the datasheets of the units: random walks per sqrt(s), biases per s,
+times in s. `date`: when it was flown, as a decimal year.
+"""
 
 
 def described(name: str, layout: Layout, title: str) -> str:

@@ -1,0 +1,57 @@
+"""Files of autopilots and other tools as the rows of a log: each module a thin adapter of one format."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from bench.config.tables import ConfigError
+from bench.exchange.rows import Rows
+
+_ADAPTERS = {
+    "ulog": "bench.exchange.imports.ulog",
+    "rosbag": "bench.exchange.imports.bags",
+    "mcap": "bench.exchange.imports.bags",
+    "navego": "bench.exchange.imports.navego",
+    "kf-gins": "bench.exchange.imports.text",
+    "rtklib": "bench.exchange.imports.text",
+}
+_PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
+
+
+def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+    """Return the rows of one unit in a file.
+
+    Parameters
+    ----------
+    form : str
+        "ulog", "rosbag", "mcap", "navego", "kf-gins" or "rtklib".
+    path : Path
+        The file, or the folder of a ROS 2 bag.
+    kind : str
+        "imu", "gnss" or "baro".
+    topic : str or None
+        Which topic of the file; None: the only one that there is.
+
+    Raises
+    ------
+    ConfigError
+        When the file is not what it says, broken, or has no such rows: one line.
+    """
+    adapter = import_module(_ADAPTERS[form])
+    try:
+        rows = adapter.read(form, path, kind, topic)
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith(_PACKAGES.get(form, "-")):
+            raise
+        raise ConfigError(
+            f"{path.name}: needs the package {_PACKAGES[form]}: pip install 'ins-gnss-bench[logs]'"
+        ) from None
+    assert isinstance(rows, Rows)
+    return rows
+
+
+def broken(path: Path, error: BaseException) -> ConfigError:
+    """Return what to say of a file that the library of its format cannot read."""
+    said = " ".join(str(error).split())[:200]
+    return ConfigError(f"{path.name}: cannot be read: {said or type(error).__name__}")

@@ -1,0 +1,60 @@
+"""NaveGo: the structures ``imu`` and ``gnss`` of a MATLAB file.
+
+Fields and units of ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: imu.t [s], wb [rad/s], fb [m/s^2],
+forward, right, down; gnss.t, lat, lon [rad], h [m], vel [m/s] north, east, down, stdm [m], stdv [m/s].
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.tables import ConfigError
+from bench.exchange.mat_file import read_mat, vector
+from bench.exchange.rows import MOST_ROWS, Rows
+
+
+def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+    """Return the rows of a structure of a NaveGo file."""
+    if kind == "baro":
+        raise ConfigError(f"{path.name}: NaveGo has no structure of a barometer")
+    variables = read_mat(path)
+    structure = variables.get(kind)
+    if not isinstance(structure, dict):
+        there = ", ".join(sorted(variables))[:200]
+        raise ConfigError(f"{path.name}: no structure {kind!r}; there are {there or 'none'}")
+
+    def column(name: str) -> FloatArray:
+        if name not in structure:
+            there = ", ".join(structure)[:200]
+            raise ConfigError(f"{path.name}: {kind}.{name} is missing; there are {there or 'none'}")
+        return vector(structure[name], f"{kind}.{name}", path.name)
+
+    t = column("t")
+    if len(t) > MOST_ROWS:
+        raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
+
+    def rows(name: str) -> FloatArray:
+        array = structure.get(name)
+        if not isinstance(array, np.ndarray) or np.atleast_2d(array).shape != (len(t), 3):
+            what = f"of shape {np.shape(array)}" if isinstance(array, np.ndarray) else "not there"
+            raise ConfigError(f"{path.name}: {kind}.{name} must be {len(t)} rows of 3; it is {what}")
+        return np.atleast_2d(array)
+
+    if kind == "imu":
+        return Rows(t, {"gyro": rows("wb"), "accel": rows("fb")})
+    place = [column(name) for name in ("lat", "lon", "h")]
+    if any(len(one) != len(t) for one in place):
+        raise ConfigError(f"{path.name}: gnss.lat, lon, h must be as long as gnss.t, {len(t)} rows")
+    values = {"lla": np.column_stack(place)}
+    if "vel" in structure:
+        values["vel_n"] = rows("vel")
+    for new, old in (("sd_pos", "stdm"), ("sd_vel", "stdv")):
+        if old in structure:
+            claimed = column(old)
+            if claimed.shape != (3,):
+                raise ConfigError(f"{path.name}: gnss.{old} must be three numbers; it is {len(claimed)}")
+            values[new] = np.tile(claimed, (len(t), 1))
+    return Rows(t, values)

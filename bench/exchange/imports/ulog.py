@@ -1,0 +1,116 @@
+"""PX4 ULog, read with pyulog. Fields and units as the uORB messages of PX4-Autopilot (msg/) give them.
+
+imu: ``vehicle_imu`` (increments) or ``sensor_combined`` (rates), forward, right, down. gnss:
+``vehicle_gps_position`` or ``sensor_gps``. baro: ``vehicle_air_data`` or ``sensor_baro``. Times are those of
+the sample where the message has them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.tables import ConfigError
+from bench.exchange.imports import broken
+from bench.exchange.rows import MOST_ROWS, Rows
+from bench.signals.air import pressure_altitude
+
+_MOST_BYTES = 1_000_000_000  # pyulog holds a file and the messages asked for in memory
+_TOPICS = {
+    "imu": ("vehicle_imu", "sensor_combined"),
+    "gnss": ("vehicle_gps_position", "sensor_gps"),
+    "baro": ("vehicle_air_data", "sensor_baro"),
+}
+
+
+def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+    """Return the rows of a ULog; ``topic`` is a message, or ``message:instance``."""
+    if path.stat().st_size > _MOST_BYTES:
+        raise ConfigError(f"{path.name}: larger than {_MOST_BYTES // 1_000_000} MB")
+    from pyulog import ULog
+
+    wanted = (topic.partition(":")[0],) if topic else _TOPICS[kind]
+    try:
+        # it prints what it thinks of a broken file
+        with path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
+            log = ULog(file, list(wanted))
+    except Exception as error:  # whatever a broken file makes it raise
+        raise broken(path, error) from None
+    instance = topic.partition(":")[2] if topic else ""
+    found = {
+        data.name: data.data
+        for data in log.data_list
+        if str(data.multi_id) == (instance or "0") and data.name in wanted and len(data.data["timestamp"])
+    }
+    if not found:
+        there = ", ".join(sorted(log.message_formats))[:300]
+        raise ConfigError(f"{path.name}: no rows of {' or '.join(wanted)}; it defines {there or 'none'}")
+    name = next(name for name in wanted if name in found)
+    data = found[name]
+    if len(data["timestamp"]) > MOST_ROWS:
+        raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
+    notes = (f"{path.name}: the log is damaged; what could be read is used",) if log.file_corruption else ()
+    try:
+        t = _time(data)
+        values = {"imu": _imu, "gnss": _gnss, "baro": _baro}[kind](data)
+    except KeyError as error:
+        raise ConfigError(f"{path.name}: message {name} has no field {error.args[0]!r}") from None
+    return Rows(t, values, notes)
+
+
+Data = Mapping[str, FloatArray]
+
+
+def _time(data: Data) -> FloatArray:
+    sample = data.get("timestamp_sample")
+    stamps = data["timestamp"] if sample is None or not np.any(sample) else sample
+    return np.asarray(stamps, float) * 1e-6
+
+
+def _vectors(data: Data, name: str) -> FloatArray:
+    return np.stack([np.asarray(data[f"{name}[{k}]"], float) for k in range(3)], axis=-1)
+
+
+def _imu(data: Data) -> dict[str, FloatArray]:
+    if "delta_angle[0]" in data:
+        return {"dtheta": _vectors(data, "delta_angle"), "dvel": _vectors(data, "delta_velocity")}
+    return {"gyro": _vectors(data, "gyro_rad"), "accel": _vectors(data, "accelerometer_m_s2")}
+
+
+def _gnss(data: Data) -> dict[str, FloatArray]:
+    if "latitude_deg" in data:
+        place = [
+            np.deg2rad(data["latitude_deg"]),
+            np.deg2rad(data["longitude_deg"]),
+            data["altitude_ellipsoid_m"],
+        ]
+    else:  # before PX4 1.14
+        place = [np.deg2rad(1e-7 * data["lat"]), np.deg2rad(1e-7 * data["lon"]), 1e-3 * data["alt_ellipsoid"]]
+    lla = np.stack([np.asarray(column, float) for column in place], axis=-1)
+    vel_n = np.stack([np.asarray(data[f"vel_{a}_m_s"], float) for a in "ned"], axis=-1)
+    if "vel_ned_valid" in data:
+        vel_n[np.asarray(data["vel_ned_valid"]) == 0] = np.nan
+    fix = np.asarray(data["fix_type"], float)
+    lla[fix < 3] = np.nan  # no fix in three dimensions
+    eph, epv, speed = (np.asarray(data[name], float) for name in ("eph", "epv", "s_variance_m_s"))
+    values = {
+        "lla": lla,
+        "vel_n": vel_n,
+        "sd_pos": np.stack([eph / np.sqrt(2.0), eph / np.sqrt(2.0), epv], axis=-1),
+        "sd_vel": np.stack([speed / np.sqrt(3.0)] * 3, axis=-1),
+        "quality": fix,
+    }
+    if "satellites_used" in data:
+        values["satellites"] = np.asarray(data["satellites_used"], float)
+    return values
+
+
+def _baro(data: Data) -> dict[str, FloatArray]:
+    if "baro_alt_meter" in data:
+        return {"alt_baro": np.asarray(data["baro_alt_meter"], float)[:, None]}
+    return {"alt_baro": pressure_altitude(np.asarray(data["pressure"], float))[:, None]}

@@ -1,0 +1,173 @@
+"""MATLAB files of version 5 to 7: arrays of numbers, and structures of them.
+
+Read here and not by scipy, whose compiled reader can crash on a file made to do so. The format is that of
+"MAT-File Format", MathWorks: elements of a tag (type, length) and data, packed ones with zlib.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.tables import ConfigError
+
+MOST_BYTES = 1_000_000_000
+"""Of all variables of a file when unpacked."""
+_BLOCK = 1 << 20  # [byte]
+_DEEPEST = 4  # structures in structures
+_MATRIX, _PACKED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+"""Type of an element -> how its numbers are stored (table 1-1)."""
+_STRUCTURE, _NUMERIC, _COMPLEX = 2, range(6, 16), 0x0800  # array classes and a flag (table 1-3, figure 1-4)
+
+Value = FloatArray | dict[str, Any] | None
+"""Numbers; a structure by field; None, what is neither."""
+
+
+def read_mat(path: Path) -> dict[str, Value]:
+    """Return the variables of a MATLAB file by name; vectors without their second dimension.
+
+    Raises
+    ------
+    ConfigError
+        When it is none, of version 7.3, broken, or larger than it may be when unpacked.
+    """
+    shown = path.name
+    found: dict[str, Value] = {}
+    try:
+        with path.open("rb") as file:
+            head = file.read(128)
+            if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
+                raise ConfigError(f"{shown}: a MATLAB file of version 7.3; save it with -v7")
+            if not head.startswith(b"MATLAB 5.0") or head[126:128] not in (b"IM", b"MI"):
+                raise ConfigError(f"{shown}: no MATLAB file of version 5 to 7")
+            order = "<" if head[126:128] == b"IM" else ">"
+            left = MOST_BYTES
+            while tag := file.read(8):
+                kind, size = (int(x) for x in np.frombuffer(tag, f"{order}u4", 2))
+                body = _unpacked(file, size, left) if kind == _PACKED else tag + _exactly(file, size, left)
+                left -= len(body)
+                if left < 0:
+                    raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked")
+                for element, data in _elements(memoryview(body), order):
+                    if element == _MATRIX:
+                        name, value = _matrix(data, order, 0)
+                        found[name] = value
+    except (ValueError, OverflowError, MemoryError, zlib.error) as error:
+        raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    return found
+
+
+def vector(value: Value, name: str, shown: str) -> FloatArray:
+    """Return a variable as a column of numbers."""
+    if not isinstance(value, np.ndarray) or value.ndim > 1:
+        what = "no numbers"
+        if value is not None:
+            what = f"of shape {value.shape}" if isinstance(value, np.ndarray) else "a structure"
+        raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {what}")
+    return np.atleast_1d(value)
+
+
+def _exactly(file: Any, size: int, left: int) -> bytes:
+    data: bytes = file.read(min(size, left + 1))
+    if len(data) < size <= left:
+        raise ValueError("it ends within a variable")
+    return data
+
+
+def _unpacked(file: Any, size: int, left: int) -> bytes:
+    """Return a packed element, or a little more than may be when it is longer."""
+    unpack, parts, count = zlib.decompressobj(), [], 0
+    while size > 0 and count <= left:
+        block = file.read(min(size, _BLOCK))
+        if not block:
+            raise ValueError("it ends within a variable")
+        size -= len(block)
+        while block and count <= left:
+            part = unpack.decompress(block, 16 * _BLOCK)
+            parts.append(part)
+            count += len(part)
+            block = unpack.unconsumed_tail
+    return b"".join(parts)
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Give the elements of some bytes: type, data."""
+    at = 0
+    while at + 8 <= len(data):
+        kind, size = (int(x) for x in np.frombuffer(data[at : at + 8], f"{order}u4", 2))
+        if kind >> 16:  # a small one: length, type and four bytes of data
+            kind, size, begin, step = kind & 0xFFFF, kind >> 16, at + 4, 8
+            if size > 4:
+                raise ValueError("a small element is too long")
+        else:
+            begin, step = at + 8, 8 + size + (-size % 8 if kind != _PACKED else 0)
+        if begin + size > len(data):
+            raise ValueError("an element is longer than its variable")
+        yield kind, data[begin : begin + size]
+        at += step
+
+
+def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
+    """Return the name and value of an array."""
+    if not len(data):
+        return "", None
+    parts = _elements(data, order)
+    flags = _take(parts, order)
+    if len(flags) < 1:
+        raise ValueError("an array has no flags")
+    kind, marks = int(flags[0]) & 0xFF, int(flags[0])
+    if kind > 15:  # of a kind this format does not have, such as a function
+        return "", None
+    shape = tuple(int(n) for n in _take(parts, order))
+    if not 2 <= len(shape) <= 32 or min(shape) < 0:
+        raise ValueError("an array has no size")
+    name = bytes(_take(parts, order).astype(np.uint8)).decode("utf-8", "replace")
+    if kind in _NUMERIC:
+        numbers = _take(parts, order)
+        if marks & _COMPLEX:
+            return name, None
+        count = 1
+        for n in shape:
+            count *= n
+        if count != len(numbers):
+            raise ValueError(f"{name!r} holds {len(numbers)} numbers, not {count}")
+        return name, _squeezed(numbers.astype(np.float64).reshape(shape, order="F"))
+    if kind == _STRUCTURE and shape == (1, 1) and depth < _DEEPEST:
+        return name, _structure(parts, order, depth)
+    return name, None
+
+
+def _structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
+    width = _take(parts, order)
+    if len(width) != 1 or not 1 <= int(width[0]) <= 64:
+        raise ValueError("a structure has no field names")
+    letters, length = bytes(_take(parts, order).astype(np.uint8)), int(width[0])
+    names = [
+        letters[k : k + length].split(b"\0")[0].decode("utf-8", "replace")
+        for k in range(0, len(letters), length)
+    ]
+    values = [_matrix(data, order, depth + 1)[1] for kind, data in parts if kind == _MATRIX]
+    if len(names) != len(values):
+        raise ValueError("a structure has more names than fields, or fewer")
+    return dict(zip(names, values, strict=True))
+
+
+def _take(parts: Iterator[tuple[int, memoryview]], order: str) -> np.ndarray[Any, Any]:
+    """Return the numbers of the next element."""
+    kind, data = next(parts, (0, memoryview(b"")))
+    if kind not in _NUMBERS:
+        raise ValueError(f"an element of type {kind} is not one of numbers")
+    stored = np.dtype(order + _NUMBERS[kind])
+    return np.frombuffer(data[: len(data) // stored.itemsize * stored.itemsize], stored)
+
+
+def _squeezed(array: FloatArray) -> FloatArray:
+    return array.reshape(-1) if array.ndim == 2 and 1 in array.shape else array

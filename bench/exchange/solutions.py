@@ -1,0 +1,406 @@
+"""Anyone's solution in: a table of time and position, velocity or attitude, in the place of an estimator.
+
+A column says what it is in its name: quantity, frame and unit (`COLUMNS`). The covariance is optional; what a
+table does not give is NaN in the solution. Between rows: position is the cubic with the velocities of its two
+ends (a straight line without them), velocity, biases and covariance go straight, attitude turns at a constant
+rate. Nothing is said before the first row, after the last one, and within a gap.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.config.tables import ConfigError
+from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.evaluation.errors import FAILED, NOT_COVERED
+from bench.exchange.tables import Columns, described, group, read_table
+from bench.exchange.trajectory import KINDS
+from bench.navigation.estimator import EstimatorError
+
+MOST_ROWS = 3_000_000
+_MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
+_SAME_INSTANT = 1e-6  # [s]
+_GAPS, _LONGEST = 2.0, 2.0  # usual intervals and seconds that are interpolated at most
+_NORM_WRONG = 1e-2  # a quaternion whose norm is off 1 by more is refused
+_NEAR, _FAST = 1e5, 1e3  # farther from the start than [m], and than [m/s] times the time: another unit
+
+_STATES = tuple(f"{block}_{axis}" for block in ("pos", "vel", "phi") for axis in "ned")
+_DEVIATIONS = {
+    "sd_pos": (group("length", "sd_pos_n", "sd_pos_e", "sd_pos_d"),),
+    "sd_vel": (group("speed", "sd_vel_n", "sd_vel_e", "sd_vel_d"),),
+    "sd_phi": (group("angle", "sd_phi_n", "sd_phi_e", "sd_phi_d"),),
+}
+_BIASES = {
+    "gyro_bias": (group("rate", "gyro_bias_x", "gyro_bias_y", "gyro_bias_z"),),
+    "accel_bias": (group("acceleration", "accel_bias_x", "accel_bias_y", "accel_bias_z"),),
+}
+_COVARIANCES = {f"cov_{a}_{b}": (group("", f"cov_{a}_{b}"),) for a in _STATES for b in _STATES}
+_ALL = {**KINDS, **_DEVIATIONS, **_BIASES, **_COVARIANCES}
+_OPTIONAL = tuple(kind for kind in _ALL if kind != "time")
+
+COLUMNS = {kind: described(groups) for kind, groups in {**KINDS, **_DEVIATIONS, **_BIASES}.items()}
+"""What a solution may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
+
+As `bench.exchange.trajectory.COLUMNS`, and the standard deviations of the errors along n; phi is the attitude
+error, ``C_nb_estimate = exp([phi x]) C_nb_true``. Instead of them ``cov_pos_n_pos_n``,
+``cov_pos_n_vel_e`` ... in SI and radians: of each block the whole diagonal, and what is given of the rest.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A solution as somebody wrote it; a block that is not given is NaN throughout."""
+
+    shown: str
+    rows: IntArray  # (N,) where they stand in the file, from 1
+    t: FloatArray  # (N,) [s]
+    lla: FloatArray  # (N, 3) [rad, rad, m]
+    vel_n: FloatArray  # (N, 3) [m/s]
+    q_nb: FloatArray  # (N, 4)
+    gyro_bias_b: FloatArray  # (N, 3) [rad/s]
+    accel_bias_b: FloatArray  # (N, 3) [m/s^2]
+    cov: FloatArray | None  # (N, 9, 9), None: none is claimed
+    remarks: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+def read_solution(path: Path, *, t_0: float = 0.0) -> Solution:
+    """Return the solution in a file.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind.
+    t_0 : float
+        What the file calls the start of the run [s].
+
+    Raises
+    ------
+    ConfigError
+        When it cannot be read or is no solution; one line says which row, 1 being the first below the header.
+    """
+    shown = path.name
+    try:
+        kind = path.stat().st_mode
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    if not stat.S_ISREG(kind):
+        raise ConfigError(f"{shown}: no file")
+    table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
+    _check_groups(table, shown)
+    t = table.columns["time"][:, 0]
+    _check_times(t, table.names["time"][0], shown)
+    given = {kind: values for kind, values in table.columns.items() if not np.isnan(values).all()}
+    blocks = [kind for kind in ("position", "velocity", "attitude") if kind in given]
+    if not blocks:
+        raise ConfigError(f"{shown}: no number for position, velocity or attitude in it")
+    whole = np.all([np.isfinite(values).all(axis=1) for values in given.values()], axis=0)
+    rows = np.flatnonzero(whole)
+    if not len(rows):
+        raise ConfigError(f"{shown}: no row has a finite number in each of its columns")
+    given = {kind: values[rows] for kind, values in given.items()}
+    n = len(rows)
+    lla = _positions(table, given, rows, shown)
+    q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
+    remarks = (
+        [f"{len(t) - n} of {len(t)} rows left out: not a finite number in each column"] if n < len(t) else []
+    )
+    if table.unused:
+        more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
+        remarks.append(f"columns not used: {', '.join(table.unused[:20])[:400]}{more}")
+    return Solution(
+        shown=shown,
+        rows=rows + 1,
+        t=t[rows] - t_0,
+        lla=lla,
+        vel_n=_velocities(table, given, q_en, shown),
+        q_nb=_attitudes(table, given, q_en, rows, shown),
+        gyro_bias_b=given.get("gyro_bias", np.full((n, 3), np.nan)),
+        accel_bias_b=given.get("accel_bias", np.full((n, 3), np.nan)),
+        cov=_covariance(given, blocks, rows, shown),
+        remarks=tuple(remarks),
+    )
+
+
+# --- checking -----------------------------------------------------------------------------------------
+
+
+def _check_groups(table: Columns, shown: str) -> None:
+    """Refuse a kind of which some columns are there and some are not."""
+    from bench.unit_names import split_unit
+
+    unused = {split_unit(name)[0] for name in table.unused}
+    for kind, groups in _ALL.items():
+        if kind in table.columns:
+            continue
+        there = [[stem for stem in one if stem in unused] for one in groups]
+        most = max(range(len(groups)), key=lambda k: len(there[k]))
+        missing = [stem for stem in groups[most] if stem not in unused]
+        if there[most]:
+            raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}")
+    both = [kind for kind in _DEVIATIONS if kind in table.columns]
+    if both and any(name in table.columns for name in _COVARIANCES):
+        raise ConfigError(f"{shown}: {both[0]}_n and a covariance: give one of them")
+
+
+def _check_times(t: FloatArray, name: str, shown: str) -> None:
+    if not len(t):
+        raise ConfigError(f"{shown}: no rows")
+    wrong = ~np.isfinite(t)
+    if wrong.any():
+        raise ConfigError(f"{shown}: row {int(np.argmax(wrong)) + 1}: {name} is no finite number")
+    back = np.diff(t) <= 0
+    if back.any():
+        k = int(np.argmax(back))
+        raise ConfigError(f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}")
+
+
+def _positions(table: Columns, given: Mapping[str, FloatArray], rows: IntArray, shown: str) -> FloatArray:
+    """Return lla (N, 3), NaN without a position."""
+    if "position" not in given:
+        return np.full((len(rows), 3), np.nan)
+    position, names = given["position"], table.names["position"]
+    if table.stems["position"][0] == "lat":
+        for k, limit in ((0, 0.5 * np.pi), (1, 2 * np.pi)):
+            off = np.abs(position[:, k]) > limit + 1e-12
+            if off.any():
+                row = int(np.argmax(off))
+                value, most = np.rad2deg(position[row, k]), np.rad2deg(limit)
+                raise ConfigError(
+                    f"{shown}: row {rows[row] + 1}: {names[k]} is {value:.9g} deg, beyond {most:.0f} deg"
+                )
+        return position
+    radius = np.linalg.norm(position, axis=1)
+    off = (radius < 6e6) | (radius > 1e8)
+    if off.any():
+        row = int(np.argmax(off))
+        far = f"{radius[row] / 1e3:.6g} km"
+        raise ConfigError(
+            f"{shown}: row {rows[row] + 1}: ecef position is {far} from the centre of the Earth"
+        )
+    return earth.to_geodetic(position)
+
+
+def _velocities(table: Columns, given: Mapping[str, FloatArray], q_en: FloatArray, shown: str) -> FloatArray:
+    if "velocity" not in given:
+        return np.full((len(q_en), 3), np.nan)
+    if table.stems["velocity"][0] == "vel_n":
+        return given["velocity"]
+    if "position" not in given:
+        raise ConfigError(f"{shown}: {table.names['velocity'][0]} without a position has no north")
+    return rotation.rotate(rotation.conjugate(q_en), given["velocity"])
+
+
+def _attitudes(
+    table: Columns, given: Mapping[str, FloatArray], q_en: FloatArray, rows: IntArray, shown: str
+) -> FloatArray:
+    if "attitude" not in given:
+        return np.full((len(q_en), 4), np.nan)
+    attitude, stem = given["attitude"], table.stems["attitude"][0]
+    if stem == "roll":
+        return rotation.from_euler(*attitude.T)
+    norm = np.linalg.norm(attitude, axis=1)
+    off = np.abs(norm - 1.0) > _NORM_WRONG
+    if off.any():
+        row = int(np.argmax(off))
+        raise ConfigError(f"{shown}: row {rows[row] + 1}: the quaternion has the norm {norm[row]:.6g}, not 1")
+    q: FloatArray = attitude / norm[:, None]
+    if stem == "q_nb_w":
+        return q
+    if "position" not in given:
+        raise ConfigError(f"{shown}: q_eb without a position has no north")
+    return rotation.multiply(rotation.conjugate(q_en), q)
+
+
+def _covariance(
+    given: Mapping[str, FloatArray], blocks: Sequence[str], rows: IntArray, shown: str
+) -> FloatArray | None:
+    """Return (N, 9, 9), NaN in the blocks that have none; None when there is none at all."""
+    cov = np.full((len(rows), 9, 9), np.nan)
+    claimed = np.zeros(9, np.bool_)
+    for k, (kind, block) in enumerate(zip(_DEVIATIONS, ("position", "velocity", "attitude"), strict=True)):
+        here = range(3 * k, 3 * k + 3)
+        diagonal = [f"cov_{_STATES[i]}_{_STATES[i]}" for i in here]
+        there = [name for name in diagonal if name in given]
+        if kind in given:
+            below = (given[kind] < 0).any(axis=1)
+            if below.any():
+                row = rows[int(np.argmax(below))] + 1
+                raise ConfigError(f"{shown}: row {row}: a standard deviation {kind}_* is negative")
+            for i, column in zip(here, given[kind].T, strict=True):
+                cov[:, i, i] = column**2
+        elif there and len(there) < 3:
+            missing = next(name for name in diagonal if name not in given)
+            raise ConfigError(f"{shown}: {there[0]} without {missing}")
+        elif there:
+            for i, name in zip(here, diagonal, strict=True):
+                cov[:, i, i] = given[name][:, 0]
+        else:
+            continue
+        if block not in blocks:
+            raise ConfigError(f"{shown}: the accuracy of {block} without its values")
+        claimed[list(here)] = True
+    for i, j in combinations(np.flatnonzero(claimed).tolist(), 2):
+        _cross(cov, i, j, given, rows, shown)
+    return cov if claimed.any() else None
+
+
+def _cross(
+    cov: FloatArray, i: int, j: int, given: Mapping[str, FloatArray], rows: IntArray, shown: str
+) -> None:
+    """Fill in one element off the diagonal and its mirror image; 0 where none is given."""
+    names = (f"cov_{_STATES[i]}_{_STATES[j]}", f"cov_{_STATES[j]}_{_STATES[i]}")
+    both = [given[name][:, 0] for name in names if name in given]
+    cov[:, i, j] = cov[:, j, i] = both[0] if both else 0.0
+    if len(both) == 2:
+        scale = np.sqrt(np.abs(cov[:, i, i] * cov[:, j, j]))
+        off = np.abs(both[0] - both[1]) > 1e-6 * scale
+        if off.any():
+            row = rows[int(np.argmax(off))] + 1
+            raise ConfigError(f"{shown}: row {row}: {names[0]} and {names[1]} differ")
+
+
+def check_unit(solution: Solution, t: float, lla: FloatArray) -> None:
+    """Raise ConfigError when a solution begins so far from where the run does that a unit must be wrong."""
+    first = solution.lla[0]
+    if not (np.isfinite(first).all() and np.isfinite(lla).all()):
+        return
+    distance = float(np.linalg.norm(earth.to_ecef(first) - earth.to_ecef(lla)))
+    if distance > _NEAR + _FAST * abs(float(solution.t[0]) - t):
+        raise ConfigError(
+            f"{solution.shown}: row {solution.rows[0]}: {distance / 1e3:.0f} km from the start of the run: "
+            f"another flight, or a column in another unit than its name says"
+        )
+
+
+# --- on other times -----------------------------------------------------------------------------------
+
+
+def resampled(solution: Solution, t: FloatArray, longest: float | None = None) -> NavSolution:
+    """Return a solution at other times, without extrapolation.
+
+    Parameters
+    ----------
+    solution : Solution
+        As somebody wrote it.
+    t : (M,) array
+        When it is asked for [s].
+    longest : float or None
+        The longest interval between rows that is interpolated [s]; None: twice the usual one, 2 s at most.
+
+    Returns
+    -------
+    solution : NavSolution
+        NaN at the times it does not cover, which events of kind "not_covered" list; a "failed" one says so
+        when it covers none.
+    """
+    steps = np.diff(solution.t)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    most = min(_GAPS * usual, _LONGEST) if longest is None else longest
+    before = np.searchsorted(solution.t, t + _SAME_INSTANT, "right") - 1  # the last row not after t
+    inside = before >= 0
+    before = np.maximum(before, 0)
+    after = np.minimum(before + 1, len(solution) - 1)
+    on_row = inside & (np.abs(t - solution.t[before]) <= _SAME_INSTANT)
+    width = solution.t[after] - solution.t[before]
+    covered = on_row | (inside & (after > before) & (width <= most + _SAME_INSTANT))
+    s = np.where(on_row | (width <= 0), 0.0, (t - solution.t[before]) / np.where(width > 0, width, 1.0))[
+        :, None
+    ]
+
+    def straight(values: FloatArray) -> FloatArray:
+        weight = s.reshape((-1,) + (1,) * (values.ndim - 1))
+        between: FloatArray = values[before] + weight * (values[after] - values[before])
+        return _blank(np.where(weight > 0, between, values[before]), covered)
+
+    q_0, q_1 = solution.q_nb[before], solution.q_nb[after]
+    turn = rotation.to_rotvec(rotation.multiply(rotation.conjugate(q_0), q_1))
+    q_nb = np.where(s > 0, rotation.multiply(q_0, rotation.from_rotvec(s * turn)), q_0)
+    cov = np.full((len(t), 9, 9), np.nan) if solution.cov is None else straight(solution.cov)
+    return NavSolution(
+        t=t,
+        lla=_blank(_position(solution, before, after, s, width), covered),
+        vel_n=straight(solution.vel_n),
+        q_nb=_blank(q_nb, covered),
+        gyro_bias_b=straight(solution.gyro_bias_b),
+        accel_bias_b=straight(solution.accel_bias_b),
+        cov=cov,
+        extra_names=(),
+        extra=np.empty((len(t), 0)),
+        extra_sd=np.empty((len(t), 0)),
+        innovations=no_innovations(),
+        events=_events(solution, t, covered, np.where(on_row, 0.0, width), most),
+    )
+
+
+def _position(
+    solution: Solution, before: IntArray, after: IntArray, s: FloatArray, width: FloatArray
+) -> FloatArray:
+    lla_0, lla_1 = solution.lla[before], solution.lla[after]
+    step = lla_1 - lla_0
+    step[:, 1] -= 2 * np.pi * np.round(step[:, 1] / (2 * np.pi))  # across the date line
+    if np.isnan(solution.vel_n).all():
+        lla = lla_0 + s * step
+    else:
+        rate_0 = earth.displace(lla_0, solution.vel_n[before]) - lla_0
+        rate_1 = earth.displace(lla_1, solution.vel_n[after]) - lla_1
+        h = width[:, None]
+        lla = lla_0 + s * s * (3 - 2 * s) * step + h * s * (1 - s) * ((1 - s) * rate_0 - s * rate_1)
+    found: FloatArray = np.where(s > 0, lla, lla_0)
+    return found
+
+
+def _blank(values: FloatArray, covered: BoolArray) -> FloatArray:
+    values = np.array(values)
+    values[~covered] = np.nan
+    return values
+
+
+def _events(solution: Solution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float) -> Events:
+    found = [(0.0, 0.0, "table", text) for text in solution.remarks]
+    between = covered & (width > 0)
+    if between.any():
+        count = f"{int(between.sum())} of {len(t)}"
+        words = f"{count} instants lie between rows, up to {width[between].max():.3g} s apart"
+        found.append((float(t[between][0]), float(t[between][-1]), "interpolated", words))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~covered, [False]]).astype(np.int8)))
+    found += [
+        (float(t[a]), float(t[b - 1]), NOT_COVERED, f"no rows, or more than {most:.3g} s apart")
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    if not covered.any():
+        span = f"{solution.t[0]:g} to {solution.t[-1]:g} s"
+        run = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "no instant"
+        found.append((0.0, 0.0, FAILED, f"{solution.shown} covers {span}, nothing of the run, {run}"))
+    return Events.from_rows(found)
+
+
+class FileEstimator:
+    """A solution in a file, in the place of an estimator: ``use = "file:solution.csv"``."""
+
+    def __init__(self, path: Path, *, t_0_s: float = 0.0, max_gap_s: float | None = None) -> None:
+        for name, value in (("t_0_s", t_0_s), ("max_gap_s", 0.0 if max_gap_s is None else max_gap_s)):
+            if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+                raise EstimatorError(f"{name} = {value!r} must be a number [s]")
+        if max_gap_s is not None and max_gap_s < 0:
+            raise EstimatorError(f"max_gap_s = {max_gap_s!r} must not be negative")
+        self._longest = max_gap_s
+        self._solution = read_solution(path, t_0=t_0_s)
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Return the solution at ``sensors.output_t``, NaN where it says nothing."""
+        try:
+            check_unit(self._solution, initial.t, initial.lla)
+        except ConfigError as error:
+            raise EstimatorError(str(error)) from None
+        return resampled(self._solution, sensors.output_t, self._longest)

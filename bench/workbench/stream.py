@@ -1,0 +1,133 @@
+"""``bench stream``: the sensors of a run to a socket, at the pace at which they would arrive."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import ipaddress
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from rich.console import Console
+
+from bench.config import ConfigError
+from bench.exchange.exports import ExportError, gather
+from bench.exchange.frames import messages
+
+_ROUGH = 0.002  # a sleep is this much too long at times; the rest is waited for by looking at the clock [s]
+_HIGHEST = 65535
+
+
+def stream(
+    folder: Path,
+    kind: str,
+    address: str,
+    *,
+    console: Console,
+    rate: float = 1.0,
+    remote: bool = False,
+) -> int:
+    """Send the sensors of a run as messages and return their number.
+
+    Parameters
+    ----------
+    folder : Path
+        A results folder.
+    kind : str
+        "udp": a datagram per message to the address; "tcp": one connection is waited for at the address.
+    address : str
+        ``IP:PORT``; a TCP port 0 is any that is free.
+    console : Console
+        Where the address and the summary go.
+    rate : float
+        Seconds of the run per second; 0 or infinity: as fast as it goes.
+    remote : bool
+        Allow another machine's address.
+
+    Raises
+    ------
+    ConfigError
+        When the folder, the address or the rate is wrong.
+    OSError
+        When the address cannot be used, or the other side closes the connection before the end.
+    """
+    if math.isnan(rate) or rate < 0:
+        raise ConfigError(f"--rate {rate:g} must be above 0; 0 or inf sends as fast as it goes")
+    host, port = _address(kind, address, remote)
+    try:
+        run = gather(folder)
+    except ExportError as error:
+        raise ConfigError(str(error)) from None
+    sent, late = 0, 0.0
+    with _open(kind, host, port, console) as send:
+        begun = time.monotonic()
+        first: float | None = None
+        for arrival, message in messages(run):
+            first = arrival if first is None else first
+            if 0 < rate < math.inf:
+                due = begun + (arrival - first) / rate
+                _wait(due)
+                late = max(late, time.monotonic() - due)
+            try:
+                send(message)
+            except (ConnectionError, BrokenPipeError):
+                text = f"the other side closed the connection after {sent} messages"
+                raise OSError(errno.ECONNRESET, text, f"{kind} {address}") from None
+            sent += 1
+        took = time.monotonic() - begun
+    pace = f", none more than {1e3 * late:.3g} ms late" if 0 < rate < math.inf else ""
+    console.print(f"{sent} messages in {took:.3g} s{pace}")
+    return sent
+
+
+def _address(kind: str, address: str, remote: bool) -> tuple[str, int]:
+    """Return host and port; loopback only, unless told otherwise."""
+    option = f"--{kind} {address}"
+    host, colon, text = address.rpartition(":")
+    lowest = 0 if kind == "tcp" else 1
+    if not colon or not text.isascii() or not text.isdecimal() or not lowest <= int(text) <= _HIGHEST:
+        raise ConfigError(f"{option}: must be IP:PORT, for example 127.0.0.1:5600")
+    name = host.removeprefix("[").removesuffix("]")
+    name = "127.0.0.1" if name == "localhost" else name
+    try:
+        ip = ipaddress.ip_address(name)
+    except ValueError:
+        raise ConfigError(f"{option}: {host!r} is no IP address; 127.0.0.1 is this machine") from None
+    if not ip.is_loopback and not remote:
+        raise ConfigError(f"{option}: not this machine; --allow-remote lets the messages out")
+    return name, int(text)
+
+
+@contextlib.contextmanager
+def _open(kind: str, host: str, port: int, console: Console) -> Iterator[Callable[[bytes], object]]:
+    """Give what sends one message."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    shown = f"[{host}]" if ":" in host else host
+    if kind == "udp":
+        with socket.socket(family, socket.SOCK_DGRAM) as out:
+            console.print(f"sending to {shown}:{port}, a datagram per message; Ctrl-C ends it")
+            yield lambda message: out.sendto(message, (host, port))
+        return
+    with socket.socket(family, socket.SOCK_STREAM) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            server.bind((host, port))
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, f"tcp {shown}:{port}") from None
+        server.listen(1)
+        console.print(f"waiting for a connection on {shown}:{server.getsockname()[1]}; Ctrl-C ends it")
+        client, _ = server.accept()
+        with client:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            yield client.sendall
+
+
+def _wait(due: float) -> None:
+    left = due - time.monotonic()
+    if left > _ROUGH:
+        time.sleep(left - _ROUGH)
+    while time.monotonic() < due:
+        time.sleep(0)
