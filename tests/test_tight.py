@@ -305,6 +305,15 @@ def test_what_tight_does_not_model_is_named():
     assert not [text for text in named if "GNSS" in text]
 
 
+def test_fixes_without_satellites_are_told_not_used(truth):
+    drawn = sensors.sense(truth, units(), 1, 0)
+    solution = Tight().run(drawn.data, drawn.initial)
+    assert [text for *_, text in solution.events.of("aiding")] == [
+        "tight coupling: asked for, but the record holds nothing for it"
+    ]
+    assert "GNSS at all: tight coupling needs a receiver with [sky]" in Tight().unmodelled(drawn.data.specs)
+
+
 def test_tight_needs_a_receiver_with_a_sky(sensed):
     plain_receiver = replace(sensed.data.specs, gnss=replace(MATCHED, sky=None))
     with pytest.raises(ValueError, match=r"has no \[sky\]"):
