@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from test_error_state import plain
 from weaving import units, weaving
 
+import bench
 from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import errors as judge
@@ -140,6 +141,11 @@ def test_corrections_are_needed(sensed):
         sound = Tight().run(sensed.data, sensed.initial)
         moved = np.abs(changed.extra - sound.extra)[-1].max()
         assert moved > 1.0, name
+
+
+def test_it_keeps_the_contract_with_satellites(sensed):
+    for options in ({}, {"adaptive_noise": 20, "lever_arm_sd": 0.3, "mems": True, "standstill": True}):
+        bench.check_estimator(load("tight", options), sensed.data, sensed.initial)
 
 
 # --- honesty --------------------------------------------------------------------------------------------
