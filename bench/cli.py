@@ -302,6 +302,7 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
 )
 @click.option("--no-rrd", is_flag=True, help="of a log: write no recording")
 @click.option("--force", is_flag=True, help="of a log: replace an existing results folder")
+@click.option("--allow-commands", is_flag=True, help="of a log: let it start the programs it names")
 @click.option(
     "--observations",
     type=click.Path(path_type=Path),
@@ -371,6 +372,7 @@ def navigate(
     places: int,
     no_rrd: bool,
     force: bool,
+    allow_commands: bool,
     observations: Path | None,
     navigation: tuple[Path, ...],
     systems: Any,
@@ -420,6 +422,7 @@ def navigate(
             out=out,
             recording=not no_rrd,
             force=force,
+            allow_commands=allow_commands,
         )
         if as_json:
             click.echo(to_json(summary), nl=False)
@@ -445,7 +448,7 @@ def navigate(
     return DONE if figures["fixes"] else NEGATIVE
 
 
-_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force"})
+_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force", "allow_commands"})
 """Options of bench navigate that need a LOG.toml."""
 
 
@@ -533,7 +536,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
       kf-gins, navego, python-ins  for these filters, with their configuration
       nmea, kml          the fixes as sentences, or on a globe
       tum                poses for evo: --with truth or --with solution:NAME
-      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[ros]')
+      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[logs]')
 
     \b
     Examples:

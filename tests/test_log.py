@@ -386,6 +386,38 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     assert (np.abs(off) < 4 * np.sqrt(np.diag(solution.cov[k])[6:])).all()
 
 
+def test_fixes_without_a_velocity_are_refused_in_one_line(tmp_path, capsys):
+    path = drives.write_log(tmp_path, drives.LOG.replace(KIND, GIVEN))
+    columns = drives.gnss_columns(drives.sensed()["gnss"])
+    drives.write_csv(tmp_path / "gnss.csv", {k: v for k, v in columns.items() if "mps" not in k})
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert "no usable fix" in capsys.readouterr().err
+    path.write_text(drives.LOG)
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert "gives no velocity of the antenna" in capsys.readouterr().err
+
+
+def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_path, capsys):
+    """What loose-15 said, written as a table: the same errors where the table has the same instants."""
+    first = tmp_path / "first"
+    assert main(["navigate", str(folder / "drive.toml"), "-o", str(first), "--no-rrd"]) == 0
+    solution = store.load(first).solutions["loose-15"]
+    angles = np.rad2deg(np.column_stack(rotation.to_euler(solution.q_nb)))
+    good = np.isfinite(angles).all(axis=1)
+    columns = {"t_s": solution.t, "lat_deg": np.rad2deg(solution.lla[:, 0])}
+    columns |= {"lon_deg": np.rad2deg(solution.lla[:, 1]), "alt_m": solution.lla[:, 2]}
+    columns |= {f"vel_{a}_mps": solution.vel_n[:, k] for k, a in enumerate("ned")}
+    columns |= {f"{name}_deg": angles[:, k] for k, name in enumerate(("roll", "pitch", "heading"))}
+    rows = np.column_stack([values[good] for values in columns.values()])
+    table = tmp_path / "mine.csv"
+    np.savetxt(table, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.14g")
+    arguments = ["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-e", f"file:{table}"]
+    main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"])
+    errors = store.load(tmp_path / "out").errors
+    late = errors["loose-15"].t > 40.0
+    assert_allclose(errors["mine"].pos_n[late], errors["loose-15"].pos_n[late], atol=1e-3)
+
+
 # --- statistics and the law ---------------------------------------------------------------------------
 
 
@@ -520,6 +552,11 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         ((KIND, f"{GIVEN}\n".replace("30.0", "500.0", 1)), "no usable fix from there on"),
         ((KIND, 'kind = "level"\nat_s = 60.0'), "needs a standstill"),
         (("from_s = 40.0", "from_s = 25.0"), None),
+        (
+            ("[evaluation]", '[[estimator]]\nuse = "command:touch {sensors}"\n[evaluation]'),
+            "--allow-commands",
+        ),
+        (("[evaluation]", '[[estimator]]\nuse = "loos-15"\n[evaluation]'), "Did you mean 'loose-15'"),
         (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
         (("[imu]", "[imu]\nmount_deg = [0.0, 0.0, 0.0]"), "Did you mean 'mounting_deg'"),
         (("[gnss]", "[gnss]\nvelocity_offset_s = 20.0"), "is outside -10 to 10 s"),

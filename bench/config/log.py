@@ -15,6 +15,7 @@ from pydantic_core import PydanticCustomError
 from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import sensor_file
+from bench.config.profile import asked_for, choice_of
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, noting, read
 from bench.specs import AssumedSpecs, EstimatorChoice
@@ -176,15 +177,15 @@ class LogSpec:
     document: Mapping[str, Any]  # the file with every default filled in
 
 
-def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
+def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands: bool = False) -> LogSpec:
     """Return a log file in SI, checked; what it names is looked for beside it.
 
     Parameters
     ----------
     name : str
         Path of the ``.toml`` file.
-    estimators : sequence of str or None
-        Estimators to use instead of the file's: its labels, built-in names or ``module:Class``.
+    estimators, allow_commands
+        As `bench.config.load_profile` takes them.
 
     Raises
     ------
@@ -209,21 +210,12 @@ def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
             sheet = None if asked is None else sensor_file(kind, asked, beside)
             with noting(wrong):
                 assumed[kind] = None if sheet is None else SENSORS[kind](*sheet)
-    choices = tuple(
-        EstimatorChoice(r.use, r.label or r.use.rpartition(":")[2], dict(r.options)) for r in table.estimator
-    )
-    wrong += [
-        f"{place}{line}" for line in checks.estimators(choices) + checks.asked(choices, estimators or ())
-    ]
-    wrong += [f"{place}{line}" for line in _starts(table)]
+    choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
+    across = checks.estimators(choices) + checks.asked(choices, estimators or ()) + _starts(table)
+    wrong += [f"{place}{line}" for line in across]
     if wrong:
         raise ConfigError(*wrong)
-    if estimators:
-        by_label = {choice.label: choice for choice in choices}
-        choices = tuple(
-            by_label.get(use) or EstimatorChoice(use, use.rpartition(":")[2])
-            for use in dict.fromkeys(estimators)
-        )
+    choices = asked_for(name, choices, estimators, allow_commands)
     imu = sources["imu"]
     assert imu is not None
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
@@ -246,10 +238,6 @@ def load_log(name: str, estimators: Sequence[str] | None = None) -> LogSpec:
         withhold=table.evaluation.withhold,
         document=_document(table, path.stem, choices),
     )
-
-
-def _choice(use: str, label: str | None = None, options: Mapping[str, Any] | None = None) -> EstimatorChoice:
-    return EstimatorChoice(use, label or use.rpartition(":")[2], dict(options or {}))
 
 
 def _source(

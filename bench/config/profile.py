@@ -101,7 +101,7 @@ def load_profile(
         table: ExperimentTable = checked(bring[0] if bring else ProfileTable, document, shown)
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
-    choices = tuple(_choice(row.use, row.label, row.options, beside) for row in table.estimator)
+    choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
@@ -121,17 +121,7 @@ def load_profile(
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
-    own = choices
-    if estimators is not None:
-        by_label = {choice.label: choice for choice in choices}
-        choices = _numbered([by_label.get(name) or _choice(name) for name in estimators])
-        twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
-        if twice:
-            raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
-        if not choices:
-            raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
-    if not allow_commands and (wrong := checks.commands(own, choices)):
-        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
+    choices = asked_for(shown, choices, estimators, allow_commands)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -193,9 +183,34 @@ def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> 
     return found
 
 
-def _choice(
+def asked_for(
+    shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_commands: bool
+) -> tuple[EstimatorChoice, ...]:
+    """Return the estimators to run: those of a file, or those asked for instead.
+
+    Raises
+    ------
+    ConfigError
+        When two have one label, none is asked for, or the file itself would start a program.
+    """
+    choices = tuple(own)
+    if estimators is not None:
+        by_label = {choice.label: choice for choice in choices}
+        choices = _numbered([by_label.get(name) or choice_of(name) for name in estimators])
+        twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
+        if twice:
+            raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
+        if not choices:
+            raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
+    if not allow_commands and (wrong := checks.commands(own, choices)):
+        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
+    return choices
+
+
+def choice_of(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
+    """Return an estimator by its use, under its own name when no label is given."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
     return EstimatorChoice(use, label or _label(use), dict(options or {}), beside)
 

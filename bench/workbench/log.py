@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench import store
+from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config import ConfigError
 from bench.config.log import LogSpec, load_log
@@ -59,6 +59,7 @@ def navigate(
     out: Path | None = None,
     recording: bool = True,
     force: bool = False,
+    allow_commands: bool = False,
 ) -> dict[str, Any]:
     """Check a recording, run estimators on it, judge them, and write the results folder.
 
@@ -72,7 +73,7 @@ def navigate(
         As `bench.config.log.load_log` takes them.
     durations : sequence of float
         GNSS outages to cut [s]; each at ``places`` places, each in a run of its own.
-    out, recording, force
+    out, recording, force, allow_commands
         As `bench.workbench.run.run` takes them; the folder is ``runs/<log>`` when not told.
 
     Returns
@@ -87,8 +88,10 @@ def navigate(
     """
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # where the user's own estimators are looked for, after all else
-    spec = load_log(name, estimators)
-    built = {c.label: estimator.load(c.use, c.options) for c in spec.estimators}
+    spec = load_log(name, estimators, allow_commands)
+    built = {c.label: pipeline.build(c) for c in spec.estimators}
+    for label, one in built.items():
+        estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     folder = out or RUNS / spec.name
     check_folder(folder, force=force)
     begun, clock = time.perf_counter(), time.process_time()
@@ -108,6 +111,8 @@ def navigate(
     for label, one in built.items():
         solutions[label] = estimator.answer(one, label, data, session.initial)
         errors[label], metrics[label] = judge(solutions[label], withheld, data, spec.evaluation_from)
+        if asked := getattr(one, "unmodelled", None):
+            metrics[label]["unmodelled"] = list(asked(spec.assumed))
         table += [
             drift_row(label, duration, session.cuts(one, label, duration, places), spec)
             for duration in durations
@@ -157,6 +162,10 @@ class Session:
         good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
         self.fixes = taken(fixes, good)
+        if len(self.fixes) and np.isnan(self.fixes.vel_n).any(axis=1).all():
+            raise ConfigError(
+                f"{spec.name}.toml: [gnss] gives no velocity of the antenna; estimators need it with each fix"
+            )
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         last = float(imu.t.max())
