@@ -611,7 +611,7 @@ def score(
     \b
     Examples:
       bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
-      bench score theirs.csv runs/figure-eight-20260101 --t0 18
+      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
     """
     from bench.store import to_json
     from bench.workbench.score import score as score_solution

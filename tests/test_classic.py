@@ -16,7 +16,7 @@ from weaving import BARO, GNSS, IMU, units, weaving
 
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
-from bench.navigation import classic, error_state, fusion, kalman
+from bench.navigation import aiding, classic, error_state, kalman
 from bench.navigation.classic import FRD_OF_FUR, NED_OF_ENU, R3, Classic22, Nav
 from bench.navigation.estimator import EstimatorError, load
 from bench.navigation.fusion import Loose
@@ -147,7 +147,7 @@ def test_h_gain_and_update_of_both_filters_are_one():
     fix_lla, fix_vel = NAV_N[:3] + np.array([2e-7, -3e-7, 2.0]), NAV_N[3:6] + np.array([0.1, -0.2, 0.05])
     C = rotation.matrix(NAV_N[6:])
     H_n, z_n = np.zeros((7, 22)), np.zeros(7)
-    fusion._antenna_kernel(NAV_N, C, antenna, w_b, fix_lla, fix_vel, H_n, z_n)
+    aiding.antenna_kernel(NAV_N, C, antenna, w_b, fix_lla, fix_vel, H_n, z_n)
     H_n[:6, 16:22] += np.eye(6)
     H_n[6, 2], H_n[6, 15], z_n[6] = -1.0, 1.0, NAV_N[2] - 2504.0
 

@@ -11,6 +11,7 @@ import pytest
 from bench import config
 from bench.cli import main
 from bench.config.air_sheets import read_airspeed, read_baro, read_mag
+from bench.navigation.estimator import load
 from bench.specs import AirspeedSpec, MagSpec, StaticPressureSpec
 
 PROFILE = """
@@ -167,10 +168,10 @@ def test_the_setting_and_the_port_of_the_barometer_reach_it(tmp_path):
     path = str(write(tmp_path, PROFILE, "own.toml"))
     assert config.load_profile(path).sensors.qnh == 101325.0
     assert config.load_profile(path, {"sensors.qnh_hpa": 1003.0}).sensors.qnh == pytest.approx(100300.0)
-    profile = config.load_profile(path)
-    aircraft = profile.flight.aircraft
-    port = [a + b for a, b in zip(aircraft.imu_b, aircraft.static_port_b, strict=True)]
-    assert list(profile.sensors.static_port_b) == port
+    sensors = config.load_profile("circuit-navion", {"sensors.baro": "bmp388-physical"}).sensors
+    assert sensors.static_port_b == pytest.approx(
+        (-2.2, 0.0, -0.2)
+    )  # of its file: from the centre of gravity
 
 
 @pytest.mark.parametrize(
@@ -237,3 +238,12 @@ def test_what_filters_assume_of_the_physical_barometer_follows_from_its_parts():
     climbing = 100.0 * unit.isa_deviation_sd / 288.15 / math.sqrt(60.0)
     drift = unit.qnh_walk * metre
     assert spec.bias_walk == pytest.approx(math.hypot(climbing, drift), rel=0.15)
+
+
+def test_a_filter_says_that_it_has_no_state_for_what_a_physical_barometer_feels(tmp_path):
+    path = str(write(tmp_path, PROFILE, "own.toml"))
+    loose = load("loose-15", {})
+    said = "barometer errors with height, airspeed and incidence"
+    for unit in ("bmp388", "bmp388-physical"):
+        specs = config.load_profile(path, {"sensors.baro": unit}).sensors.assumed
+        assert (said in loose.unmodelled(specs)) == (unit == "bmp388-physical")

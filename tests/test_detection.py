@@ -13,7 +13,7 @@ from weaving import units, weaving
 
 from bench.data import Events, Innovations, NavSolution
 from bench.evaluation import metrics
-from bench.evaluation.detection import alarms, delay, false_alarms
+from bench.evaluation.detection import _unexplained, alarms, delay
 from bench.navigation.fusion import Loose
 from bench.sensors import sense
 from bench.specs import Fault
@@ -113,10 +113,10 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
     assert delay(gnss, raised) == 0.0
     assert delay(baro, raised) == 0.5
     assert delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
-    assert false_alarms([gnss, baro], raised, "gnss_position", 0.0) == 2
-    assert false_alarms([gnss], raised, "gnss_position", 15.0) == 1
-    assert false_alarms([gnss], raised, "baro", 0.0) == 1
-    assert false_alarms([gnss, baro], raised, "baro", 0.0) == 0
+    assert _unexplained([gnss, baro], raised, "gnss_position", 0.0) == 2
+    assert _unexplained([gnss], raised, "gnss_position", 15.0) == 1
+    assert _unexplained([gnss], raised, "baro", 0.0) == 1
+    assert _unexplained([gnss, baro], raised, "baro", 0.0) == 0
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
@@ -130,4 +130,31 @@ def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
     gnss, baro = Fault("spoofing", "gnss", 20.0, 60.0, ""), Fault("baro-step", "baro", 40.0, 60.0, "")
     assert delay(gnss, raised) == 5.0
     assert delay(baro, raised) == 10.0
-    assert false_alarms([baro], raised, "integrity", 0.0) == 1
+    assert _unexplained([baro], raised, "integrity", 0.0) == 1
+
+
+EVERY = [
+    STEP,
+    Fault("baro-step", "baro", 60.0, 65.0, "", step=(50.0,), ramp=(0.0,)),
+    Fault("accel-step", "accel", 60.0, 65.0, "", step=(0.1, 0.0, 0.0), ramp=(0.0,) * 3),
+    *(Fault("frozen", s, 60.0, 62.0, "") for s in ("gnss", "baro", "gyro", "accel")),
+    *(Fault("noise-burst", s, 60.0, 65.0, "", times=20.0) for s in ("gnss", "baro", "gyro", "accel")),
+    *(Fault("latency", s, 60.0, 65.0, "", delay=3.0) for s in ("gnss", "baro")),
+    *(Fault(k, s, 60.0, 65.0, "") for k in ("dropped", "repeated") for s in ("gnss", "baro", "imu")),
+]
+
+
+@pytest.mark.parametrize("fault", EVERY, ids=lambda f: f"{f.kind}-{f.sensor}")
+def test_a_filter_lives_with_every_fault_and_the_timeline_counts_its_rows(flight, fault):
+    """Five seconds of anything: a solution at every instant, and what came twice or late is reported."""
+    found, solution = judged(flight, fault)
+    assert np.isfinite(solution.lla).all()
+    assert found["fault_1_detected"] in (0.0, 1.0, None)
+    told = " ".join(solution.events.text)
+    if fault.kind == "repeated":
+        assert f"{'gnss' if fault.sensor == 'gnss' else fault.sensor}: " in told
+        assert "repeated" in told
+    if (fault.kind, fault.sensor) == ("dropped", "imu"):
+        assert "gap of" in told
+    if fault.kind == "latency":
+        assert "going back in time" in told  # fixes from before the end arrive after later ones

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation
-from bench.navigation import error_state, mechanization
+from bench.navigation import cycle, error_state, mechanization
 
 LONG = np.longdouble
 pytestmark = pytest.mark.skipif(
@@ -206,9 +206,88 @@ def test_covariance_step_is_the_dense_product():
         wanted = Phi @ P @ Phi.T + np.diag(q)
         for kernel in (error_state.covariance_kernel, error_state.covariance_kernel.py_func):
             got = P.copy()
-            kernel(got, G, decay, q, np.empty((9, n)), np.empty((n, n)))
+            none = np.empty((0, 3), np.int64), np.empty(0)
+            kernel(got, G, decay, q, *none, np.empty((9, n)), np.empty((n, n)), np.empty((6, n)))
             assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
             assert (got == got.T).all()
+
+
+MEMS_STATES = [
+    *(("gyro scale", i, error_state.GYRO + i, i) for i in range(3)),
+    *(("accel scale", i, error_state.ACCEL + i, 3 + i) for i in range(3)),
+    *(("g-sensitivity", 3 * i + j, error_state.GYRO + i, 3 + j) for i in range(3) for j in range(3)),
+]
+
+
+@pytest.mark.parametrize("case", CASES[:2])
+def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
+    """Columns of F: that of a bias times the rate or the force; against central differences of the step.
+
+    The increments are those of a sensor, (1 + s) w + M f and (1 + s) f, put through the corrections.
+    """
+    nav, f_b, w_ib_b, F = dynamics_of(case)
+    correction = plain(cycle.increments_kernel)
+    begin = {"gyro scale": 16, "accel scale": 19, "g-sensitivity": 22}
+    reading = np.concatenate([w_ib_b, f_b]).astype(float)
+
+    def slope(name, index, dt):
+        size = 1e-3
+        ends = []
+        for sign in (1, -1):
+            state = np.zeros(31, LONG)
+            state[:10] = nav
+            state[begin[name] + index] = sign * size
+            dth, dv = w_ib_b * dt, f_b * dt
+            correction(state, dt, 15, 21, dth, dv)
+            rates = np.zeros(6, LONG)
+            ends.append(one_step(nav, dv / dt, dth / dt, rates, dt))
+        return (difference(ends[0], nav) - difference(ends[1], nav)) / (2 * size) / dt
+
+    for name, index, bias, by in MEMS_STATES:
+        table = [slope(name, index, LONG(STEP_LENGTH) / 2**k) for k in range(4)]
+        for order in range(1, 4):
+            table = [(2**order * b - a) / (2**order - 1) for a, b in pairwise(table)]
+        numeric, wanted = table[0].astype(float), F[:, bias] * reading[by]
+        scale = np.abs(wanted).max()
+        np.testing.assert_allclose(numeric, wanted, rtol=1e-3, atol=1e-3 * scale + 1e-9, err_msg=name)
+        assert scale > 0
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_steps_of_p_phi_and_a_waiting_row_are_one_transition(driven):
+    """Dense products, with states that act through the biases: P, the smoother's Phi, and h Phi^-1."""
+    rng = np.random.default_rng(9)
+    n = 31
+    _, _, _, F = dynamics_of(CASES[2])
+    drives = np.array([(16 + k, bias, by) for k, (_, _, bias, by) in enumerate(MEMS_STATES)])
+    drives = drives if driven else drives[:0]
+    factor = rng.normal(size=len(drives))
+    decay = np.concatenate([np.ones(9), rng.uniform(0.99, 1.0, n - 9)])
+    G, back = np.zeros((9, 15)), np.zeros((9, 15))
+    T = 0.05
+    error_state.transition_kernel(F, T, G)
+    error_state.transition_kernel(F, -T, back)
+    dense = np.diag(decay)
+    dense[:9, :15] += G
+    for (state, bias, _), by in zip(drives, factor, strict=True):
+        dense[:9, state] += G[:, bias] * by
+    root = rng.normal(size=(n, n))
+    P, q = root @ root.T, rng.uniform(size=n)
+    got = P.copy()
+    work = np.empty((9, n)), np.empty((n, n)), np.empty((6, n))
+    error_state.covariance_kernel(got, G, decay, q, drives, factor, *work)
+    wanted = dense @ P @ dense.T + np.diag(q)
+    assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
+    Phi = rng.normal(size=(n, n))
+    accumulated = Phi.copy()
+    error_state.accumulate_kernel(accumulated, G, decay, drives, factor, np.empty((9, n)))
+    assert_allclose(accumulated, dense @ Phi, rtol=1e-12, atol=1e-12)
+    h = rng.normal(size=n)
+    carried = h.copy()
+    error_state.backward_kernel(carried, back, decay, drives, factor, np.empty(n))
+    # the inverse to second order: the rest is the third along the chain and the decay of a step
+    assert_allclose(carried @ dense, h, rtol=0, atol=2e-3 * np.abs(h).max())
+    assert np.abs(carried - h).max() > 0.02
 
 
 def test_feedback_takes_the_error_away():
@@ -217,11 +296,11 @@ def test_feedback_takes_the_error_away():
     nav = np.concatenate([[np.deg2rad(lat), 0.3, alt], vel, rotation.from_euler(*np.deg2rad(euler))])
     error = np.array([3.0, -4, 5, 0.1, -0.2, 0.3, 1e-3, -2e-3, 3e-3, 1e-5, 2e-5, 3e-5, 1e-3, 2e-3, 3e-3, 0.7])
     state = displaced(nav, error[:9])
-    gyro, accel, extra, dx = error[9:12].copy(), error[12:15].copy(), error[15:].copy(), error.copy()
-    error_state.feedback_kernel(state, gyro, accel, extra, dx)
+    state, dx = np.concatenate([state, error[9:]]), error.copy()
+    error_state.feedback_kernel(state, dx)
     assert_allclose(earth.difference_n(state[:3], nav[:3]), 0, atol=1e-5)
-    assert_allclose(state[3:], nav[3:], atol=1e-12)
-    assert not np.concatenate([gyro, accel, extra, dx]).any()
+    assert_allclose(state[3:10], nav[3:], atol=1e-12)
+    assert not np.concatenate([state[10:], dx]).any()
 
 
 def test_layout_names_every_state_once():

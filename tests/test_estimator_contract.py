@@ -103,7 +103,7 @@ def test_they_refuse_only_what_has_no_datasheet(sensed, name):
     if name != "gnss-only":
         with pytest.raises(ValueError, match=r"baro data, but sensors\.assumed names no baro unit"):
             load(name, {}).run(data, sensed.initial)
-    if name == "baro-inertial":
+    if name in ("baro-inertial", "tight"):  # neither looks at fixes
         return
     with pytest.raises(ValueError, match=r"gnss data, but sensors\.assumed names no gnss unit"):
         load(name, {}).run(replace(data, baro=None), sensed.initial)
@@ -337,7 +337,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
 @pytest.mark.parametrize(
     ("use", "options", "message"),
     [
-        ("lose-15", {}, "no estimator 'lose-15'; there are loose-15, loose-22, smoother, baro-inertial,"),
+        ("lose-15", {}, "no estimator 'lose-15'; there are loose-15, loose-22, loose-mems, tight, smoother,"),
         ("", {}, "no estimator ''; there are"),
         (":Class", {}, "no estimator ':Class'; there are"),
         (".here:Class", {}, "no estimator '.here:Class'; there are"),

@@ -8,6 +8,9 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import replace
+from datetime import datetime
+from types import SimpleNamespace
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -21,7 +24,7 @@ from bench import earth, rotation, store
 from bench.cli import main
 from bench.exchange.exports import FORMATS, local
 
-SECOND = 18.0
+SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +110,7 @@ def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export
     assert imu.shape == (len(data.imu), 7)
     assert_allclose(np.diff(imu[:, 0]), 0.01, atol=1e-9)
     for row in (0, -1):
-        assert_allclose(imu[row, 0] - SECOND, data.imu.t[row], atol=1e-11)
+        assert_allclose(imu[row, 0] - SECOND, data.imu.t[row], atol=1e-9)
         assert_array_equal(imu[row, 1:], [*data.imu.dtheta_b[row], *data.imu.dvel_b[row]])
     good = data.fixes.valid
     assert gnss.shape == (good.sum(), 7)
@@ -117,7 +120,7 @@ def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export
         assert_allclose(gnss[row, 1:4], [np.rad2deg(lla[0]), np.rad2deg(lla[1]), lla[2]], rtol=1e-15)
         assert_allclose(gnss[row, 4:] ** 2, np.diag(data.fixes.cov_pos_n[good][row]), rtol=1e-12)
     assert nav.shape == (len(truth), 11)
-    assert_array_equal(nav[:, 0], 2400)
+    assert_array_equal(nav[:, 0], 2399)
     assert_array_equal(nav[:, 5:8], truth.vel_n)
     assert_allclose(nav[:, 8], np.rad2deg(0.65), atol=1e-9)  # the bank of the circle
     keys = configuration(out / "kf-gins.yaml")
@@ -141,6 +144,19 @@ def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export
         )
         > 2e-3
     )
+
+
+def test_the_date_is_that_of_the_flight_and_of_its_receiver(run, tmp_path):
+    from bench.exchange.exports import gather
+
+    whole = gather(run[0])
+    assert str(whole.calendar) == "t = 0 is 2026-01-01 00:00:00 UTC, second 345618 of GPS week 2399"
+    year = dict(whole.start) | {"date": 2012 + 60 / 366}  # 1 March, a leap year; 15 leap seconds
+    old = replace(whole, start=year).calendar
+    assert (old.utc, old.week, old.second) == (datetime(2012, 3, 1), 1677, 4 * 86400 + 15.0)
+    sky = SimpleNamespace(gps_t0=43200.5)
+    noon = replace(whole, start=year, observations=sky).calendar
+    assert (noon.utc, noon.second) == (datetime(2012, 3, 1, 11, 59, 45, 500000), 4 * 86400 + 43200.5)
 
 
 def configuration(path):
@@ -224,7 +240,7 @@ def test_nmea_sentences_check_and_say_where_the_fixes_are(run, export):
         place, motion = sentence(gga, "GPGGA", 15), sentence(rmc, "GPRMC", 13)
         t = fixes.t[k]
         assert place[1] == motion[1] == f"0000{int(t):02d}.{round(1000 * (t % 1)):03d}"
-        assert motion[9] == "040126"
+        assert motion[9] == "010126"
         if not fixes.valid[k]:
             assert (place[6], motion[2], place[2]) == ("0", "V", "")
             continue
@@ -260,7 +276,10 @@ def test_nmea_of_the_south_west_and_of_a_full_minute():
     from bench.exchange.exports.nmea import sentences
 
     lla = np.array([np.deg2rad(-33.9999999999), np.deg2rad(-0.5), 10.0])
-    gga, rmc = sentences(86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
+    from bench.exchange.exports.outgoing import Calendar
+
+    calendar = Calendar(2399, 18.0, datetime(2026, 1, 4))
+    gga, rmc = sentences(calendar, 86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
     assert gga.startswith("$GPGGA,000000.000,3400.0000000,S,00030.0000000,W,1,07,,10.000,M,0.0,M,,*")
     assert rmc.startswith("$GPRMC,000000.000,A,3400.0000000,S,00030.0000000,W,1.944,180.000,050126,,,A*")
 
@@ -278,7 +297,7 @@ def test_kml_is_xml_with_a_point_for_each_fix(run, export):
     lat, lon, alt = sensed.data.fixes.lla[good].T
     assert_allclose(points, np.column_stack([np.rad2deg(lon), np.rad2deg(lat), alt]), atol=6e-4)
     assert_allclose(np.array(points)[:, 0], np.rad2deg(lon), atol=1e-9)
-    assert when[0] == "2026-01-04T00:00:01.000Z"
+    assert when[0] == "2026-01-01T00:00:01.000Z"
 
 
 def test_tum_poses_are_east_north_up_and_forward_left_up(run, export):
@@ -331,7 +350,7 @@ def test_rosbag2_is_read_back_by_rosbags(run, export):
         "/baro/pressure": len(data.baro), "/truth": len(truth),
     }  # fmt: skip
     stamp, imu = messages["/imu/data_raw"][-1]
-    assert stamp == 1767484800 * 10**9 + round(data.imu.t[-1] * 1e9)
+    assert stamp == 1767225600 * 10**9 + round(data.imu.t[-1] * 1e9)
     rate = imu.angular_velocity
     assert_allclose([rate.x, -rate.y, -rate.z], data.imu.dtheta_b[-1] / 0.01, rtol=1e-9)
     force = imu.linear_acceleration
@@ -434,4 +453,10 @@ def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
     (folder / "sensors-imu.parquet").unlink()
     err = complaint(capsys, "export", str(folder), "--to", "csv", "-o", str(tmp_path / "out"))
     assert err == f"error: {folder}: no sensors-imu.parquet in it; 'bench run' writes a whole folder\n"
+    other = tmp_path / "other"
+    make_run(other)
+    for start in ("[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
+        (other / "sensors-start.json").write_text(start)
+        err = complaint(capsys, "export", str(other), "--to", "csv")
+        assert "cannot be read" in err
     assert not (tmp_path / "out").exists()

@@ -441,6 +441,14 @@ def test_one_fault_more_leaves_the_others_their_bits(turn):
     assert pickle.dumps(alone) == pickle.dumps(among)
 
 
+def test_the_script_stays_out_of_what_filters_get(turn):
+    """Not a word of it in their record; it is in the events of the run alone."""
+    fault = script("spoofing", step_m=[30.0, 0.0, 0.0])
+    faulty = sensed(turn, SKY, fault)
+    assert b"spoofing" in pickle.dumps(faulty)
+    assert b"spoofing" not in pickle.dumps((faulty.data, faulty.initial))
+
+
 PROFILE = {
     "estimator": [{"use": "loose-15"}],
     "duration_s": 100.0,
@@ -480,6 +488,15 @@ def test_a_fault_that_cannot_be_gets_one_line(fault, said):
     assert said in message
     assert message.startswith("figure-eight.toml: [[fault]] 1")
     assert len([line for line in message.splitlines() if "known" not in line or said in line]) == 1
+
+
+@pytest.mark.parametrize(("level", "kind", "keys"), CASES)
+def test_every_fault_of_a_sensor_on_board_is_taken(level, kind, keys):
+    units = {"sensors.gnss": {"sky": "sky-l1", "position": "matched-white"}[level], "gnss_outage": []}
+    row = {"kind": kind, "start_s": 10.0, "duration_s": 5.0, **keys}
+    (fault,) = config.load_profile("all-sensors", {**units, "fault": [row]}).sensors.faults
+    assert (fault.kind, fault.start, fault.end) == (kind, 10.0, 15.0)
+    assert fault.sensor == keys.get("sensor", {"baro-step": "baro"}.get(kind, fault.sensor))
 
 
 def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_path):

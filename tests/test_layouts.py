@@ -49,6 +49,54 @@ def test_states_without_variance_change_nothing(profile, five_minutes):
     assert not large.extra[:, -6:].any()
 
 
+def test_scale_factors_without_variance_change_nothing(profile, five_minutes):
+    """The 37 states of loose-mems with no scale factor error or g-sensitivity assumed equal the 22."""
+    sensed = pipeline.sense(profile, five_minutes)
+    small, large = (
+        Loose(gnss_markov=True, mems=mems).run(sensed.data, sensed.initial) for mems in (False, True)
+    )
+    assert_allclose(small.lla, large.lla, rtol=0, atol=1e-15)
+    assert_allclose(small.vel_n, large.vel_n, rtol=0, atol=1e-9)
+    assert_allclose(small.cov, large.cov, rtol=1e-9, atol=1e-18)
+    assert large.extra.shape[1] == small.extra.shape[1] + 15
+    assert not large.extra[:, -15:].any()
+
+
+def with_mems_errors(profile):
+    """Scale factors of 3000 ppm and a g-sensitivity of 36 deg/h/g, on board and assumed."""
+    imu = profile.sensors.imu
+    imu = replace(
+        imu,
+        gyro=replace(imu.gyro, scale_factor_sd=3e-3, g_sensitivity_sd=np.deg2rad(36 / 3600) / 9.81),
+        accel=replace(imu.accel, scale_factor_sd=3e-3),
+    )
+    assumed = replace(profile.sensors.assumed, imu=imu)
+    return replace(profile, sensors=replace(profile.sensors, imu=imu, assumed=assumed))
+
+
+@pytest.mark.slow
+def test_loose_mems_knows_scale_factors_and_g_sensitivity(profile, five_minutes):
+    """50 runs of 300 s: mean NEES within 3.3 standard errors of 9; without the states it is far off."""
+    mems = with_mems_errors(profile)
+    nees, nis = ensemble(load("loose-mems", {"covariance_hz": 20.0}), mems, five_minutes, 50)
+    assert abs(standard_errors_from(nees, 9)) < 3.3
+    assert all(band.inside for band in nis.values()), nis
+    without, _ = ensemble(load("loose-22", {"covariance_hz": 20.0}), mems, five_minutes, 10)
+    assert np.median(without) > 30
+
+
+def test_scale_factors_are_found(profile, five_minutes):
+    """Turns and a climb show some of them: the sd of half of the axes falls by a third or more."""
+    sensed = pipeline.sense(with_mems_errors(profile), five_minutes)
+    solution = load("loose-mems", {"covariance_hz": 20.0}).run(sensed.data, sensed.initial)
+    at = [k for k, name in enumerate(solution.extra_names) if "_scale_" in name]
+    assert len(at) == 6
+    kept = solution.extra_sd[-1, at] / solution.extra_sd[0, at]
+    assert np.sum(kept < 2 / 3) >= 2
+    assert "gyro scale factor" not in load("loose-mems", {}).unmodelled(sensed.data.specs)
+    assert "gyro g-sensitivity" in load("loose-22", {}).unmodelled(sensed.data.specs)
+
+
 def ensemble(estimator, profile, truth, runs, assumed=None):
     """Return the time-averaged NEES of each run and the NIS of every sensor."""
     nees, nis = [], {}

@@ -174,6 +174,7 @@ def test_a_start_in_the_middle_of_a_record_uses_only_what_comes_after_it(sensed,
     assert sorted(left_out(solution)) == [
         "baro: 47 rows left out: outside the time of the imu",
         "gnss: 9 rows left out: outside the time of the imu",
+        "imu: 1900 rows left out: before the start",
     ]
 
 
@@ -209,7 +210,7 @@ def test_an_imu_row_left_out_is_counted_and_leaves_no_trace(sensed, sound, case)
     assert left_out(solution) == [f"imu: 1 rows left out: {why}"]
 
 
-def test_a_missing_imu_row_is_a_gap_over_which_the_rates_of_the_next_are_held(sensed, sound):
+def test_a_missing_imu_row_is_a_gap_over_which_the_rates_before_it_are_held(sensed, sound):
     keep = np.delete(np.arange(len(sensed.data.imu)), 1000)
     solution = run(sensed, imu=take(sensed.data.imu, keep))
     assert left_out(solution) == ["imu: gap of 0.005 s"]
@@ -233,6 +234,17 @@ def test_imu_rows_and_spans_by_hand(sensed):
         "imu: gap of 0.005 s",
         "imu: gap of 0.005 s",
     ]
+    steps = timeline.steps(imu, rows, span, 0.0025, np.array([0.007, 0.0275]), np.array([0.0124]))
+    # cut at 7 ms; 10 to 15 ms and 20 to 25 ms bridged by the row before, the first cut at 12.4 ms
+    assert_allclose(steps.t, [0.005, 0.007, 0.01, 0.0124, 0.015, 0.02, 0.025, 0.0275, 0.03])
+    assert_array_equal(steps.row, [0, 1, 1, 1, 1, 3, 3, 5, 5])
+    assert_allclose(steps.share, [0.5, 0.4, 0.6, 0.48, 0.52, 1, 1, 0.5, 0.5], atol=1e-9)
+    assert_allclose(steps.span, np.diff(steps.t, prepend=0.0025))
+    bridged = steps.unknown[:, 0] > 0
+    assert_array_equal(np.flatnonzero(bridged), [3, 4, 6])
+    whole = timeline.bridge_variance(np.array([0.005]))[0]
+    assert_allclose(steps.unknown[3] + steps.unknown[4], whole)
+    assert_allclose(steps.unknown[6], whole)
 
 
 def test_an_imu_record_without_a_usable_row_gives_the_start_and_nothing_else(sensed):

@@ -1,10 +1,12 @@
 """The loose filter a second time, plain and slow: what it says must be what the compiled one says.
 
 It shares with ``bench``: the records that go in, the datasheet figures in them, and nothing else; filterpy
-does the covariance and the updates. It computes by itself: the WGS 84 Earth, the strapdown step (attitude as
-a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R, the antenna,
-gates, and feedback as small rotations of that matrix. What it takes over by design, not by code: both rates
-as lines over two intervals, midpoint rules, and the order of Phi (``transition``).
+does the covariance and the updates. Of satellites it also shares the atmosphere of `bench.signals.delays`
+and the order in which their rows are used. It computes by itself: the WGS 84 Earth, the strapdown step
+(attitude as a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R,
+the antenna, gates, the ranges to satellites and their H by differences, and feedback as small rotations of
+that matrix. What it takes over by design, not by code: both rates as lines over two intervals, midpoint
+rules, and the order of Phi (``transition``).
 
     lat' = v_N / (R_M + h)      lon' = v_E / ((R_P + h) cos lat)      h' = -v_D       (A-5.1.2)
     C'   = C [w_ib_b x] - [(w_ie_n + w_en_n) x] C                                     (A-5.1.3)
@@ -22,7 +24,10 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.stats import chi2
 
+from bench.signals import delays
+
 SEMI_MAJOR, FLATTENING, EARTH_RATE, EARTH_GM = 6378137.0, 1 / 298.257223563, 7.292115e-5, 3.986004418e14
+LIGHT, GPS_L1 = 299792458.0, 1575.42e6
 SEMI_MINOR = SEMI_MAJOR * (1 - FLATTENING)
 GRAVITY_EQUATOR, GRAVITY_POLE = 9.7803253359, 9.8321849379  # NIMA TR8350.2 (2000)
 
@@ -225,6 +230,51 @@ def antenna(lla, vel, C, lever, w_b):
     return lla + C @ lever / metres(lla), vel + C @ cross(w_eb_b, lever), H
 
 
+def earth_fixed(lla, vector_n):
+    """Place [m] and a vector of n, Earth-fixed."""
+    s, c, sl, cl = np.sin(lla[0]), np.cos(lla[0]), np.sin(lla[1]), np.cos(lla[1])
+    prime = radii(lla[0])[1]
+    flat = (prime + lla[2]) * c
+    place = np.array([flat * cl, flat * sl, (prime * (SEMI_MINOR / SEMI_MAJOR) ** 2 + lla[2]) * s])
+    C_en = np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
+    return place, C_en @ vector_n, C_en
+
+
+def range_and_rate(lla, vel, sat_pos, sat_vel):
+    """Geometric range and its rate, and elevation and azimuth, of a satellite Earth-fixed at transmission."""
+    place, speed, C_en = earth_fixed(lla, vel)
+    spin = np.array([0.0, 0.0, EARTH_RATE])
+    travel = 0.07
+    for _ in range(6):
+        turn = rotation_matrix(-spin * travel)
+        line = turn @ sat_pos - place
+        travel = np.sqrt(line @ line) / LIGHT
+    e = line / np.sqrt(line @ line)
+    sat = turn @ (sat_vel + cross(spin, sat_pos))
+    rate = e @ (sat - speed - cross(spin, place)) / (1 + e @ sat / LIGHT)
+    north, east, down = C_en.T @ e
+    return travel * LIGHT, rate, np.arcsin(-down), np.arctan2(east, north)
+
+
+def satellite(lla, vel, C, bias, lever, w_b, sat_pos, sat_vel, n, mask):
+    """Range and rate, H (2, n) of both by differences, elevation and azimuth; nothing below the mask."""
+
+    def measured(x):
+        place, speed, tilted, _ = correct(lla, vel, C, bias, -x)
+        antenna_lla, antenna_vel, _ = antenna(place, speed, tilted, lever, w_b - x[9:12])
+        return np.array(range_and_rate(antenna_lla, antenna_vel, sat_pos, sat_vel))
+
+    found = measured(np.zeros(n))
+    if found[2] < mask:
+        return None
+    H = np.zeros((2, n))
+    for k, size in enumerate(np.repeat([30.0, 1.0, 1e-3, 1e-3], 3)):
+        x = np.zeros(n)
+        x[k] = size
+        H[:, k] = (measured(x) - measured(-x))[:2] / (2 * size)
+    return found, H
+
+
 def correct(lla, vel, C, bias, x):
     """State less an estimated error."""
     return lla - x[:3] / metres(lla), vel - x[3:6], rotation_matrix(-x[6:9]) @ C, bias - x[9:]
@@ -269,10 +319,32 @@ def first_sample(imu_t, arrival):
     return {int(k): row for row, k in enumerate(np.searchsorted(imu_t, arrival - 1e-6)) if k < len(imu_t)}
 
 
-def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10):
-    """Run the twin over a record without faulty rows."""
+def use_satellite(aiding, o, row, state, lever, w_b, sky):
+    """Use one satellite of one frequency: range, then rate."""
+    lla, _, _, bias = state
+    n = aiding.kf.dim_x
+    seen = satellite(*state, lever, w_b, o.sat_pos_e[row], o.sat_vel_e[row], n, sky.elevation_mask)
+    if seen is None:
+        return
+    (distance, rate, el, az), H = seen
+    ionosphere = delays.klobuchar(lla[0], lla[1], el, az, o.t[row] + o.gps_t0, o.klobuchar)
+    distance += ionosphere.item() * (GPS_L1 / o.frequency[row, 0]) ** 2
+    distance += delays.troposphere(el, lla[0], lla[2]).item()
+    H[0, n - 3], H[1, n - 2] = 1.0, 1.0
+    if o.system[row] == 1:
+        H[0, n - 1] = 1.0
+        distance += bias[-1]
+    name = (o.system[row], o.sat[row])
+    z = distance + bias[-3] - (o.pseudorange[row, 0] + o.sat_clock[row] - o.group_delay[row])
+    aiding.use(("range", *name), [z], H[:1], np.array([[o.sd_pseudorange[row] ** 2]]))
+    z = rate + bias[-2] - (o.range_rate[row, 0] + o.sat_clock_rate[row])
+    aiding.use(("rate", *name), [z], H[1:], np.array([[o.sd_range_rate[row] ** 2]]))
+
+
+def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=False):
+    """Run the twin over a record without faulty rows; ``tight`` takes satellites in place of fixes."""
     imu, specs = sensors.imu, sensors.specs
-    n = 15 if sensors.baro is None else 16
+    n = (15 if sensors.baro is None else 16) + 3 * tight
     kf = KalmanFilter(dim_x=n, dim_z=3)
     kf.P = np.zeros((n, n))
     kf.P[:9, :9] = initial.cov
@@ -282,7 +354,15 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10):
         variance, q[i : i + 3], decay_rate[i : i + 3] = bias_process(triad)
         kf.P[i : i + 3, i : i + 3] = variance * np.eye(3)
     fixes_at, baro_at = {}, {}
-    if sensors.fixes is not None:
+    o, epochs_at, clock = sensors.observations, {}, n - 3
+    if tight:
+        epochs_at = first_sample(imu.t, o.t_arrival[o.epoch_start[:-1]])
+        sky = specs.gnss.sky
+        for i, sd in enumerate((sky.clock_offset_sd, sky.clock_drift_sd, sky.glonass_offset_sd)):
+            kf.P[clock + i, clock + i] = sd**2
+        walk = 2 * np.pi**2 * LIGHT**2 * sky.clock_h_m2
+        q[clock], q[clock + 1] = LIGHT**2 * sky.clock_h_0 / 2, walk
+    elif sensors.fixes is not None:
         fixes_at, fix_R = first_sample(imu.t, sensors.fixes.t_arrival), fix_covariance(specs.gnss)
     if sensors.baro is not None:
         baro_at = first_sample(imu.t, sensors.baro.t_arrival)
@@ -304,18 +384,31 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10):
         before = (dt, dtheta, dvel)
         points.append((*start, dvel_start / dt, dtheta / dt, dt))
         bias = bias * np.exp(-decay_rate[9:] * dt)
+        if tight:
+            bias[-3] += dt * bias[-2]
         asked = len(out) < len(wanted) and wanted[len(out)] <= now + 1e-6
-        if not (asked or k in fixes_at or k in baro_at):
+        if not (asked or k in fixes_at or k in baro_at or k in epochs_at):
             continue
         *states, spans = (np.array(column) for column in zip(*points, strict=True))
         for F, T in zip(jacobian(*states), spans, strict=True):
-            kf.predict(F=transition(F, T, np.exp(-decay_rate * T)), Q=np.diag(q * T))
+            Phi, Q = transition(F, T, np.exp(-decay_rate * T)), np.diag(q * T)
+            if tight:
+                Phi[clock, clock + 1] = T
+                Q[clock, clock] += walk * T**3 / 3
+                Q[clock, clock + 1] = Q[clock + 1, clock] = walk * T**2 / 2
+            kf.predict(F=Phi, Q=Q)
         points = []
         if k in fixes_at:
             row = fixes_at[k]
             place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
             aiding.use("position", (place - sensors.fixes.lla[row]) * metres(lla), H[:3], fix_R[:3, :3])
             aiding.use("velocity", speed - sensors.fixes.vel_n[row], H[3:], fix_R[3:, 3:])
+            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
+            kf.x = np.zeros((n, 1))
+        if k in epochs_at:
+            epoch = epochs_at[k]
+            for row in range(o.epoch_start[epoch], o.epoch_start[epoch + 1]):
+                use_satellite(aiding, o, row, (lla, vel, C, bias), sensors.antenna_b, dtheta / dt, sky)
             lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
             kf.x = np.zeros((n, 1))
         if k in baro_at:

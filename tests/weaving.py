@@ -53,18 +53,23 @@ def units(imu: ImuSpec = IMU, gnss: GnssSpec | None = GNSS, baro: BaroSpec | Non
     )
 
 
-def weaving(duration: float, rate: float = 200.0) -> Trajectory:
-    """Bank swings to 30 deg and back each minute, pitch and thrust swing faster; 47 deg north, 25 m/s."""
+def weaving(duration: float, rate: float = 200.0, straight_from: float = np.inf) -> Trajectory:
+    """Bank swings to 30 deg and back each minute, pitch and thrust swing faster; 47 deg north, 25 m/s.
+
+    From ``straight_from`` on, a whole number of minutes, it flies straight.
+    """
     n = round(duration * rate)
     t = np.arange(n + 1) / rate
     middle = 0.5 * (t[1:] + t[:-1])
     swing = 2 * np.pi / 60
-    bank = 30 * DEG * np.sin(swing * middle)
-    roll_rate = 30 * DEG * swing * np.cos(swing * middle)
+    moving = (middle < straight_from) * 1.0
+    bank = 30 * DEG * np.sin(swing * middle) * moving
+    roll_rate = 30 * DEG * swing * np.cos(swing * middle) * moving
     turn_rate = 9.81 / 25.0 * np.tan(bank)
-    pitch_rate = 2 * DEG * np.sin(0.9 * middle)
+    pitch_rate = 2 * DEG * np.sin(0.9 * middle) * moving
     w_b = np.column_stack([roll_rate, turn_rate * np.sin(bank) + pitch_rate, turn_rate * np.cos(bank)])
-    f_b = np.column_stack([0.5 * np.cos(0.5 * middle), 0.1 * np.sin(middle), -9.81 / np.cos(bank)])
+    along, across = 0.5 * np.cos(0.5 * middle) * moving, 0.1 * np.sin(middle) * moving
+    f_b = np.column_stack([along, across, -9.81 / np.cos(bank)])
     nav = mechanization.propagate(
         [47 * DEG, 11 * DEG, 800.0],
         25.0 * np.array([np.cos(0.6), np.sin(0.6), 0.0]),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from bench.arrays import BoolArray, FloatArray
 from bench.data import Events
 from bench.evaluation.consistency import SensorNis
 from bench.specs import Fault
+
+if TYPE_CHECKING:
+    from bench.evaluation.metrics import Case
 
 ALARM = "integrity"
 """Kind of the events by which an estimator raises an alarm; the text names the sensor."""
@@ -55,7 +59,7 @@ def delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
     return max(min(first) - fault.start, 0.0) if first else None
 
 
-def false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, from_s: float) -> int:
+def _unexplained(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, from_s: float) -> int:
     """Return how many alarms of a name from an instant [s] on belong to no fault."""
     count = 0
     for one in raised:
@@ -76,3 +80,34 @@ def _inside(fault: Fault, t: FloatArray) -> BoolArray:
 def _concerns(fault: Fault, said: str) -> bool:
     named = _SHOWS_IN.get(fault.sensor)
     return named is None or any(name in said for name in named)
+
+
+def fault_detected(case: Case) -> dict[str, float | None]:
+    """1 when an alarm came while the fault was there, else 0."""
+    return {k: float(delay(f, case.alarms) is not None) for k, f in case.faults.items()}
+
+
+def fault_delay(case: Case) -> dict[str, float | None]:
+    """Time from the start of the fault to its first alarm [s]; None when undetected."""
+    return {k: delay(f, case.alarms) for k, f in case.faults.items()}
+
+
+def fault_max_h(case: Case) -> dict[str, float | None]:
+    """Largest horizontal position error while the fault was there [m]."""
+    found: dict[str, float | None] = {}
+    for key, fault in case.faults.items():
+        first, stop = np.searchsorted(case.t, [fault.start - _SAME_TIME, fault.end - _SAME_TIME])
+        if first < stop:
+            found[key] = float(np.hypot(*case.pos_n[first:stop, :2].T).max())
+    return found
+
+
+def false_alarms(case: Case) -> dict[str, float | None]:
+    """Number of alarms of each sensor that no fault explains; none are counted in a run without faults."""
+    if not case.scripted:
+        return {}
+    names = dict.fromkeys(one.name for one in case.alarms)
+    return {
+        name: float(_unexplained(case.scripted, case.alarms, name, case.from_s - _SAME_TIME))
+        for name in names
+    }

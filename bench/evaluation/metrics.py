@@ -210,40 +210,6 @@ def heading_convergence(case: Case) -> Value:
     return None
 
 
-# --- faults -------------------------------------------------------------------------------------------
-
-
-def fault_detected(case: Case) -> Values:
-    """1 when an alarm came while the fault was there, else 0."""
-    return {k: float(detection.delay(f, case.alarms) is not None) for k, f in case.faults.items()}
-
-
-def fault_delay(case: Case) -> Values:
-    """Time from the start of the fault to its first alarm [s]; None when undetected."""
-    return {k: detection.delay(f, case.alarms) for k, f in case.faults.items()}
-
-
-def fault_max_h(case: Case) -> Values:
-    """Largest horizontal position error while the fault was there [m]."""
-    found: dict[str, Value] = {}
-    for key, fault in case.faults.items():
-        first, stop = np.searchsorted(case.t, [fault.start - SAME_TIME, fault.end - SAME_TIME])
-        if first < stop:
-            found[key] = float(_norm_h(case.pos_n[first:stop]).max())
-    return found
-
-
-def false_alarms(case: Case) -> Values:
-    """Number of alarms of each sensor that no fault explains; none are counted in a run without faults."""
-    if not case.scripted:
-        return {}
-    names = dict.fromkeys(one.name for one in case.alarms)
-    return {
-        name: float(detection.false_alarms(case.scripted, case.alarms, name, case.from_s - SAME_TIME))
-        for name in names
-    }
-
-
 # --- consistency --------------------------------------------------------------------------------------
 
 
@@ -344,10 +310,16 @@ METRICS: tuple[Metric, ...] = (
         "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at its last instant"
     ),
     Metric("outage_{}_growth_h_m", outage_growth_h, "m", "pos", "lower", "last minus first horizontal error"),
-    Metric("fault_{}_detected", fault_detected, "1", "", "both", "1: an alarm came while it was there"),
-    Metric("fault_{}_delay_s", fault_delay, "s", "", "lower", "from its start to its first alarm"),
-    Metric("fault_{}_max_h_m", fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"),
-    Metric("false_alarms_{}", false_alarms, "1", "", "", "alarms of a sensor that no fault explains"),
+    Metric(
+        "fault_{}_detected", detection.fault_detected, "1", "", "both", "1: an alarm came while it was there"
+    ),
+    Metric("fault_{}_delay_s", detection.fault_delay, "s", "", "lower", "from its start to its first alarm"),
+    Metric(
+        "fault_{}_max_h_m", detection.fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"
+    ),
+    Metric(
+        "false_alarms_{}", detection.false_alarms, "1", "", "", "alarms of a sensor that no fault explains"
+    ),
     Metric("nees_mean", nees_mean, "1", "cov", "both", "mean NEES; nees_states is expected"),
     Metric("nees_states", nees_states, "1", "cov", "", "states that NEES counts"),
     Metric("nees_inside_95", nees_inside_95, "1", "cov", "both", "epochs in the 95 % interval of NEES"),

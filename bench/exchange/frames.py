@@ -87,10 +87,10 @@ def _rows(
 def _sentences(run: Outgoing) -> Iterator[tuple[float, int, bytes]]:
     fixes = run.fixes
     assert fixes is not None  # or there is no such stream
-    when = _in_order(fixes.t_arrival)
+    when, calendar = _in_order(fixes.t_arrival), run.calendar
     for k in range(len(fixes)):
         if np.isfinite(fixes.t[k]):
-            for sentence in of_fix(fixes, k):
+            for sentence in of_fix(calendar, fixes, k):
                 yield when[k], 0, sentence.encode("ascii")
 
 

@@ -183,7 +183,7 @@ def flare(cockpit: Cockpit) -> Generator[None, None, str]:
 
 def landing_roll(cockpit: Cockpit, leg: LandingRoll) -> Generator[None, None, str]:
     """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
-    runway, _ = _runway(cockpit)
+    runway, figures = _runway(cockpit)
     centre = _Centreline(cockpit, runway)
     cockpit.on_ground(standing=True)
     pitch, throttle = cockpit.pitch(), cockpit.throttle()
@@ -198,6 +198,15 @@ def landing_roll(cockpit: Cockpit, leg: LandingRoll) -> Generator[None, None, st
         cockpit.set_throttle((1 - share) * throttle)
         centre.steer()
         yield
+    for share in smooth(_POWER):
+        cockpit.brake(share * _BRAKE)
+        centre.steer()
+        yield
+    for _ in ticks(_PATIENCE):  # wings stay level by aileron while gusts can still lift them
+        if centre.ground_speed() < 0.5 * figures.rotate_speed:
+            break
+        centre.steer()
+        yield
     held = {surface: cockpit.surface[surface]() for surface in SURFACES}
     for surface in SURFACES:
         cockpit.direct[surface](held[surface])
@@ -205,7 +214,6 @@ def landing_roll(cockpit: Cockpit, leg: LandingRoll) -> Generator[None, None, st
         for surface in SURFACES:
             cockpit.direct_share[surface](share)
             cockpit.direct[surface]((1 - share) * held[surface])
-        cockpit.brake(share * _BRAKE)
         centre.steer()
         yield
     for _ in ticks(_PATIENCE):

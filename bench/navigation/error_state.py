@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray, as_float
+from bench.arrays import FloatArray, IntArray, as_float
 from bench.compiled import kernel
 from bench.earth import RATE, WGS84, gravity_gradient_kernel, radii_kernel
 from bench.navigation.mechanization import turn_kernel
@@ -158,8 +158,12 @@ def transition_kernel(F: FloatArray, T: float, G: FloatArray) -> None:
 
 
 @kernel
-def _rows_kernel(P: FloatArray, G: FloatArray, A: FloatArray, n: int) -> None:
-    """Fill A[:9, :n] with the first nine rows of (I + [G, 0]) P; only elements that can differ from zero."""
+def _rows_kernel(P: FloatArray, E: FloatArray, G: FloatArray, A: FloatArray, n: int) -> None:
+    """Fill A[:9, :n] with the first nine rows of (I + [G, 0]) P; only elements that can differ from zero.
+
+    ``E`` (6, n) are the rows of the errors of gyros and accelerometers, P[9:15] unless other states add to
+    them.
+    """
     a00, a02, a07, a08, a0x, a0y, a0z = G[0, 0], G[0, 2], G[0, 7], G[0, 8], G[0, 12], G[0, 13], G[0, 14]
     a10, a11, a12, a16, a18 = G[1, 0], G[1, 1], G[1, 2], G[1, 6], G[1, 8]
     a1x, a1y, a1z = G[1, 12], G[1, 13], G[1, 14]
@@ -182,8 +186,8 @@ def _rows_kernel(P: FloatArray, G: FloatArray, A: FloatArray, n: int) -> None:
     )  # fmt: skip
     for j in range(n):
         p0, p1, p2, v0, v1, v2 = P[0, j], P[1, j], P[2, j], P[3, j], P[4, j], P[5, j]
-        f0, f1, f2, g, h, i = P[6, j], P[7, j], P[8, j], P[9, j], P[10, j], P[11, j]
-        x, y, z = P[12, j], P[13, j], P[14, j]
+        f0, f1, f2, g, h, i = P[6, j], P[7, j], P[8, j], E[0, j], E[1, j], E[2, j]
+        x, y, z = E[3, j], E[4, j], E[5, j]
         A[0, j] = p0 + a00 * p0 + a02 * p2 + T * v0 + a07 * f1 + a08 * f2 + a0x * x + a0y * y + a0z * z
         A[1, j] = (
             p1 + a10 * p0 + a11 * p1 + a12 * p2 + T * v1 + a16 * f0 + a18 * f2 + a1x * x + a1y * y + a1z * z
@@ -207,16 +211,41 @@ def _rows_kernel(P: FloatArray, G: FloatArray, A: FloatArray, n: int) -> None:
 
 
 @kernel
+def _errors_kernel(P: FloatArray, drives: IntArray, factor: FloatArray, E: FloatArray, n: int) -> None:
+    """Fill E (6, :n): rows 9 to 14 of P and of every driving state, by its factor."""
+    for i in range(6):
+        for j in range(n):
+            E[i, j] = P[GYRO + i, j]
+    for d in range(drives.shape[0]):
+        s, i, by = drives[d, 0], drives[d, 1] - GYRO, factor[d]
+        for j in range(n):
+            E[i, j] += by * P[s, j]
+
+
+@kernel
 def covariance_kernel(
-    P: FloatArray, G: FloatArray, decay: FloatArray, noise: FloatArray, A: FloatArray, B: FloatArray
+    P: FloatArray,
+    G: FloatArray,
+    decay: FloatArray,
+    noise: FloatArray,
+    drives: IntArray,
+    factor: FloatArray,
+    A: FloatArray,
+    B: FloatArray,
+    E: FloatArray,
 ) -> None:
     """Replace P (n, n) by Phi P Phi' + diag(noise).
 
-    Phi is I + G in its first nine rows and diag(decay) in the rest. ``A`` (9, n) and ``B`` (n, n) are
-    memory to work in. P stays exactly symmetric.
+    Phi is I + G in its first nine rows and diag(decay) in the rest; a state ``drives[d, 0]`` acts on the
+    first nine rows like the bias ``drives[d, 1]`` times ``factor[d]``. ``A`` (9, n), ``B`` (n, n) and
+    ``E`` (6, n) are memory to work in. P stays exactly symmetric.
     """
-    n = P.shape[0]
-    _rows_kernel(P, G, A, n)
+    n, top = P.shape[0], A.shape[0]
+    if drives.shape[0] > 0:
+        _errors_kernel(P, drives, factor, E, n)
+        _rows_kernel(P, E, G, A, n)
+    else:
+        _rows_kernel(P, P[GYRO:CORE], G, A, n)
     for j in range(9, n):
         for i in range(9):
             value = A[i, j] * decay[j]
@@ -228,7 +257,11 @@ def covariance_kernel(
     for j in range(9):
         for i in range(9):
             B[j, i] = A[i, j]
-    _rows_kernel(B, G, A, 9)
+    if drives.shape[0] > 0:
+        _errors_kernel(B, drives, factor, E, top)
+        _rows_kernel(B, E, G, A, top)
+    else:
+        _rows_kernel(B, B[GYRO:CORE], G, A, top)
     for i in range(9):
         for j in range(i):
             value = 0.5 * (A[i, j] + A[j, i])
@@ -240,7 +273,9 @@ def covariance_kernel(
 
 
 @kernel
-def accumulate_kernel(Phi: FloatArray, G: FloatArray, decay: FloatArray, A: FloatArray) -> None:
+def accumulate_kernel(
+    Phi: FloatArray, G: FloatArray, decay: FloatArray, drives: IntArray, factor: FloatArray, A: FloatArray
+) -> None:
     """Replace Phi (n, n) by the transition of one more step times Phi; ``A`` (9, n) is memory to work in."""
     n = Phi.shape[0]
     for i in range(9):  # short to compile; only a smoother's run comes here
@@ -248,6 +283,8 @@ def accumulate_kernel(Phi: FloatArray, G: FloatArray, decay: FloatArray, A: Floa
             value = Phi[i, j]
             for k in range(15):
                 value += G[i, k] * Phi[k, j]
+            for d in range(drives.shape[0]):
+                value += G[i, drives[d, 1]] * factor[d] * Phi[drives[d, 0], j]
             A[i, j] = value
     for i in range(9):
         for j in range(n):
@@ -258,26 +295,46 @@ def accumulate_kernel(Phi: FloatArray, G: FloatArray, decay: FloatArray, A: Floa
 
 
 @kernel
-def feedback_kernel(
-    nav: FloatArray, gyro_bias: FloatArray, accel_bias: FloatArray, extra: FloatArray, dx: FloatArray
+def backward_kernel(
+    h: FloatArray, G: FloatArray, decay: FloatArray, drives: IntArray, factor: FloatArray, row: FloatArray
 ) -> None:
-    """Subtract an estimated error from navigation state, biases and extra states (A-5.4.8, A-5.4.9).
+    """Replace h (n,) by h Phi^-1: what a measurement of before a step says of the errors after it.
 
-    ``dx`` is zeroed: the error that is left is zero in the mean.
+    ``G`` is Phi^-1 - I in its first nine rows, from :func:`transition_kernel` with a negative interval;
+    ``row`` (15,) is memory to work in.
     """
-    s, c = np.sin(nav[0]), np.cos(nav[0])
+    for k in range(15):
+        value = 0.0
+        for i in range(9):
+            value += h[i] * G[i, k]
+        row[k] = value
+    for k in range(9, h.shape[0]):
+        h[k] /= decay[k]
+    for k in range(15):
+        h[k] += row[k]
+    for d in range(drives.shape[0]):
+        h[drives[d, 0]] += row[drives[d, 1]] * factor[d]
+
+
+@kernel
+def feedback_kernel(state: FloatArray, dx: FloatArray) -> None:
+    """Subtract an estimated error dx (n,) from a filter state (n + 1,) (A-5.4.8, A-5.4.9).
+
+    The state is a navigation state (10), then the values of the states from the gyro bias on. ``dx`` is
+    zeroed: the error that is left is zero in the mean.
+    """
+    s, c = np.sin(state[0]), np.cos(state[0])
     meridian, prime = radii_kernel(s)
-    nav[0] -= dx[0] / (meridian + nav[2])
-    nav[1] -= dx[1] / ((prime + nav[2]) * c)
-    nav[2] += dx[2]
+    state[0] -= dx[0] / (meridian + state[2])
+    state[1] -= dx[1] / ((prime + state[2]) * c)
+    state[2] += dx[2]
     for i in range(3):
-        nav[3 + i] -= dx[3 + i]
-        gyro_bias[i] -= dx[GYRO + i]
-        accel_bias[i] -= dx[ACCEL + i]
-    turn_kernel(nav, -dx[6], -dx[7], -dx[8], True)
-    for i in range(extra.shape[0]):
-        extra[i] -= dx[CORE + i]
-    dx[:] = 0.0
+        state[3 + i] -= dx[3 + i]
+    turn_kernel(state, -dx[6], -dx[7], -dx[8], True)
+    for i in range(GYRO, dx.shape[0]):
+        state[i + 1] -= dx[i]
+    for i in range(dx.shape[0]):
+        dx[i] = 0.0
 
 
 def dynamics(nav: ArrayLike, C_nb: ArrayLike, f_n: ArrayLike) -> FloatArray:

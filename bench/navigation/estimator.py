@@ -24,7 +24,10 @@ class Estimator(Protocol):
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``."""
+        """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
+
+        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds what is NaN.
+        """
         ...
 
 
@@ -38,6 +41,16 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
         "the same with GNSS Markov errors, 22 states",
         "bench.navigation.fusion:Loose",
         {"gnss_markov": True},
+    ),
+    "loose-mems": (
+        "loose-22 with scale factors and g-sensitivity, 37 states",
+        "bench.navigation.fusion:Loose",
+        {"gnss_markov": True, "mems": True},
+    ),
+    "tight": (
+        "INS/satellites/baro: every pseudorange and range rate, receiver clock",
+        "bench.navigation.fusion:Tight",
+        {"gnss_markov": False},
     ),
     "smoother": (
         "loose-15 and a pass back over its record",
@@ -149,19 +162,21 @@ def construct(
         raise EstimatorError(f"estimator {use!r}: {error}") from error
 
 
-def check_needs(estimator: Estimator, name: str, records: Collection[str]) -> None:
+def check_needs(estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]") -> None:
     """Check, before anything is flown, that an estimator will get what it needs.
+
+    ``records`` of `SensorData` are those there will be; messages say where they come from by ``place``.
 
     Raises
     ------
     EstimatorError
-        When one of its ``needs`` is not among the ``records`` of `SensorData` that there will be, or is none.
+        When one of its ``needs`` is not among them, or is no record.
     """
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
             raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
         if need not in records:
-            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in [sensors]")
+            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
 
 
 class EstimatorFailedError(RuntimeError):

@@ -1,316 +1,145 @@
-"""The compiled filters: one kernel over whole records, state layouts as data.
+"""The compiled filters: one kernel over whole records; state layouts, aiding and options as data.
 
 An error-state extended Kalman filter in closed loop: the strapdown navigator runs on increments less the
-estimated biases, the covariance follows its linear dynamics, and every accepted measurement is fed back at
-once. Loose coupling: position and velocity of the GNSS antenna, barometric altitude.
+estimated errors, the covariance follows its linear dynamics (`bench.navigation.cycle`), and every accepted
+measurement (`bench.navigation.aiding`, `bench.navigation.ranging`) is fed back at once. Loose coupling takes
+position and velocity of the GNSS antenna, tight coupling every satellite by itself.
 
-    z_pos  = antenna position, predicted less measured = dp - [C l x] phi + dm_p
-    z_vel  = antenna velocity, predicted less measured = dv - [C (w x l) x] phi + C [l x] db_g + dm_v
-    z_baro = h + b - h_baro                            = -dp_D + db
-
-with l the antenna in b, w the rate of b against e, and m the Markov part of the GNSS error where the layout
-has it. The change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below
-1e-4 for corrections below 0.01 rad (equations section 10).
+A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
+to the instant of arrival by the transition in between: the process
+noise of the latency is left out, 1e-3 of a fix's variance at 0.2 s with the units of the catalog. The
+change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below 1e-4 for
+corrections below 0.01 rad (equations section 10).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from bench import earth
 from bench.arrays import FloatArray, IntArray
-from bench.compiled import kernel
+from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
-from bench.earth import RATE, radii_kernel
-from bench.navigation import alignment, timeline
-from bench.navigation.error_state import (
-    ACCEL,
-    CORE,
-    GYRO,
-    PHI,
-    POS,
-    VEL,
-    StateLayout,
-    accumulate_kernel,
-    covariance_kernel,
-    dynamics_kernel,
-    feedback_kernel,
-    transition_kernel,
+from bench.navigation import alignment, ranging, standstill, timeline
+from bench.navigation.agenda import MEASURE, OUTPUT, USE, Agenda
+from bench.navigation.aiding import (
+    AIRSPEED_ROWS,
+    BARO_ROWS,
+    FIX_ROWS,
+    MAGNETIC_ROWS,
+    SATELLITE_ROWS,
+    SENSORS,
+    STANDSTILL_ROWS,
+    ZERO_RATE,
+    ZERO_VELOCITY,
+    Aid,
+    Gate,
+    Log,
+    measure_kernel,
+    use_kernel,
 )
-from bench.navigation.kalman import nis_kernel, update_kernel
-from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, matrix_kernel, step_kernel
-from bench.navigation.state_model import fix_variance, known, state_model, unmodelled
+from bench.navigation.cycle import Belief, ImuSteps, Pending, Process, Work, advance_kernel, work_for
+from bench.navigation.error_state import StateLayout
+from bench.navigation.integrity import nis_limit
+from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.state_model import (
+    Blocks,
+    StateModel,
+    airspeed_variance,
+    field_variance,
+    fix_variance,
+    known,
+    state_model,
+    unmodelled,
+)
+from bench.signals.magnetic import field_n
 from bench.specs import AssumedSpecs
 
-SENSORS = ("gnss_position", "gnss_velocity", "baro")
-_POSITION, _VELOCITY, _BARO = 0, 1, 2
+_NEVER = np.iinfo(np.int64).max
 
 
-@kernel
-def _aid_kernel(
-    code: int,
-    t: float,
-    P: FloatArray,
-    dx: FloatArray,
-    H: FloatArray,
-    z: FloatArray,
-    r: FloatArray,
-    gates: FloatArray,
-    readmit_after: int,
-    misses: IntArray,
-    numbers: FloatArray,
-    marks: IntArray,
-    count: int,
-    var: FloatArray,
-    square: FloatArray,
-    vectors: FloatArray,
-) -> int:
-    """Gate one sub-vector, use it or not, and write its rows; return the new count of rows."""
-    m = z.shape[0]
-    nis = nis_kernel(P, dx, H, z, r, var, square)
-    accepted = nis <= gates[code] or misses[code] >= readmit_after
-    misses[code] = 0 if accepted else misses[code] + 1
-    for a in range(m):
-        innovation = -z[a]  # measured less predicted
-        for i in range(P.shape[0]):
-            innovation += H[a, i] * dx[i]
-        numbers[count + a, 0], numbers[count + a, 1] = t, innovation
-        numbers[count + a, 2], numbers[count + a, 3] = var[a], nis
-        marks[count + a, 0], marks[count + a, 1], marks[count + a, 2] = code, a, accepted
-    if accepted:
-        for a in range(m):
-            update_kernel(P, dx, H[a], z[a], r[a], vectors[0], vectors[1])
-    return count + int(m)
+class Stores(NamedTuple):
+    """What a run leaves behind."""
+
+    state: FloatArray  # (M, n + 1) at each output
+    P: FloatArray  # (M, n, n)
+    node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
+    node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
+    node_cov: FloatArray  # (N, 2, n, n)
+    transition: FloatArray  # (N, n, n)
 
 
-@kernel
-def _antenna_kernel(
-    nav: FloatArray,
-    C: FloatArray,
-    antenna_b: FloatArray,
-    w_ib_b: FloatArray,
-    lla: FloatArray,
-    vel_n: FloatArray,
-    H: FloatArray,
-    z: FloatArray,
-) -> None:
-    """Fill z (6,) and H (6, n) of a fix: predicted less measured position [m] and velocity [m/s], n."""
-    s, c = np.sin(nav[0]), np.cos(nav[0])
-    meridian, prime = radii_kernel(s)
-    r_m, r_p = meridian + nav[2], prime + nav[2]
-    x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
-    # rate of b against e: less the Earth's, seen in b
-    p = w_ib_b[0] - RATE * (C[0, 0] * c - C[2, 0] * s)
-    q = w_ib_b[1] - RATE * (C[0, 1] * c - C[2, 1] * s)
-    r = w_ib_b[2] - RATE * (C[0, 2] * c - C[2, 2] * s)
-    sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
-    H[:6] = 0.0
-    for i in range(3):
-        H[POS + i, POS + i] = 1.0
-        H[VEL + i, VEL + i] = 1.0
-        H[3 + i, GYRO] = C[i, 1] * d - C[i, 2] * y  # C [l x]
-        H[3 + i, GYRO + 1] = C[i, 2] * x - C[i, 0] * d
-        H[3 + i, GYRO + 2] = C[i, 0] * y - C[i, 1] * x
-    for block, u, v, w in ((0, x, y, d), (3, sx, sy, sd)):
-        a = C[0, 0] * u + C[0, 1] * v + C[0, 2] * w
-        b = C[1, 0] * u + C[1, 1] * v + C[1, 2] * w
-        g = C[2, 0] * u + C[2, 1] * v + C[2, 2] * w
-        H[block, PHI + 1], H[block, PHI + 2] = g, -b  # -[a x]
-        H[block + 1, PHI], H[block + 1, PHI + 2] = -g, a
-        H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
-        z[block], z[block + 1], z[block + 2] = a, b, g
-    dlon = nav[1] - lla[1]
-    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
-    z[0] += (nav[0] - lla[0]) * r_m
-    z[1] += dlon * r_p * c
-    z[2] += lla[2] - nav[2]
-    for i in range(3):
-        z[3 + i] += nav[3 + i] - vel_n[i]
-
-
-@kernel
-def _keep_kernel(
-    nav: FloatArray, biases: FloatArray, extra: FloatArray, P: FloatArray, row: FloatArray, out_P: FloatArray
-) -> None:
-    """Fill a row (n + 1,), navigation state, gyro and accelerometer bias, extra states, and a copy of P.
-
-    Loops, because copies of slices take the compiler seconds each.
-    """
-    for i in range(10):
-        row[i] = nav[i]
-    for i in range(3):
-        row[10 + i] = biases[0, i]
-        row[13 + i] = biases[1, i]
-    for i in range(extra.shape[0]):
-        row[16 + i] = extra[i]
-    for i in range(P.shape[0]):
-        for j in range(P.shape[1]):
-            out_P[i, j] = P[i, j]
+@inner
+def _keep_kernel(belief: Belief, state: FloatArray, P: FloatArray) -> None:
+    """Copy what is believed; loops, because copies of slices take the compiler seconds each."""
+    n = belief.P.shape[0]
+    for i in range(n + 1):
+        state[i] = belief.state[i]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = belief.P[i, j]
 
 
 @kernel
 def _fusion_kernel(
-    nav: FloatArray,
-    biases: FloatArray,
-    extra: FloatArray,
-    P: FloatArray,
-    q: FloatArray,
-    decay_time: FloatArray,
-    decay_distance: FloatArray,
-    stationary: FloatArray,
-    t: FloatArray,
-    span: FloatArray,
-    scale: FloatArray,
-    rows: IntArray,
-    dtheta_b: FloatArray,
-    dvel_b: FloatArray,
-    interval: float,
-    fix_rows: IntArray,
-    fix_at: IntArray,
-    fix_lla: FloatArray,
-    fix_vel: FloatArray,
-    fix_r: FloatArray,
-    antenna_b: FloatArray,
-    baro_rows: IntArray,
-    baro_at: IntArray,
-    alt_baro: FloatArray,
-    baro_r: FloatArray,
-    baro_index: int,
-    markov_index: int,
-    gates: FloatArray,
-    readmit_after: int,
-    output_at: IntArray,
-    out_nav: FloatArray,
-    out_biases: FloatArray,
-    out_extra: FloatArray,
-    out_P: FloatArray,
-    numbers: FloatArray,
-    marks: IntArray,
-    node_t: FloatArray,
-    node_state: FloatArray,
-    node_P: FloatArray,
-    node_Phi: FloatArray,
-) -> int:
-    """Run the filter over a record; return the number of innovation rows written.
+    agenda: IntArray,
+    belief: Belief,
+    process: Process,
+    steps: ImuSteps,
+    aid: Aid,
+    sky: Sky,
+    pending: Pending,
+    gate: Gate,
+    log: Log,
+    stores: Stores,
+    work: Work,
+) -> None:
+    """Run the filter over a record.
 
-    ``nav``, ``biases`` (2, 3), ``extra`` and ``P`` are the start and end as the last state. ``interval`` is
-    the covariance step; a measurement or an output takes one at once. ``scale`` stretches increments over a
-    gap. The nodes, where there is room for any, take what a smoother needs at every instant of a measurement
-    or an output: state (N, 2, n + 1) and covariance (N, 2, n, n) before and after it, and the transition
-    (N, n, n) from the node before.
+    A row of the agenda is a step (-1: the start), what is done after it, the kind of measurement, its row
+    among its kind, and the slot it waits in. ``belief`` is the start and ends as the last state.
     """
-    n = P.shape[0]
-    gyro_bias, accel_bias = biases[0], biases[1]
-    before = np.zeros(7)
-    w_ib_b, dth, dv, rotvec, dv_start, dv_n = (
-        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
-    )  # fmt: skip
-    C, C_sum, dv_sum = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
-    F, G, A, B = np.zeros((9, 15)), np.zeros((9, 15)), np.zeros((9, n)), np.zeros((n, n))
-    decay, noise, dx, reference = np.ones(n), np.zeros(n), np.zeros(n), nav.copy()
-    H, z, var, square, vectors = (
-        np.zeros((7, n)),
-        np.zeros(7),
-        np.zeros(3),
-        np.zeros((3, 4)),
-        np.zeros((2, n)),
-    )
-    square_1 = np.zeros((1, 2))
-    misses = np.zeros(3, np.int64)
-    keep = node_t.shape[0] > 0
-    Phi = np.eye(n)
-    T, count, fix, baro, output, node = 0.0, 0, 0, 0, 0, 0
-    for k in range(-1, t.shape[0]):
-        if k >= 0:
-            row, dt = rows[k], span[k]
-            for i in range(3):
-                dth[i] = dtheta_b[row, i] * scale[k] - gyro_bias[i] * dt
-                dv[i] = dvel_b[row, i] * scale[k] - accel_bias[i] * dt
-                w_ib_b[i] = dth[i] / dt
-            body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
-            step_kernel(nav, dt, rotvec, dv_start, C, dv_n)
-            T += dt
-            for i in range(3):
-                dv_sum[i] += dv_n[i]
-                for j in range(3):
-                    C_sum[i, j] += C[i, j] * dt
-        aided = (fix < fix_at.shape[0] and fix_at[fix] == k) or (
-            baro < baro_at.shape[0] and baro_at[baro] == k
-        )
-        due = aided or (output < output_at.shape[0] and output_at[output] == k)
-        if T > 0.0 and (due or interval <= T):
-            for i in range(3):
-                dv_sum[i] /= T
-                for j in range(3):
-                    C_sum[i, j] /= T
-            ground_speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
-            for i in range(n):
-                rate = decay_time[i] + decay_distance[i] * ground_speed
-                decay[i] = np.exp(-rate * T) if rate > 0.0 else 1.0
-                noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
-            for i in range(3):
-                gyro_bias[i] *= decay[GYRO + i]
-                accel_bias[i] *= decay[ACCEL + i]
-            for i in range(extra.shape[0]):
-                extra[i] *= decay[CORE + i]
-            dynamics_kernel(reference, C_sum, dv_sum, F)
-            transition_kernel(F, T, G)
-            covariance_kernel(P, G, decay, noise, A, B)
-            if keep:
-                accumulate_kernel(Phi, G, decay, A)
-            T = 0.0
-            C_sum[:] = 0.0
-            dv_sum[:] = 0.0
-            reference[:] = nav
-        if keep and due:
-            node_t[node] = t[k]
-            _keep_kernel(nav, biases, extra, P, node_state[node, 0], node_P[node, 0])
+    n = belief.P.shape[0]
+    keep = stores.node_t.shape[0] > 0
+    k = steps.span.shape[0] * 0 - 1
+    e, node, output = 0, 0, 0
+    while e < agenda.shape[0]:
+        until = agenda[e, 0]
+        advance_kernel(k, until, belief, process, steps, work, pending, keep)
+        k = until
+        t = steps.t[k]  # the last one serves the start, index -1
+        if keep:
+            stores.node_t[node] = t
+            _keep_kernel(belief, stores.node_state[node, 0], stores.node_cov[node, 0])
             for i in range(n):
                 for j in range(n):
-                    node_Phi[node, i, j] = Phi[i, j]
-                    Phi[i, j] = 1.0 if i == j else 0.0
-        if aided:
-            while fix < fix_at.shape[0] and fix_at[fix] == k:
-                row = fix_rows[fix]
-                matrix_kernel(nav, C)
-                _antenna_kernel(nav, C, antenna_b, w_ib_b, fix_lla[row], fix_vel[row], H, z)
-                if markov_index >= 0:
-                    for i in range(6):
-                        H[i, markov_index + i] = 1.0
-                        z[i] += extra[markov_index - CORE + i]
-                for code in (_POSITION, _VELOCITY):
-                    a = 3 * code
-                    count = _aid_kernel(
-                        code, t[k], P, dx, H[a : a + 3], z[a : a + 3], fix_r[a : a + 3], gates, readmit_after,
-                        misses, numbers, marks, count, var, square, vectors,
-                    )  # fmt: skip
-                feedback_kernel(nav, gyro_bias, accel_bias, extra, dx)
-                fix += 1
-            while baro < baro_at.shape[0] and baro_at[baro] == k:
-                H[6] = 0.0
-                H[6, POS + 2] = -1.0
-                z[6] = nav[2] - alt_baro[baro_rows[baro]]
-                if baro_index >= 0:
-                    H[6, baro_index] = 1.0
-                    z[6] += extra[baro_index - CORE]
-                count = _aid_kernel(
-                    _BARO, t[k], P, dx, H[6:7], z[6:7], baro_r, gates, readmit_after,
-                    misses, numbers, marks, count, var, square_1, vectors,
-                )  # fmt: skip
-                feedback_kernel(nav, gyro_bias, accel_bias, extra, dx)
-                baro += 1
-            reference[:] = nav
-        if keep and due:
-            _keep_kernel(nav, biases, extra, P, node_state[node, 1], node_P[node, 1])
+                    stores.transition[node, i, j] = work.Phi[i, j]
+                    work.Phi[i, j] = 1.0 if i == j else 0.0
+        while e < agenda.shape[0] and agenda[e, 0] == until and agenda[e, 1] != OUTPUT:
+            action, kind, row, slot = agenda[e, 1], agenda[e, 2], agenda[e, 3], agenda[e, 4]
+            first = slot * pending.width
+            if action != USE:
+                if kind == SATELLITE_ROWS:
+                    made = satellites_kernel(row, first, belief, aid, sky, pending, work)
+                else:
+                    made = measure_kernel(kind, row, first, belief, aid, pending, work)
+                pending.live[slot] = made
+            if action != MEASURE:
+                made = pending.live[slot]
+                pending.live[slot] = 0
+                use_kernel(t, first, made, belief, pending, gate, log, work)
+            e += 1
+        if keep:
+            _keep_kernel(belief, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
-        while output < output_at.shape[0] and output_at[output] == k:
-            out_nav[output] = nav
-            out_biases[output] = biases
-            out_extra[output] = extra
-            out_P[output] = P
+        while e < agenda.shape[0] and agenda[e, 0] == until:
+            _keep_kernel(belief, stores.state[output], stores.P[output])
             output += 1
-    return count
+            e += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,8 +154,8 @@ class Nodes:
     output: IntArray  # (M,) node of each instant of the solution, -1 outside the record
 
 
-class Loose:
-    """Loosely coupled INS/GNSS/baro filter: 15 inertial states, a barometer bias, GNSS Markov errors.
+class Fusion:
+    """What loose and tight coupling share: options, records, the run.
 
     The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
     ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
@@ -340,13 +169,40 @@ class Loose:
         Which aiding to use; without any it navigates by the IMU alone and P is its open-loop covariance.
     gnss_markov : bool
         Estimate the Markov part of the GNSS errors in six states: with all aiding the 22 states of A-5.4.1.
+        Loose coupling only.
+    mems : bool
+        Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9).
     covariance_hz : float or None
         Rate of the covariance step; None: at every IMU sample.
     gate_probability : float
         Chance of refusing a sound sub-vector of a matched filter, (0, 1).
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7).
+        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7); every satellite
+        counts for itself.
+    integrity : sequence of {"nis", "trace", "tolerance"}
+        Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
+        fixes the distance from the INS since the last one used (A-5.4.T).
+    trace_ratio : float
+        Limit of "trace", delta of A-5.4.7.
+    max_acceleration : float
+        What the aircraft can do between fixes [m/s^2], for "tolerance".
+    tolerance_sigmas : float
+        Multiple of the receiver's standard deviation granted by "tolerance".
+    compensate_latency : bool
+        Compare a measurement with the state at its ``t``; else with that at its ``t_arrival``.
+    adaptive_noise : int or None
+        Measurements over which the variance of a sensor is taken from its innovations; None: the datasheet's.
+    standstill : bool
+        Zero velocity and zero rate whenever the IMU stands still by its own account.
+    lever_arm_sd : float
+        How well each component of the antenna's place is known [m]; above 0 it is estimated.
+    airspeed : bool
+        Use true airspeed, with the wind as two states.
+    magnetometer : bool
+        Use the direction and size of the magnetic field.
     """
+
+    tight = False
 
     def __init__(
         self,
@@ -357,8 +213,28 @@ class Loose:
         covariance_hz: float | None = None,
         gate_probability: float = 1e-5,
         readmit_after: int = 10,
+        mems: bool = False,
+        integrity: Sequence[str] = ("nis",),
+        trace_ratio: float = 10.0,
+        max_acceleration: float = 20.0,
+        tolerance_sigmas: float = 5.0,
+        compensate_latency: bool = True,
+        adaptive_noise: int | None = None,
+        standstill: bool = False,
+        lever_arm_sd: float = 0.0,
+        airspeed: bool = False,
+        magnetometer: bool = False,
     ) -> None:
-        for name, value in (("gnss", gnss), ("baro", baro), ("gnss_markov", gnss_markov)):
+        for name, value in (
+            ("gnss", gnss),
+            ("baro", baro),
+            ("gnss_markov", gnss_markov),
+            ("mems", mems),
+            ("compensate_latency", compensate_latency),
+            ("standstill", standstill),
+            ("airspeed", airspeed),
+            ("magnetometer", magnetometer),
+        ):
             if not isinstance(value, bool):
                 raise ValueError(f"{name} = {value!r} must be true or false")
         if covariance_hz is not None and not (_is_number(covariance_hz) and 0 < covariance_hz < np.inf):
@@ -367,14 +243,43 @@ class Loose:
             )
         if not (_is_number(gate_probability) and 0 < gate_probability < 1):
             raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+        if not _is_count(readmit_after):
             raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
+        if adaptive_noise is not None and not _is_count(adaptive_noise):
+            raise ValueError(
+                f"adaptive_noise = {adaptive_noise!r} must be a count of measurements, at least 1"
+            )
+        for name, number in (
+            ("trace_ratio", trace_ratio),
+            ("max_acceleration", max_acceleration),
+            ("tolerance_sigmas", tolerance_sigmas),
+        ):
+            if not (_is_number(number) and 0 < number < np.inf):
+                raise ValueError(f"{name} = {number!r} must be positive")
+        if not (_is_number(lever_arm_sd) and 0 <= lever_arm_sd < np.inf):
+            raise ValueError(f"lever_arm_sd = {lever_arm_sd!r} must be a length [m], 0 for a known antenna")
+        if isinstance(integrity, str) or not set(integrity) <= {"nis", "trace", "tolerance"}:
+            raise ValueError(f"integrity = {integrity!r} must be a list of 'nis', 'trace', 'tolerance'")
         if gnss_markov and not gnss:
             raise ValueError("gnss_markov = True needs gnss = True: the states are errors of its fixes")
-        self.gnss, self.baro, self.gnss_markov = gnss, baro, gnss_markov
+        if gnss_markov and self.tight:
+            raise ValueError("gnss_markov = True needs fixes: tight coupling uses none")
+        if lever_arm_sd > 0 and not gnss:
+            raise ValueError(
+                f"lever_arm_sd = {lever_arm_sd!r} needs gnss = True: only its antenna has an arm"
+            )
+        self.gnss, self.baro, self.gnss_markov, self.mems = gnss, baro, gnss_markov, mems
         self.covariance_hz = covariance_hz
         self.gate_probability = gate_probability
         self.readmit_after = readmit_after
+        self.integrity = tuple(integrity)
+        self.trace_ratio, self.max_acceleration = trace_ratio, max_acceleration
+        self.tolerance_sigmas = tolerance_sigmas
+        self.compensate_latency = compensate_latency
+        self.adaptive_noise = adaptive_noise
+        self.standstill = standstill
+        self.lever_arm_sd = lever_arm_sd
+        self.airspeed, self.magnetometer = airspeed, magnetometer
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance.
@@ -390,100 +295,170 @@ class Loose:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
         initial, aligned = alignment.complete(sensors, initial)
         specs = sensors.specs
-        fixes = sensors.fixes if self.gnss else None
+        fixes = sensors.fixes if self.gnss and not self.tight else None
+        seen = sensors.observations if self.gnss and self.tight else None
         baro = sensors.baro if self.baro else None
+        wind = self.airspeed and sensors.airspeed is not None
+        if seen is not None and specs.gnss is not None and specs.gnss.sky is None:
+            raise ValueError(
+                f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
+            )
         model = state_model(
-            initial, specs, baro_bias=baro is not None, gnss_markov=self.gnss_markov and fixes is not None
+            initial,
+            specs,
+            Blocks(
+                baro_bias=baro is not None,
+                gnss_markov=self.gnss_markov and fixes is not None,
+                mems=self.mems,
+                clock=seen is not None,
+                lever_arm=self.lever_arm_sd if fixes is not None or seen is not None else 0.0,
+                wind=wind,
+            ),
         )
-        layout, n = model.layout, model.layout.size
-
-        rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
-        events += aligned
-        t = np.concatenate([sensors.imu.t[rows], [initial.t]])  # the last one serves the start, index -1
-        no_rows = np.empty(0, np.int64)
-        fix_rows, fix_at, fix_r = no_rows, no_rows, np.empty(6)
-        fix_lla, fix_vel = _no_values(0, 3), _no_values(0, 3)
+        agenda = Agenda(sensors, initial.t, compensate=self.compensate_latency)
+        agenda.events += aligned
         if fixes is not None:
             values = np.hstack([fixes.lla, fixes.vel_n])
-            fix_rows, fix_at, left = timeline.aiding_rows(fixes, values, "gnss", t[:-1], initial.t)
-            events += left
-            fix_lla, fix_vel = fixes.lla, fixes.vel_n
-            fix_r = fix_variance(specs, gnss_markov=self.gnss_markov)
-        baro_rows, baro_at, alt_baro, baro_r = no_rows, no_rows, _no_values(0), np.empty(1)
+            agenda.add(FIX_ROWS, "gnss", fixes, values, fix_variance(specs, gnss_markov=self.gnss_markov))
+        sky = ranging.no_sky()
+        if seen is not None:
+            sky = agenda.add_satellites(seen, specs, float(initial.lla[0]), model.at("clock_offset"))
         if baro is not None:
-            baro_rows, baro_at, left = timeline.aiding_rows(
-                baro, baro.alt_baro[:, None], "baro", t[:-1], initial.t
-            )
-            events += left
-            alt_baro, baro_r = baro.alt_baro, np.array([known(specs.baro, "baro").white_sd ** 2])
+            variance = np.array([known(specs.baro, "baro").white_sd ** 2])
+            agenda.add(BARO_ROWS, "baro", baro, baro.alt_baro[:, None], variance)
+        if wind and sensors.airspeed is not None:
+            air = sensors.airspeed
+            variance = airspeed_variance(air, specs)
+            agenda.add(AIRSPEED_ROWS, "airspeed", air, air.airspeed_true[:, None], variance)
+        field = np.zeros((4, 3))
+        if self.magnetometer and sensors.mag is not None:
+            mag = sensors.mag
+            field = magnetic_map(initial.lla, sensors.date)
+            agenda.add(MAGNETIC_ROWS, "mag", mag, mag.field_b, field_variance(mag, specs))
+        if self.standstill:
+            last, rate_b = standstill.windows(sensors.imu, agenda.rows, specs.imu)
+            variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
+            agenda.add_samples(STANDSTILL_ROWS, last, rate_b, variance)
+        names = list(SENSORS)
+        if seen is not None:
+            names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
+        return self._filter(sensors, initial, model, agenda, sky, field, names, keep)
 
-        m = len(sensors.output_t)
-        served = sensors.output_t >= initial.t - timeline.TIME_TOLERANCE
-        served &= sensors.output_t <= np.max(t) + timeline.TIME_TOLERANCE
-        output_at = np.searchsorted(t[:-1], sensors.output_t[served] - timeline.TIME_TOLERANCE)
-        output_at[sensors.output_t[served] < initial.t + timeline.TIME_TOLERANCE] = -1
-        out = {"nav": (STATE_SIZE,), "biases": (2, 3), "extra": (n - CORE,), "P": (n, n)}
-        series = {name: np.full((len(output_at), *shape), np.nan) for name, shape in out.items()}
-        size = 6 * len(fix_at) + len(baro_at)
-        numbers, marks = np.empty((size, 4)), np.empty((size, 3), np.int64)
-        at = np.unique(np.concatenate([fix_at, baro_at, output_at])) if keep else np.empty(0, np.int64)
-        nodes = Nodes(
-            layout,
+    def _filter(
+        self,
+        sensors: SensorData,
+        initial: InitialState,
+        model: StateModel,
+        agenda: Agenda,
+        sky: Sky,
+        field: FloatArray,
+        names: list[str],
+        keep: bool,
+    ) -> tuple[NavSolution, Nodes]:
+        layout, n = model.layout, model.layout.size
+        steps, entries, slots = agenda.order()
+        values, variance = agenda.table()
+        state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, np.zeros(n - 9)])
+        lever = model.at("antenna_b")
+        if lever >= 0:
+            state[lever + 1 : lever + 4] = sensors.antenna_b
+        visible = int(np.diff(sky.epoch_start).max(initial=0))
+        width = 2 * visible + 6
+        size = 7 * len(values) + 2 * len(sky.t)
+        log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+        m = len(agenda.outputs)
+        at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
+        stores = Stores(
+            np.empty((m, n + 1)),
+            np.empty((m, n, n)),
             np.empty(len(at)),
             np.empty((len(at), 2, n + 1)),
             np.empty((len(at), 2, n, n)),
             np.empty((len(at), n, n)),
-            np.full(m, -1),
         )
+        _fusion_kernel(
+            entries,
+            Belief(state, model.P, np.zeros(n)),
+            Process(
+                model.q,
+                model.decay_time,
+                model.decay_distance,
+                model.stationary,
+                model.drives,
+                model.at("gyro_scale"),
+                model.at("g_sensitivity_x"),
+                model.at("clock_offset"),
+                0.0 if self.covariance_hz is None else (1.0 - 1e-6) / self.covariance_hz,
+            ),
+            ImuSteps(
+                np.append(steps.t, initial.t),  # the last one serves the start, index -1
+                steps.span,
+                steps.row,
+                steps.share,
+                steps.unknown,
+                sensors.imu.dtheta_b,
+                sensors.imu.dvel_b,
+            ),
+            Aid(
+                values,
+                variance,
+                sensors.antenna_b.copy(),
+                field,
+                initial.lla.copy(),
+                model.at("baro_bias"),
+                model.at("gnss_pos"),
+                lever,
+                model.at("wind_north"),
+                model.at("g_sensitivity_x"),
+            ),
+            sky,
+            Pending(
+                np.zeros((slots * width, n)),
+                np.zeros(slots * width),
+                np.zeros(slots * width),
+                np.zeros((slots * width, 4), np.int64),
+                np.zeros(slots, np.int64),
+                width,
+            ),
+            self._gate(len(names), initial.t),
+            log,
+            stores,
+            work_for(n, len(model.drives)),
+        )
+        count = int(log.filled[0])
+        numbers, marks = log.numbers[:count], log.marks[:count]
+        out_state, out_P = (
+            np.full((len(sensors.output_t), n + 1), np.nan),
+            np.full((len(sensors.output_t), n, n), np.nan),
+        )
+        out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
+        events = agenda.events + refusals(numbers[:, 0], marks, names)
+        node = np.full(len(sensors.output_t), -1)
         if keep:
-            nodes.output[served] = np.searchsorted(at, output_at)
-        count = _fusion_kernel(
-            np.concatenate([initial.lla, initial.vel_n, initial.q_nb]),
-            np.zeros((2, 3)),
-            np.zeros(n - CORE),
-            model.P,
-            model.q,
-            model.decay_time,
-            model.decay_distance,
-            model.stationary,
-            t[:-1],
-            span,
-            span / sensors.imu.dt[rows],
-            rows,
-            sensors.imu.dtheta_b,
-            sensors.imu.dvel_b,
-            0.0 if self.covariance_hz is None else (1.0 - 1e-6) / self.covariance_hz,
-            fix_rows,
-            fix_at,
-            fix_lla,
-            fix_vel,
-            fix_r,
-            sensors.antenna_b,
-            baro_rows,
-            baro_at,
-            alt_baro,
-            baro_r,
-            layout.slice("baro_bias").start if layout.has("baro_bias") else -1,
-            layout.slice("gnss_pos").start if layout.has("gnss_pos") else -1,
-            _gates(self.gate_probability),
-            self.readmit_after,
-            output_at.astype(np.int64),
-            series["nav"],
-            series["biases"],
-            series["extra"],
-            series["P"],
-            numbers,
-            marks,
-            nodes.t,
-            nodes.state,
-            nodes.P,
-            nodes.Phi,
-        )
-        full = {name: np.full((m, *shape), np.nan) for name, shape in out.items()}
-        for name, values in series.items():
-            full[name][served] = values
+            answered = entries[entries[:, 1] == OUTPUT, 0]
+            node[agenda.outputs] = np.searchsorted(at, answered)
+        nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
         told = timeline.as_events(events)
-        return _solution(sensors, layout, full, numbers[:count], marks[:count], told), nodes
+        return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), told), nodes
+
+    def _gate(self, channels: int, start: float) -> Gate:
+        """Return the tests asked for, with empty memories."""
+        bounds = np.full(4, np.inf)
+        if "nis" in self.integrity:
+            bounds[1:] = [nis_limit(m, self.gate_probability) for m in (1, 2, 3)]
+        readmit = np.full(len(SENSORS), int(self.readmit_after))
+        readmit[[ZERO_VELOCITY, ZERO_RATE]] = _NEVER
+        return Gate(
+            nis=bounds,
+            trace=self.trace_ratio if "trace" in self.integrity else np.inf,
+            max_acceleration=self.max_acceleration if "tolerance" in self.integrity else np.inf,
+            sigmas=float(self.tolerance_sigmas),
+            memory=0.0 if self.adaptive_noise is None else 1.0 / self.adaptive_noise,
+            readmit_after=readmit,
+            misses=np.zeros(channels, np.int64),
+            used=np.full(channels, start),
+            level=np.ones(len(SENSORS)),
+        )
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -492,62 +467,100 @@ class Loose:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
-        return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=self.gnss_markov)
+        return unmodelled(
+            specs,
+            gnss=self.gnss,
+            baro=self.baro,
+            gnss_markov=self.gnss_markov,
+            mems=self.mems,
+            tight=self.tight,
+            latency=self.compensate_latency,
+            airspeed=self.airspeed,
+            magnetometer=self.magnetometer,
+        )
+
+
+class Loose(Fusion):
+    """Loosely coupled INS/GNSS/baro filter: position and velocity of a receiver's fixes."""
+
+
+class Tight(Fusion):
+    """Tightly coupled INS/GNSS/baro filter: range and range rate of each satellite, the receiver's clock.
+
+    With the clock, its drift and the offset of its GLONASS as states it goes on with any number of
+    satellites, and refuses one without the others.
+    """
+
+    tight = True
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _no_values(*shape: int) -> FloatArray:
-    """Return an empty column, read-only as those of a record: the kernel is compiled for one kind."""
-    column = np.empty(shape)
-    column.flags.writeable = False
-    return column
+def _is_count(value: object) -> bool:
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and value >= 1 and value == int(value)
+    )
 
 
-def _gates(probability: float) -> FloatArray:
-    """Return the largest NIS of each sub-vector that is accepted (A-5.4.7)."""
-    from scipy.special import gammaincinv
+def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
+    """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
 
-    gates: FloatArray = 2.0 * gammaincinv(np.array([1.5, 1.5, 0.5]), 1.0 - probability)
-    return gates
+    What is left out at 100 km is 10 nT, at 500 km 300 nT.
+    """
+    step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
+    ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])
+    around = field_n(np.vstack([lla, earth.displace(lla, ends)]), date)
+    return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])
 
 
-def _solution(
-    sensors: SensorData,
-    layout: StateLayout,
-    out: dict[str, FloatArray],
-    numbers: FloatArray,
-    marks: IntArray,
-    events: Events,
+def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[timeline.Event]:
+    """Return an event for every row of refusals of one channel, from the first to the last instant."""
+    events = []
+    first = marks[:, 1] == 0
+    for channel in np.unique(marks[first & (marks[:, 2] == 0), 3]):
+        rows = np.flatnonzero(first & (marks[:, 3] == channel))
+        refused = marks[rows, 2] == 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
+        for begin, end in edges.reshape(-1, 2):
+            span = float(t[rows[begin]]), float(t[rows[end - 1]])
+            events.append((*span, "refused", f"{names[channel]}: {end - begin} in a row refused"))
+    return sorted(events)
+
+
+def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
+    """Return the table of the innovations a kernel has logged."""
+    if len(numbers) == 0:
+        return no_innovations()
+    return Innovations(
+        t=numbers[:, 0],
+        sensor=SENSORS,
+        code=marks[:, 0],
+        component=marks[:, 1],
+        z=numbers[:, 1],
+        S=numbers[:, 2],
+        nis=numbers[:, 3],
+        accepted=marks[:, 2].astype(np.bool_),
+    )
+
+
+def solution(
+    t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
 ) -> NavSolution:
-    nav, P = out["nav"], out["P"]
-    states = np.concatenate([out["biases"].reshape(len(nav), 6), out["extra"]], axis=1)
+    """Return states (M, n + 1) and covariances (M, n, n) at instants t as a solution; NaN is no answer."""
     variance = np.einsum("kii->ki", P)[:, 9:]
-    innovations = no_innovations()
-    if len(numbers):
-        innovations = Innovations(
-            t=numbers[:, 0],
-            sensor=SENSORS,
-            code=marks[:, 0],
-            component=marks[:, 1],
-            z=numbers[:, 1],
-            S=numbers[:, 2],
-            nis=numbers[:, 3],
-            accepted=marks[:, 2].astype(np.bool_),
-        )
     return NavSolution(
-        t=sensors.output_t,
-        lla=nav[:, :3],
-        vel_n=nav[:, 3:6],
-        q_nb=nav[:, 6:],
-        gyro_bias_b=out["biases"][:, 0],
-        accel_bias_b=out["biases"][:, 1],
+        t=t,
+        lla=state[:, :3],
+        vel_n=state[:, 3:6],
+        q_nb=state[:, 6:10],
+        gyro_bias_b=state[:, 10:13],
+        accel_bias_b=state[:, 13:16],
         cov=P[:, :9, :9],
         extra_names=layout.labels(),
-        extra=states,
+        extra=state[:, 10:],
         extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
-        innovations=innovations,
+        innovations=table,
         events=events,
     )

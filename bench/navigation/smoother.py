@@ -1,4 +1,4 @@
-"""Rauch-Tung-Striebel smoother over a stored forward run of the loose filter.
+"""Rauch-Tung-Striebel smoother over a stored forward run.
 
 The forward run is an error-state filter in closed loop. Between two nodes its state moves from x_j (after the
 updates of node j) to x_{j+1}^- (before those of node j+1), with the error transition Phi. Going back,
@@ -13,40 +13,36 @@ other, and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation.error_state import CORE, PHI, POS, VEL
-from bench.navigation.fusion import Loose, Nodes
+from bench.navigation.fusion import Loose, Nodes, Tight, solution
 from bench.specs import AssumedSpecs
 
 
 class Smoother:
-    """The loose filter, then back over its record; options as for `bench.navigation.fusion.Loose`.
+    """A loose or tight filter, then back over its record.
 
     Innovations and events are those of the forward run.
+
+    Parameters
+    ----------
+    over : "loose" or "tight"
+        The forward filter.
+    covariance_hz : float or None
+        As the rest of the options, of `bench.navigation.fusion.Fusion`.
     """
 
-    def __init__(
-        self,
-        *,
-        gnss: bool = True,
-        baro: bool = True,
-        gnss_markov: bool = False,
-        covariance_hz: float | None = 20.0,
-        gate_probability: float = 1e-5,
-        readmit_after: int = 10,
-    ) -> None:
-        self.filter = Loose(
-            gnss=gnss,
-            baro=baro,
-            gnss_markov=gnss_markov,
-            covariance_hz=covariance_hz,
-            gate_probability=gate_probability,
-            readmit_after=readmit_after,
-        )
+    def __init__(self, *, over: str = "loose", covariance_hz: float | None = 20.0, **options: Any) -> None:
+        if over not in ("loose", "tight"):
+            raise ValueError(f"over = {over!r} must be 'loose' or 'tight'")
+        filter_ = Tight if over == "tight" else Loose
+        self.filter = filter_(covariance_hz=covariance_hz, **options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate with all measurements of the record, those after an instant too.
@@ -62,21 +58,7 @@ class Smoother:
         x = np.full((len(forward), state.shape[1]), np.nan)
         cov = np.full((len(forward), *P.shape[1:]), np.nan)
         x[served], cov[served] = state[nodes.output[served]], P[nodes.output[served]]
-        variance = np.einsum("kii->ki", cov)[:, 9:]
-        return NavSolution(
-            t=forward.t,
-            lla=x[:, :3],
-            vel_n=x[:, 3:6],
-            q_nb=x[:, 6:10],
-            gyro_bias_b=x[:, 10:13],
-            accel_bias_b=x[:, 13:16],
-            cov=cov[:, :9, :9],
-            extra_names=forward.extra_names,
-            extra=x[:, 10:],
-            extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
-            innovations=forward.innovations,
-            events=forward.events,
-        )
+        return solution(forward.t, nodes.layout, x, cov, forward.innovations, forward.events)
 
     @property
     def needs(self) -> tuple[str, ...]:

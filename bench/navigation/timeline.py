@@ -1,20 +1,142 @@
-"""Which rows of a sensor record are used, and the count of the rest.
+"""Which rows of a sensor record are used and when, and the count of the rest.
 
-A row is used at the first IMU sample at or after its arrival. What is left out
-is never repaired: it becomes a "timeline" event of the solution.
+A row is used at the first step of the filter at or after its arrival. What is left out
+is never repaired: it becomes a "timeline" event of the solution. A gap in the IMU record is
+bridged by the rates of the last sample before it (nothing later has arrived), and the filter is
+told how little these say of the motion (:func:`bridge_variance`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import BaroData, Events, GnssFixes, ImuData
+from bench.data import AirspeedData, BaroData, Events, GnssFixes, ImuData, MagData
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
+BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]
+_BRIDGE_STEPS = 20_000  # over one gap at most, so that a wild time tag fills no memory
+
+# Rates over a gap: those of the last sample, and a manoeuvre that forgets itself. Rolling into a 30 deg turn
+# within a few seconds changes rates by 0.1 to 0.2 rad/s and the specific force by 2 to 3 m/s^2 per axis.
+_BRIDGE_RATE_SD = 0.15  # [rad/s]
+_BRIDGE_FORCE_SD = 2.5  # [m/s^2]
+_BRIDGE_CORRELATION = 3.0  # [s]
+
+Event = tuple[float, float, str, str]
+AidingRecord = GnssFixes | BaroData | MagData | AirspeedData
 
 
-def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[tuple[float, float, str, str]]]:
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What a filter integrates, one step after the other."""
+
+    t: FloatArray  # (K,) end of each step [s]
+    span: FloatArray  # (K,) its length [s]
+    row: IntArray  # (K,) IMU row whose rates it goes by
+    share: FloatArray  # (K,) the step over the length of that row [1]
+    unknown: FloatArray  # (K, 2) variance of velocity [m^2/s^2] and attitude [rad^2] that a gap adds
+    sample: IntArray  # (K,) IMU sample in use that the step ends at or before
+
+
+def bridge_variance(elapsed: FloatArray) -> FloatArray:
+    """Return the variance (K, 2) of velocity and attitude after rates were held for a time (K,) [s].
+
+    What the rates differ by from the held ones is a Gauss-Markov process less its value at the start of the
+    gap; this is the variance of its integral: ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for
+    long ones.
+    """
+    tau = _BRIDGE_CORRELATION
+    u = elapsed / tau
+    lost = -np.expm1(-u)
+    integral = 2.0 * (u - lost) + u * u - 2.0 * u * lost
+    short = u < 1e-3  # the difference above is rounding
+    integral = np.where(short, 2.0 / 3.0 * u**3, integral)
+    sd = np.array([_BRIDGE_FORCE_SD, _BRIDGE_RATE_SD])
+    variance: FloatArray = integral[:, None] * (sd * tau) ** 2
+    return variance
+
+
+def steps(
+    imu: ImuData, rows: IntArray, span: FloatArray, start: float, instants: FloatArray, in_gaps: FloatArray
+) -> Steps:
+    """Return the steps of a filter over IMU rows in use.
+
+    Parameters
+    ----------
+    imu : ImuData
+        Record.
+    rows, span : (K,) arrays
+        As :func:`imu_rows` returns them.
+    start : float
+        Instant of the initial state [s].
+    instants : (M,) array
+        Where a step has to end too [s], wherever it is.
+    in_gaps : (M,) array
+        Where one has to end when there is a gap [s].
+    """
+    t, dt = imu.t[rows], imu.dt[rows]
+    ends = np.concatenate([[start], t])
+    gap = span > dt + TIME_TOLERANCE
+    cuts = [_inside(instants, ends)]
+    if gap.any():
+        # a row after a gap covers its own length; what is before it has to be bridged
+        for k in np.flatnonzero(gap):
+            first, last = ends[k], t[k] - dt[k]
+            count = min(int(np.ceil((last - first) / BRIDGE_STEP)), _BRIDGE_STEPS)
+            cuts.append(np.linspace(first, last, count + 1)[1:])
+        inside = _inside(in_gaps, ends)
+        cuts.append(inside[gap[np.searchsorted(ends, inside) - 1]])
+    extra = np.unique(np.concatenate(cuts))
+    if len(extra):
+        extra = extra[np.diff(extra, prepend=-np.inf) > TIME_TOLERANCE]
+        extra = _inside(extra, ends)
+    if len(extra) == 0:
+        return Steps(t, span, rows, span / dt, np.zeros((len(t), 2)), np.arange(len(t)))
+    cut_t = np.concatenate([t, extra])
+    order = np.argsort(cut_t, kind="stable")
+    cut_t = cut_t[order]
+    sample = np.searchsorted(t, cut_t - 0.5 * TIME_TOLERANCE)
+    cut_span = np.diff(cut_t, prepend=start)
+    row, share = rows[sample], cut_span / dt[sample]
+    unknown = np.zeros((len(cut_t), 2))
+    into = cut_t - ends[sample]  # since the sample before
+    bridged = gap[sample] & (into <= span[sample] - dt[sample] + 0.5 * TIME_TOLERANCE)
+    if bridged.any():
+        held = np.maximum(sample[bridged] - 1, 0)  # before the first sample there is only the first
+        row[bridged], share[bridged] = rows[held], cut_span[bridged] / dt[held]
+        after, before = into[bridged], into[bridged] - cut_span[bridged]
+        unknown[bridged] = bridge_variance(after) - bridge_variance(np.maximum(before, 0.0))
+    return Steps(cut_t, cut_span, row, share, unknown, sample)
+
+
+def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
+    """Return the instants that lie between the first and the last of ``ends`` and at none of them."""
+    instants = instants[(instants > ends[0]) & (instants < ends[-1])]
+    if len(instants) == 0:
+        return instants
+    after = np.searchsorted(ends, instants)
+    apart = np.minimum(ends[after] - instants, instants - ends[after - 1])
+    return instants[apart > TIME_TOLERANCE]
+
+
+def output_rows(output_t: FloatArray, start: float, end: float) -> tuple[IntArray, FloatArray, list[Event]]:
+    """Return the rows of ``output_t`` to serve in the order of time, their instants, and the events."""
+    back = np.flatnonzero(np.diff(output_t) <= TIME_TOLERANCE) + 1
+    events: list[Event] = []
+    if len(back):
+        t = output_t[back]
+        text = f"output: {len(back)} instants repeated or going back in time"
+        events.append((float(t.min()), float(t.max()), "timeline", text))
+    rows = np.argsort(output_t, kind="stable")
+    t = output_t[rows]
+    served = (t >= start - TIME_TOLERANCE) & (t <= end + TIME_TOLERANCE)
+    return rows[served], t[served], events
+
+
+def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Event]]:
     """Return the rows of an IMU record to integrate, the interval each one has to cover, and the events.
 
     Parameters
@@ -29,14 +151,15 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[tup
     -------
     rows : (K,) int array
     span : (K,) array
-        From the row before (or ``start``) to each row [s]. It exceeds ``imu.dt`` where rows are missing: the
-        rates of the row are then held over the gap, and an event says so.
+        From the row before (or ``start``) to each row [s]. It exceeds ``imu.dt`` where rows are missing, and
+        an event says so.
     events : list of (t, t_end, kind, text)
     """
     sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
     sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
-    events = _left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
+    events = left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
     later = sound & (imu.t > start + TIME_TOLERANCE)
+    events += left_out("imu", imu.t, sound & ~later, "before the start")
     rows = np.flatnonzero(later)
     t = imu.t[rows]
     if len(t):
@@ -44,7 +167,7 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[tup
         ordered = t > newest + TIME_TOLERANCE
         out = np.zeros(len(imu.t), np.bool_)
         out[rows[~ordered]] = True
-        events += _left_out("imu", imu.t, out, "repeated or going back in time")
+        events += left_out("imu", imu.t, out, "repeated or going back in time")
         rows, t = rows[ordered], t[ordered]
     span = np.diff(t, prepend=start)
     gaps = np.flatnonzero(span > imu.dt[rows] + TIME_TOLERANCE)
@@ -56,13 +179,13 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[tup
 
 
 def aiding_rows(
-    record: GnssFixes | BaroData, values: FloatArray, name: str, imu_t: FloatArray, start: float
-) -> tuple[IntArray, IntArray, list[tuple[float, float, str, str]]]:
+    record: AidingRecord, values: FloatArray, name: str, imu_t: FloatArray, start: float
+) -> tuple[IntArray, IntArray, list[Event]]:
     """Return the rows of an aiding record to use, the IMU sample each is used at, and the events.
 
     Parameters
     ----------
-    record : GnssFixes or BaroData
+    record : GnssFixes, BaroData, MagData or AirspeedData
         Record; rows that are flagged, not finite or repeated are left out.
     values : (M, n) array
         What must be finite in a row.
@@ -75,31 +198,39 @@ def aiding_rows(
     """
     sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
     sound &= np.isfinite(values).all(axis=1)
-    events = _left_out(name, record.t, ~sound, "flagged or not finite")
+    return ordered_rows(record.t, record.t_arrival, sound, name, imu_t, start)
+
+
+def ordered_rows(
+    t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, imu_t: FloatArray, start: float
+) -> tuple[IntArray, IntArray, list[Event]]:
+    """Return what :func:`aiding_rows` does, of rows by their times and whether they are ``sound`` (M,)."""
+    events = left_out(name, t, ~sound, "flagged or not finite")
     rows = np.flatnonzero(sound)
-    rows = rows[np.argsort(record.t_arrival[rows], kind="stable")]
-    t = record.t[rows]
-    if len(t):
-        newest = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
-        fresh = t > newest + TIME_TOLERANCE
-        out = np.zeros(len(record.t), np.bool_)
+    rows = rows[np.argsort(t_arrival[rows], kind="stable")]
+    valid_t = t[rows]
+    if len(rows):
+        newest = np.concatenate([[-np.inf], np.maximum.accumulate(valid_t)[:-1]])
+        fresh = valid_t > newest + TIME_TOLERANCE
+        out = np.zeros(len(t), np.bool_)
         out[rows[~fresh]] = True
-        events += _left_out(name, record.t, out, "repeated or going back in time")
+        events += left_out(name, t, out, "repeated or going back in time")
         rows = rows[fresh]
-    sample = np.searchsorted(imu_t, record.t_arrival[rows] - TIME_TOLERANCE)
-    inside = (sample < len(imu_t)) & (record.t_arrival[rows] > start - TIME_TOLERANCE)
-    out = np.zeros(len(record.t), np.bool_)
+    sample = np.searchsorted(imu_t, t_arrival[rows] - TIME_TOLERANCE)
+    inside = (sample < len(imu_t)) & (t_arrival[rows] > start - TIME_TOLERANCE)
+    out = np.zeros(len(t), np.bool_)
     out[rows[~inside]] = True
-    events += _left_out(name, record.t, out, "outside the time of the imu")
+    events += left_out(name, t, out, "outside the time of the imu")
     return rows[inside], sample[inside].astype(np.int64), events
 
 
-def as_events(rows: list[tuple[float, float, str, str]]) -> Events:
+def as_events(rows: list[Event]) -> Events:
     """Return the collected rows as one table."""
     return Events.from_rows(rows)
 
 
-def _left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[tuple[float, float, str, str]]:
+def left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[Event]:
+    """Return the event that counts the rows ``out`` (M,) of a record, none when there are none."""
     if not out.any():
         return []
     times = t[out]

@@ -23,7 +23,7 @@ from bench.navigation import alignment, timeline
 from bench.navigation.error_state import CORE, GYRO, PHI, POS, VEL
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.mechanization import body_step_kernel, step_kernel
-from bench.navigation.state_model import StateModel, fix_variance, known, state_model, unmodelled
+from bench.navigation.state_model import Blocks, StateModel, fix_variance, known, state_model, unmodelled
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
@@ -112,7 +112,7 @@ class Unscented:
         initial, events = alignment.complete(sensors, initial)
         fixes = sensors.fixes if self.gnss else None
         baro = sensors.baro if self.baro else None
-        model = state_model(initial, sensors.specs, baro_bias=baro is not None, gnss_markov=False)
+        model = state_model(initial, sensors.specs, Blocks(baro_bias=baro is not None))
         rows, span, left = timeline.imu_rows(sensors.imu, initial.t)
         events += left
         t = sensors.imu.t[rows]

@@ -14,7 +14,7 @@ from pyarrow import csv
 
 from bench.store.columns import Layout
 
-DAMAGED = (pa.ArrowException, KeyError, TypeError, ValueError, OSError)
+DAMAGED = (pa.ArrowException, KeyError, TypeError, ValueError, OverflowError, OSError)
 """What reading a file that is damaged, or none of ours, raises."""
 
 

@@ -104,6 +104,9 @@ def navigate(
         session.check_room(duration)
     keep, withheld = session.withheld()
     data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
+    records = {name for name in estimator.RECORDS if getattr(data, name) is not None}
+    for label, one in built.items():
+        estimator.check_needs(one, label, records, spec.name)
     solutions, errors, metrics = {}, {}, {}
     for label, one in built.items():
         solutions[label] = estimator.answer(one, label, data, session.initial)

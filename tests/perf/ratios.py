@@ -8,13 +8,14 @@ limit is exceeded.
 from __future__ import annotations
 
 import os
+import pickle
 import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from rich.table import Table
 
 from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
-from bench.navigation.fusion import Loose
+from bench.navigation.fusion import Loose, Tight
 from bench.navigation.mechanization import propagate
 from bench.specs import (
     FlightSpec,
@@ -201,6 +202,50 @@ def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:
     ]
 
 
+def tight(profile: Profile, truth: Trajectory) -> list[Figure]:
+    """Sixteen satellites at 1 Hz, as seen from the flight: GPS and GLONASS, some hidden in turns."""
+    flown = config.load_profile(profile.name, {"sensors.gnss": "sky-l1", "sensors.gnss_outage": []})
+    sensed = pipeline.sense(flown, truth)
+    data, initial, imu = sensed.data, sensed.initial, sensed.data.imu
+    assert data.observations is not None
+    print(f"{len(data.observations) / (len(data.observations.epoch_start) - 1):.1f} satellites per epoch")
+
+    def strapdown() -> None:
+        propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
+
+    slow = Tight(covariance_hz=20.0)
+    cost = ratio(lambda: slow.run(data, initial), strapdown)
+    return [Figure("tight, 20 Hz covariance / strapdown", cost, 8.0, "x")]
+
+
+def compiling() -> list[Figure]:
+    """CPU of compiling the kernels of all estimators: first run less second, in fresh processes."""
+    code = (
+        "import time, pickle, sys; from bench.navigation.estimator import BUILT_IN, load;"
+        "data, initial = pickle.load(open(sys.argv[1], 'rb'));"
+        "start = time.process_time(); [load(n, {}).run(data, initial) for n in BUILT_IN];"
+        "print(time.process_time() - start)"
+    )
+    flown = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1", "duration_s": 30.0})
+    sensed = pipeline.sense(flown, pipeline.fly(flown))
+    with tempfile.TemporaryDirectory() as folder:
+        given = Path(folder) / "given.pickle"
+        given.write_bytes(pickle.dumps((sensed.data, sensed.initial)))
+        environment = dict(os.environ) | {"BENCH_CACHE": str(Path(folder) / "cache")}
+        spent = [
+            float(
+                subprocess.run(
+                    [sys.executable, "-c", code, str(given)],
+                    env=environment,
+                    capture_output=True,
+                    check=True,
+                ).stdout
+            )
+            for _ in range(2)
+        ]
+    return [Figure("compiling all estimators", spent[0] - spent[1], 40.0, "s CPU")]
+
+
 def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> list[Figure]:
     """Largest relative change of a pooled RMSE when the covariance runs at 20 Hz."""
     names = (
@@ -303,6 +348,43 @@ def commands() -> list[Figure]:
     ]
 
 
+FIRST_ANSWER = """
+import pickle, sys
+from bench.navigation.estimator import BUILT_IN, load
+with open(sys.argv[1], "rb") as file:
+    data, initial = pickle.load(file)
+for name in sys.argv[2:] or BUILT_IN:
+    load(name, {}).run(data, initial)
+"""
+
+
+def starting(sensed: Sensed) -> list[Figure]:
+    """First answers to two seconds of a record, each in a process of its own: compiling, and compiled."""
+    imu = sensed.data.imu
+    begun = {f.name: getattr(imu, f.name)[:400] for f in fields(imu)}
+    data = replace(sensed.data, imu=replace(imu, **begun), output_t=sensed.data.output_t[:21])
+
+    def process(cache: Path, *names: str) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [sys.executable, "-c", FIRST_ANSWER, str(given), *names],
+            env=dict(os.environ) | {"BENCH_CACHE": str(cache)},
+            check=True,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    with tempfile.TemporaryDirectory() as folder:
+        given, cache = Path(folder) / "given.pickle", Path(folder) / "cache"
+        given.write_bytes(pickle.dumps((data, sensed.initial)))
+        first = process(cache)
+        warm = float(np.median([process(cache, "loose-22") for _ in range(3)]))
+    return [
+        Figure("all built-in estimators, first ever, compiling", first, 40.0, "s CPU"),
+        Figure("loose-22, kernels warm: start of Python to first answer", warm, 1.5, "s CPU"),
+    ]
+
+
 def main() -> None:
     profile = config.load_profile("figure-eight")
     matched = config.load_profile("figure-eight-matched")
@@ -310,8 +392,11 @@ def main() -> None:
     sensed = pipeline.sense(profile, truth)
     figures = [
         *navigating(truth, sensed),
+        *tight(profile, truth),
+        *compiling(),
         *slower_covariance(matched, truth),
         *against_python_ins(truth, sensed),
+        *starting(sensed),
         *sensing(profile, truth),
         *flying(profile),
         *commands(),

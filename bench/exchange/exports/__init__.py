@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from textwrap import fill
 
 from bench.exchange.exports.gather import gather, reading
-from bench.exchange.exports.outgoing import CLOCK, FRAMES, ExportError, Outgoing
+from bench.exchange.exports.outgoing import FRAMES, ExportError, Outgoing
 
 FORMATS: Mapping[str, tuple[str, str]] = {
     "csv": ("tables", "CSV, a table per sensor, and start.json"),
@@ -24,6 +25,7 @@ FORMATS: Mapping[str, tuple[str, str]] = {
 """Format -> (module, what it is)."""
 
 README = "README.md"
+_WIDTH = 110
 
 
 def write(folder: Path, kind: str, outgoing: Outgoing, title: str) -> None:
@@ -38,8 +40,32 @@ def write(folder: Path, kind: str, outgoing: Outgoing, title: str) -> None:
     """
     module = import_module(f"bench.exchange.exports.{FORMATS[kind][0]}")
     said: str = module.write(folder, outgoing, kind)
-    text = f"# {title}\n\n{said.strip()}\n\n{CLOCK} {FRAMES}\n"
+    clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."
+    text = _filled(f"# {title}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
+
+
+def _filled(text: str) -> str:
+    """Return Markdown with its paragraphs and points filled; headings, tables and code stay as they are."""
+    lines: list[str] = []
+    open_text, code = False, False
+    for line in text.splitlines():
+        fence = line.startswith("```")
+        as_it_is = code or fence or not line or line.startswith(("#", "|", "    "))
+        code ^= fence
+        if open_text and not as_it_is and not line.startswith("- "):
+            lines[-1] += f" {line.strip()}"
+        else:
+            lines.append(line)
+        open_text = not as_it_is
+    return "".join(f"{_wrapped(line)}\n" for line in lines)
+
+
+def _wrapped(line: str) -> str:
+    if line.startswith(("#", "|", "    ")) or len(line) <= _WIDTH:
+        return line
+    hanging = "  " if line.startswith("- ") else ""
+    return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
 __all__ = ["FORMATS", "README", "ExportError", "Outgoing", "gather", "reading", "write"]

@@ -51,7 +51,9 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
                 tracks[f"solution-{label}"] = store.load_solution(folder, label)
             else:
                 raise ExportError(f"--with {name}: must be truth or solution:NAME")
-    return Outgoing(imu, fixes, baro, observations, start, mag, airspeed, tracks)
+        run = Outgoing(imu, fixes, baro, observations, start, mag, airspeed, tracks)
+        store.initial_state(start), run.calendar, run.assumed("gyro"), run.assumed("accel")  # they are there
+    return run
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench import rotation
-from bench.exchange.exports.outgoing import SECOND, WEEK, Outgoing
+from bench.exchange.exports.outgoing import Outgoing
 from bench.specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
@@ -25,20 +25,20 @@ _LONGEST = 1.0  # correlation time where the datasheet has none; a time of 0 wou
 
 def write(folder: Path, out: Outgoing, kind: str) -> str:
     """Write the text files and the configuration; return what the README says of them."""
-    imu, rows = out.imu, out.good_fixes()
+    imu, rows, calendar = out.imu, out.good_fixes(), out.calendar
     fixes = out.fixes
     assert fixes is not None  # there are rows
-    parquet.write_text(folder / IMU, np.column_stack([imu.t + SECOND, imu.dtheta_b, imu.dvel_b]))
+    parquet.write_text(folder / IMU, np.column_stack([imu.t + calendar.second, imu.dtheta_b, imu.dvel_b]))
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[rows]))
     place = np.rad2deg(fixes.lla[rows, :2])
     parquet.write_text(
-        folder / GNSS, np.column_stack([fixes.t[rows] + SECOND, place, fixes.lla[rows, 2], sd])
+        folder / GNSS, np.column_stack([fixes.t[rows] + calendar.second, place, fixes.lla[rows, 2], sd])
     )
     for name, track in out.tracks.items():
         angles = np.rad2deg(np.column_stack(rotation.to_euler(track.q_nb)))
-        week = np.full(len(track.t), float(WEEK))
+        week = np.full(len(track.t), float(calendar.week))
         place = np.rad2deg(track.lla[:, :2])
-        columns = [week, track.t + SECOND, place, track.lla[:, 2], track.vel_n, angles]
+        columns = [week, track.t + calendar.second, place, track.lla[:, 2], track.vel_n, angles]
         parquet.write_text(folder / f"{name}.nav", np.column_stack(columns))
     (folder / CONFIGURATION).write_text(_configuration(out), encoding="utf-8")
     left_out = len(fixes) - len(rows)
@@ -59,7 +59,8 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
   `corrtime` that of the gyros.
 
 `KF_GINS_Navresult.nav` is scored by `bench score` once its columns have names: `t_s, lat_deg, lon_deg, alt_m,
-vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, pitch_deg, yaw_deg` from its second on, with `--t0 {SECOND:g}`."""
+vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, pitch_deg, yaw_deg` from its second on, with
+`--t0 {calendar.second:.9g}`."""
 
 
 _NAV = (
@@ -109,7 +110,7 @@ def _configuration(out: Outgoing) -> str:
         'outputpath: "."',
         "imudatalen: 7",
         f"imudatarate: {round(out.rate)}",
-        f"starttime: {float(out.imu.t[0]) + SECOND:.9f}",
+        f"starttime: {float(out.imu.t[0]) + out.calendar.second:.9f}",
         "endtime: -1",
         *(f"{key}: {listed(numbers)}" for key, numbers in values.items()),
         "imunoise:",

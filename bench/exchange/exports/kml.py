@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-from datetime import datetime, timedelta
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.exchange.exports.outgoing import Outgoing, thinned
+from bench.exchange.exports.outgoing import Calendar, Outgoing, thinned
 
 FILE = "tracks.kml"
 _KML, _GX = "http://www.opengis.net/kml/2.2", "http://www.google.com/kml/ext/2.2"
-_MIDNIGHT = datetime(2026, 1, 4)
 _TRACK_RATE = 10.0  # points of a track in a second, at most [Hz]
 
 
@@ -27,12 +25,12 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     said = []
     if out.fixes is not None:
         rows = out.good_fixes()
-        _track(document, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
+        _track(document, out.calendar, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
         said.append(f"- GNSS fixes: the {len(rows)} that the receiver calls valid, of its antenna")
     for name, track in out.tracks.items():
         kept = thinned(track.t, _TRACK_RATE)
         kept = kept[np.isfinite(track.lla[kept]).all(axis=1)]
-        _track(document, name, track.t[kept], track.lla[kept])
+        _track(document, out.calendar, name, track.t[kept], track.lla[kept])
         said.append(f"- {name}: {len(kept)} points of the IMU, {_TRACK_RATE:g} a second at most")
     if not said:
         from bench.exchange.exports.outgoing import ExportError
@@ -50,13 +48,13 @@ Coordinates are longitude, latitude [deg], height [m]; `when` is UTC. A globe ta
 sea level; these are above the ellipsoid, off by the height of the geoid, up to 100 m."""
 
 
-def _track(document: Xml.Element, name: str, t: FloatArray, lla: FloatArray) -> None:
+def _track(document: Xml.Element, calendar: Calendar, name: str, t: FloatArray, lla: FloatArray) -> None:
     mark = Xml.SubElement(document, f"{{{_KML}}}Placemark")
     Xml.SubElement(mark, f"{{{_KML}}}name").text = name
     track = Xml.SubElement(mark, f"{{{_GX}}}Track")
     Xml.SubElement(track, f"{{{_KML}}}altitudeMode").text = "absolute"
     for seconds in t:
-        when = _MIDNIGHT + timedelta(milliseconds=round(1e3 * float(seconds)))
+        when = calendar.at(seconds)
         Xml.SubElement(track, f"{{{_KML}}}when").text = f"{when.isoformat(timespec='milliseconds')}Z"
     for lat, lon, alt in zip(*np.rad2deg(lla[:, :2]).T, lla[:, 2], strict=True):
         Xml.SubElement(track, f"{{{_GX}}}coord").text = f"{lon:.9f} {lat:.9f} {alt:.3f}"

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import GnssFixes
-from bench.exchange.exports.outgoing import Outgoing, thinned
+from bench.exchange.exports.outgoing import Calendar, Outgoing, thinned
 
-_MIDNIGHT = datetime(2026, 1, 4)
 _KNOT = 1852.0 / 3600.0  # [m/s]
 _TRACK_RATE = 10.0  # of a track's sentences [Hz]
 
@@ -28,7 +26,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     assert fixes is not None  # there are rows
     with (folder / "gnss.nmea").open("w", encoding="ascii", newline="") as file:
         for k in range(len(fixes)):
-            file.writelines(of_fix(fixes, k))
+            file.writelines(of_fix(out.calendar, fixes, k))
     said = [
         f"- `gnss.nmea`, {len(fixes)} epochs: GGA, then RMC, of every fix at its validity; void where "
         f"invalid."
@@ -38,7 +36,9 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
         with (folder / f"{name}.nmea").open("w", encoding="ascii", newline="") as file:
             for k in rows:
                 valid = bool(np.isfinite(track.lla[k]).all())
-                file.writelines(sentences(track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid))
+                file.writelines(
+                    sentences(out.calendar, track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid)
+                )
         said.append(f"- `{name}.nmea`: the same of the IMU, {_TRACK_RATE:g} epochs a second at most.")
     return "\n".join(
         [
@@ -56,13 +56,16 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     )
 
 
-def of_fix(fixes: GnssFixes, k: int) -> Iterator[str]:
+def of_fix(calendar: Calendar, fixes: GnssFixes, k: int) -> Iterator[str]:
     """Yield the GGA and the RMC sentence of a fix, with their line ends."""
     valid = bool(fixes.valid[k] and np.isfinite(fixes.lla[k]).all())
-    yield from sentences(fixes.t[k], fixes.lla[k], fixes.vel_n[k], int(fixes.satellites[k]), valid=valid)
+    yield from sentences(
+        calendar, fixes.t[k], fixes.lla[k], fixes.vel_n[k], int(fixes.satellites[k]), valid=valid
+    )
 
 
 def sentences(
+    calendar: Calendar,
     t: float,
     lla: FloatArray,
     vel_n: FloatArray,
@@ -74,7 +77,7 @@ def sentences(
 
     A number of satellites below 0 is not known, and left empty.
     """
-    when = _MIDNIGHT + timedelta(milliseconds=round(1e3 * float(t)))
+    when = calendar.at(t)
     clock, day = f"{when:%H%M%S}.{when.microsecond // 1000:03d}", f"{when:%d%m%y}"
     if not valid:
         yield sentence(f"GPGGA,{clock},,,,,0,{_count(satellites)},,,M,,M,,")

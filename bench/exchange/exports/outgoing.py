@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -19,18 +20,13 @@ from bench.data import (
     NavSolution,
     Trajectory,
 )
+from bench.exchange.rinex import leap_seconds
 from bench.store import initial_state
 from bench.store.columns import AIRSPEED, BARO, GNSS, IMU, MAG, MOTION, Layout, observations, solution
 
-WEEK, SECOND = 2400, 18.0
-"""GPS week and second of t = 0, which is 2026-01-04 00:00:00 UTC, 18 leap seconds behind."""
-UTC = 1767484800
-"""The same instant as seconds since 1970-01-01 00:00:00 UTC."""
+_GPS_ZERO = datetime(1980, 1, 6)
+_WEEK = 604800.0  # [s]
 
-CLOCK = (
-    "Time t counts in s from the start of the run. Where a date is needed, t = 0 is 2026-01-04 00:00:00 UTC, "
-    "second 18 of GPS week 2400."
-)
 FRAMES = (
     "Body axes b are those of the IMU: forward, right, down. n is north, east, down at the current position. "
     "Heights are above the WGS 84 ellipsoid."
@@ -45,6 +41,30 @@ class ExportError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
+class Calendar:
+    """When t = 0 is."""
+
+    week: int  # GPS week
+    second: float  # of that week, GPS time [s]
+    utc: datetime  # without time zone
+
+    def at(self, t: float) -> datetime:
+        """Return the instant t [s] in UTC, to the millisecond."""
+        return self.utc + timedelta(milliseconds=round(1e3 * float(t)))
+
+    def nanoseconds(self, t: float) -> int:
+        """Return the instant t [s] as nanoseconds since 1970-01-01 00:00:00 UTC."""
+        whole = round((self.utc - datetime(1970, 1, 1)) / timedelta(microseconds=1))
+        return whole * 1000 + round(float(t) * 1e9)
+
+    def __str__(self) -> str:
+        return (
+            f"t = 0 is {self.utc.isoformat(' ', 'milliseconds').removesuffix('.000')} UTC, second "
+            f"{self.second:.9g} of GPS week {self.week}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Outgoing:
     """What of a run goes out."""
 
@@ -56,6 +76,18 @@ class Outgoing:
     mag: MagData | None = None
     airspeed: AirspeedData | None = None
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
+
+    @property
+    def calendar(self) -> Calendar:
+        """When t = 0 is: the start of the flight's day in UTC, or what its receiver with a sky says."""
+        year = int(self.start["date"])
+        days = (date(year + 1, 1, 1) - date(year, 1, 1)).days
+        day = date(year, 1, 1) + timedelta(days=round((self.start["date"] - year) * days))
+        ahead = leap_seconds(day)
+        gps_t0 = float(ahead) if self.observations is None else self.observations.gps_t0
+        gps = datetime(day.year, day.month, day.day) + timedelta(seconds=gps_t0)
+        week, second = divmod((gps - _GPS_ZERO).total_seconds(), _WEEK)
+        return Calendar(int(week), second, gps - timedelta(seconds=ahead))
 
     @property
     def rate(self) -> float:

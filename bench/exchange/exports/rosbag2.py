@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.exchange.exports.local import enu, flu, poses
-from bench.exchange.exports.outgoing import UTC, ExportError, Outgoing
+from bench.exchange.exports.outgoing import Calendar, ExportError, Outgoing
 
 FOLDER = "bag"
 _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km
@@ -23,7 +23,8 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     from rosbags.typesys import Stores, get_typestore
 
     types = get_typestore(Stores.ROS2_HUMBLE)
-    messages = _Messages(types.types)
+    calendar = out.calendar
+    messages = _Messages(types.types, calendar)
     topics = {"/imu/data_raw": ("sensor_msgs/msg/Imu", messages.imu(out))}
     if out.fixes is not None:
         topics["/gnss/fix"] = ("sensor_msgs/msg/NavSatFix", messages.fixes(out))
@@ -37,7 +38,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
         for topic, (kind_of, rows) in topics.items():
             connection = bag.add_connection(topic, kind_of, typestore=types)
             for t, message in rows:
-                bag.write(connection, _nanoseconds(t), types.serialize_cdr(message, kind_of))
+                bag.write(connection, calendar.nanoseconds(t), types.serialize_cdr(message, kind_of))
     listed = "\n".join(
         f"- `{topic}`: {kind_of}{_SAID.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
     )
@@ -64,10 +65,6 @@ _SAID = {
 _TRACK = ": pose of the IMU in `map`, velocity in `imu_link`"
 
 
-def _nanoseconds(t: float) -> int:
-    return UTC * 1_000_000_000 + round(float(t) * 1e9)
-
-
 def _origin(out: Outgoing) -> Any:
     told = out.start["initial"]
     return [told["lat_rad"], told["lon_rad"], told["alt_m"]]
@@ -76,15 +73,15 @@ def _origin(out: Outgoing) -> Any:
 class _Messages:
     """Makes the messages of each topic, one after the other."""
 
-    def __init__(self, types: Any) -> None:
-        self._types = types
+    def __init__(self, types: Any, calendar: Calendar) -> None:
+        self._types, self._calendar = types, calendar
 
     def _make(self, kind: str, **fields: Any) -> Any:
         package, name = kind.split("/")
         return self._types[f"{package}/msg/{name}"](**fields)
 
     def _header(self, t: float, frame: str) -> Any:
-        seconds, nanoseconds = divmod(_nanoseconds(t), 1_000_000_000)
+        seconds, nanoseconds = divmod(self._calendar.nanoseconds(t), 1_000_000_000)
         stamp = self._make("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
         return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
 

@@ -1,0 +1,180 @@
+"""When a filter does what: its steps, and after which of them it measures, uses and answers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.data import GLONASS, GPS, GnssObservations, SensorData
+from bench.navigation import ranging, timeline
+from bench.navigation.aiding import SATELLITE_ROWS
+from bench.navigation.timeline import TIME_TOLERANCE, Steps
+from bench.specs import AssumedSpecs
+
+AT_ONCE, MEASURE, USE, OUTPUT = range(4)
+"""What is done: measured and used, measured, used, answered."""
+
+
+class Agenda:
+    """Collects the measurements of a run and puts them in order.
+
+    Parameters
+    ----------
+    sensors : SensorData
+        The record.
+    start : float
+        Instant of the initial state [s].
+    compensate : bool
+        Measure at the instant of validity, not at that of arrival.
+    """
+
+    def __init__(self, sensors: SensorData, start: float, *, compensate: bool) -> None:
+        self.rows, self.span, self.events = timeline.imu_rows(sensors.imu, start)
+        self.imu_t = sensors.imu.t[self.rows]
+        self._imu, self._start, self._compensate = sensors.imu, start, compensate
+        self._end = max(start, float(self.imu_t[-1])) if len(self.imu_t) else start
+        self._kinds: list[tuple[int, IntArray, FloatArray, FloatArray]] = []  # kind, row, valid, arrival
+        self._values: list[FloatArray] = []
+        self._variance: list[FloatArray] = []
+        self._count = 0
+        out, self._output_t, told = timeline.output_rows(sensors.output_t, start, self._end)
+        self.outputs: IntArray = out
+        """Rows of ``output_t`` that are answered, in the order of time."""
+        self.events += told
+
+    def add(
+        self, kind: int, name: str, record: timeline.AidingRecord, values: FloatArray, variance: FloatArray
+    ) -> None:
+        """Take a record: its values (M, m), up to six, and their variance (m,) or (M, m)."""
+        variance = np.broadcast_to(variance, values.shape)
+        rows, _, told = timeline.aiding_rows(record, values, name, self.imu_t, self._start)
+        self.events += told
+        self._plan(kind, name, record.t[rows], record.t_arrival[rows], values[rows], variance[rows])
+
+    def add_samples(self, kind: int, last: IntArray, values: FloatArray, variance: FloatArray) -> None:
+        """Take what follows from the IMU itself at the samples ``last``: values (M, m), variance (6,)."""
+        t = self.imu_t[last]
+        self._plan(kind, "imu", t, t, values, np.broadcast_to(variance, (len(t), 6)))
+
+    def add_satellites(self, o: GnssObservations, specs: AssumedSpecs, lat: float, clock: int) -> ranging.Sky:
+        """Take the epochs of satellites, each with those that can be used; return them."""
+        assert specs.gnss is not None
+        assert specs.gnss.sky is not None
+        values, variance = ranging.usable(o, specs.gnss)
+        sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
+        sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
+        sound &= np.isfinite(o.frequency[:, 0])
+        self.events += timeline.left_out("satellites", o.t, ~sound, "not finite")
+        system = {"gps": [GPS], "glonass": [GLONASS]}.get(specs.gnss.sky.systems, [GPS, GLONASS])
+        wanted = np.isin(o.system, system)
+        start = o.epoch_start[:-1]
+        filled = np.diff(o.epoch_start) > 0
+        t, arrival = np.full((2, len(start)), np.nan)
+        t[filled], arrival[filled] = o.t[start[filled]], o.t_arrival[start[filled]]
+        usable = filled & np.isfinite(t) & np.isfinite(arrival)
+        epochs, _, told = timeline.ordered_rows(t, arrival, usable, "satellites", self.imu_t, self._start)
+        self.events += told
+        first = self._plan(SATELLITE_ROWS, "satellites", t[epochs], arrival[epochs], None, None)
+        epochs = epochs[first:]
+        number = np.full(len(start), -1)
+        number[epochs] = np.arange(len(epochs))
+        of_row = number[o.epoch]
+        rows = np.flatnonzero(sound & wanted & (of_row >= 0))
+        rows = rows[np.argsort(of_row[rows], kind="stable")]
+        return ranging.sky_of(o, specs.gnss, rows, of_row[rows], len(epochs), lat, clock)
+
+    def _plan(
+        self,
+        kind: int,
+        name: str,
+        t: FloatArray,
+        arrival: FloatArray,
+        values: FloatArray | None,
+        variance: FloatArray | None,
+    ) -> int:
+        """Enter measurements; return how many at the beginning are left out as valid before the start."""
+        if not self._compensate:
+            t = arrival
+        early = t < self._start - TIME_TOLERANCE
+        self.events += timeline.left_out(name, t, early, "valid before the start")
+        ahead = t > arrival + TIME_TOLERANCE
+        if ahead.any():
+            text = f"{name}: {int(ahead.sum())} rows valid after their arrival: taken at their arrival"
+            self.events.append((float(t[ahead].min()), float(t[ahead].max()), "timeline", text))
+        first = int(early.sum())  # in order of validity
+        t, arrival = np.minimum(t, arrival)[first:], arrival[first:]
+        if values is None or variance is None:
+            row = np.arange(len(t))
+        else:
+            row = self._count + np.arange(len(t))
+            wide = np.zeros((2, len(t), 6))
+            wide[0, :, : values.shape[1]], wide[1, :, : variance.shape[1]] = values[first:], variance[first:]
+            self._values.append(wide[0])
+            self._variance.append(wide[1])
+            self._count += len(t)
+        self._kinds.append((kind, row, t, arrival))
+        return first
+
+    def table(self) -> tuple[FloatArray, FloatArray]:
+        """Return values and variances (R, 6) of all that were taken but satellites."""
+        if not self._values:
+            return np.zeros((0, 6)), np.zeros((0, 6))
+        return np.concatenate(self._values), np.concatenate(self._variance)
+
+    def order(self) -> tuple[Steps, IntArray, int]:
+        """Return the steps, the agenda (E, 5) of `bench.navigation.fusion`, and the slots it needs."""
+        nothing = np.empty(0)
+        valid = np.concatenate([t for _, _, t, _ in self._kinds]) if self._kinds else nothing
+        arrivals = np.concatenate([a for *_, a in self._kinds]) if self._kinds else nothing
+        everywhere = np.concatenate([valid if self._compensate else nothing, self._output_t])
+        steps = timeline.steps(
+            self._imu, self.rows, self.span, self._start, everywhere, np.concatenate([everywhere, arrivals])
+        )
+        entries = []
+        for kind, row, t, arrival in self._kinds:
+            use = np.searchsorted(steps.t, arrival - TIME_TOLERANCE)
+            measure = use
+            if self._compensate:
+                measure = np.searchsorted(steps.t, t - TIME_TOLERANCE)
+                measure[np.abs(t - self._start) < TIME_TOLERANCE] = -1
+                measure[np.abs(t - arrival) < TIME_TOLERANCE] = use[np.abs(t - arrival) < TIME_TOLERANCE]
+            entries.append(np.column_stack([np.full(len(row), kind), row, measure, use]))
+        planned = np.concatenate(entries) if entries else np.empty((0, 4), np.int64)
+        slot = _slots(planned[:, 2], planned[:, 3])
+        late = slot > 0
+        at = np.searchsorted(steps.t, self._output_t - TIME_TOLERANCE)
+        at[self._output_t < self._start + TIME_TOLERANCE] = -1
+        kinds, rows, measures, uses = planned.T
+        parts = [
+            _entries(uses[~late], AT_ONCE, kinds[~late], rows[~late], 0),
+            _entries(measures[late], MEASURE, kinds[late], rows[late], slot[late]),
+            _entries(uses[late], USE, kinds[late], rows[late], slot[late]),
+            _entries(at, OUTPUT, 99, 0, 0),
+        ]
+        agenda = np.concatenate(parts)
+        agenda = agenda[np.lexsort((agenda[:, 3], agenda[:, 1], agenda[:, 2], agenda[:, 0]))]
+        return steps, np.ascontiguousarray(agenda), int(slot.max(initial=0)) + 1
+
+
+def _entries(
+    step: IntArray, action: int, kind: IntArray | int, row: IntArray | int, slot: IntArray | int
+) -> IntArray:
+    table = np.empty((len(step), 5), np.int64)
+    table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4] = step, action, kind, row, slot
+    return table
+
+
+def _slots(measure: IntArray, use: IntArray) -> IntArray:
+    """Return a slot for each measurement: 0 when used at once, else one that is free while it waits."""
+    slot = np.zeros(len(use), np.int64)
+    busy: list[int] = []  # until which step each slot is taken
+    for k in np.argsort(measure, kind="stable"):
+        if measure[k] == use[k]:
+            continue
+        free = [s for s, until in enumerate(busy) if until < measure[k]]
+        if not free:
+            free = [len(busy)]
+            busy.append(0)
+        busy[free[0]] = int(use[k])
+        slot[k] = free[0] + 1
+    return slot

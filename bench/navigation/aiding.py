@@ -1,0 +1,325 @@
+"""What each aiding sensor measures of the error state, and the tests a measurement has to pass.
+
+Every z is predicted less measured, z = H dx + noise:
+
+    fix        antenna position = dp - [C l x] phi + C dl + dm_p
+               antenna velocity = dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl + dm_v
+    baro       h + b - h_baro = -dp_D + db
+    magnetic   C' m_n - m_b = C' [m_n x] phi
+    airspeed   |v_n - w| - V = u . (dv - dw)
+    standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
+
+with l the antenna in b, w the rate of b against e, m the Markov part of the GNSS error where the layout has
+it, u the direction of the airspeed and w in its row the wind.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner, kernel
+from bench.earth import RATE, gravity_kernel, radii_kernel
+from bench.navigation.cycle import Belief, Pending, Work
+from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
+from bench.navigation.kalman import nis_kernel, update_kernel
+from bench.navigation.mechanization import matrix_kernel
+
+SENSORS = (
+    "gnss_position",
+    "gnss_velocity",
+    "baro",
+    "pseudorange",
+    "range_rate",
+    "magnetometer",
+    "airspeed",
+    "zero_velocity",
+    "zero_rate",
+)
+POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
+
+FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
+"""Kinds of records; at one instant they are used in this order."""
+
+_SLOWEST_AIR = 5.0  # below it a pitot tube says nothing [m/s]
+
+
+class Aid(NamedTuple):
+    """Measurements of all kinds but satellites, and where their own states lie (-1: there are none)."""
+
+    values: FloatArray  # (R, 6)
+    variance: FloatArray  # (R, 6)
+    antenna_b: FloatArray  # (3,) [m], b
+    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change by metre north, east, down
+    field_lla: FloatArray  # (3,)
+    baro: int
+    markov: int
+    lever: int
+    wind: int
+    g_sensitivity: int
+
+
+class Gate(NamedTuple):
+    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T), and what they remember."""
+
+    nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: not tested
+    trace: float  # largest trace ratio; inf: not tested
+    max_acceleration: float  # of the tolerance test of fixes [m/s^2]; inf: not tested
+    sigmas: float  # that test grants to the receiver
+    memory: float  # share of a new measurement in the adapted noise; 0: noise as the datasheet says
+    readmit_after: IntArray  # (sensors,) refusals in a row after which a channel is used all the same
+    misses: IntArray  # (channels,) refusals in a row
+    used: FloatArray  # (channels,) when it was last used [s]
+    level: FloatArray  # (sensors,) adapted variance over that of the datasheet
+
+
+class Log(NamedTuple):
+    """Rows of the innovation table."""
+
+    numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
+    marks: IntArray  # (N, 4) sensor, component, accepted, channel
+    filled: IntArray  # (1,) how many
+
+
+@inner
+def use_kernel(
+    t: float, first: int, rows: int, belief: Belief, pending: Pending, gate: Gate, log: Log, work: Work
+) -> None:
+    """Test the sub-vectors of a measurement in turn, use them or not, write their rows; feed back."""
+    P, dx, n = belief.P, belief.dx, belief.P.shape[0]
+    a = first
+    while a < first + rows:
+        code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
+        level = gate.level[code]
+        H, z, r = pending.H[a : a + m], pending.z[a : a + m], pending.r[a : a + m]
+        for b in range(m):
+            r[b] *= level
+        nis = nis_kernel(P, dx, H, z, r, work.var, work.square)
+        sound = nis <= gate.nis[m]
+        squares, spread, excess = 0.0, 0.0, 0.0
+        waited = t - gate.used[channel]
+        reach = gate.max_acceleration * waited
+        if code == POSITION:
+            reach *= 0.5 * waited
+        row = log.filled[0]
+        for b in range(m):
+            innovation = -z[b]  # measured less predicted
+            for i in range(n):
+                innovation += H[b, i] * dx[i]
+            squares += innovation * innovation
+            spread += work.var[b]
+            most = min(innovation * innovation, gate.nis[1] * work.var[b])
+            excess += (most - work.var[b] + r[b]) / (r[b] / level) / m
+            if code <= VELOCITY and abs(innovation) > reach + gate.sigmas * np.sqrt(r[b]):
+                sound = False
+            log.numbers[row + b, 0], log.numbers[row + b, 1] = t, innovation
+            log.numbers[row + b, 2], log.numbers[row + b, 3] = work.var[b], nis
+        if not squares <= gate.trace * spread:
+            sound = False
+        if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
+            sound = False  # it flies: the rates of the window are not those of the Earth alone
+        accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
+        gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
+        for b in range(m):
+            log.marks[row + b, 0], log.marks[row + b, 1] = code, pending.tags[a + b, 2]
+            log.marks[row + b, 2], log.marks[row + b, 3] = accepted, channel
+        log.filled[0] += m
+        if accepted:
+            gate.used[channel] = t
+            for b in range(m):
+                update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
+        if gate.memory > 0.0 and np.isfinite(excess):
+            gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
+        a += m
+    for slot in range(pending.live.shape[0]):  # what waits was measured before this correction
+        for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
+            for i in range(n):
+                pending.z[b] -= pending.H[b, i] * dx[i]
+    feedback_kernel(belief.state, dx)
+
+
+@inner
+def _row_kernel(
+    pending: Pending, row: int, code: int, channel: int, component: int, length: int, r: float
+) -> None:
+    """Begin a row: H zero, its tags, its variance."""
+    for i in range(pending.H.shape[1]):
+        pending.H[row, i] = 0.0
+    pending.r[row] = r
+    pending.tags[row, 0], pending.tags[row, 1] = code, channel
+    pending.tags[row, 2], pending.tags[row, 3] = component, length
+
+
+@kernel
+def antenna_kernel(
+    nav: FloatArray,
+    C: FloatArray,
+    antenna_b: FloatArray,
+    w_ib_b: FloatArray,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+) -> None:
+    """Fill z (6,) and H (6, n) of a fix: predicted less measured position [m] and velocity [m/s], n.
+
+    Elements of H that are zero by structure are left as they are: the caller hands in zeros.
+    """
+    s, c = np.sin(nav[0]), np.cos(nav[0])
+    meridian, prime = radii_kernel(s)
+    r_m, r_p = meridian + nav[2], prime + nav[2]
+    x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
+    # rate of b against e: less the Earth's, seen in b
+    p = w_ib_b[0] - RATE * (C[0, 0] * c - C[2, 0] * s)
+    q = w_ib_b[1] - RATE * (C[0, 1] * c - C[2, 1] * s)
+    r = w_ib_b[2] - RATE * (C[0, 2] * c - C[2, 2] * s)
+    sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
+    for i in range(3):
+        H[POS + i, POS + i] = 1.0
+        H[VEL + i, VEL + i] = 1.0
+        H[3 + i, GYRO] = C[i, 1] * d - C[i, 2] * y  # C [l x]
+        H[3 + i, GYRO + 1] = C[i, 2] * x - C[i, 0] * d
+        H[3 + i, GYRO + 2] = C[i, 0] * y - C[i, 1] * x
+    for block, u, v, w in ((0, x, y, d), (3, sx, sy, sd)):
+        a = C[0, 0] * u + C[0, 1] * v + C[0, 2] * w
+        b = C[1, 0] * u + C[1, 1] * v + C[1, 2] * w
+        g = C[2, 0] * u + C[2, 1] * v + C[2, 2] * w
+        H[block, PHI + 1], H[block, PHI + 2] = g, -b  # -[a x]
+        H[block + 1, PHI], H[block + 1, PHI + 2] = -g, a
+        H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
+        z[block], z[block + 1], z[block + 2] = a, b, g
+    dlon = nav[1] - lla[1]
+    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
+    z[0] += (nav[0] - lla[0]) * r_m
+    z[1] += dlon * r_p * c
+    z[2] += lla[2] - nav[2]
+    for i in range(3):
+        z[3 + i] += nav[3 + i] - vel_n[i]
+
+
+@inner
+def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> None:
+    """Fill the columns ``at`` of H (6, n) for an antenna whose place is estimated, but for the Earth rate."""
+    p, q, r = w_ib_b[0], w_ib_b[1], w_ib_b[2]
+    for i in range(3):
+        for j in range(3):
+            H[i, at + j] = C[i, j]
+        H[3 + i, at] = C[i, 1] * r - C[i, 2] * q  # C [w x]
+        H[3 + i, at + 1] = C[i, 2] * p - C[i, 0] * r
+        H[3 + i, at + 2] = C[i, 0] * q - C[i, 1] * p
+
+
+@inner
+def place_kernel(belief: Belief, aid: Aid, work: Work) -> None:
+    """Fill ``work.lever`` with the antenna as it is believed to lie, ``work.C`` with the attitude."""
+    for i in range(3):
+        work.lever[i] = belief.state[aid.lever + 1 + i] if aid.lever >= 0 else aid.antenna_b[i]
+    matrix_kernel(belief.state, work.C)
+
+
+@inner
+def _fix_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
+    state, values = belief.state, aid.values[row]
+    place_kernel(belief, aid, work)
+    for i in range(6):
+        code = i // 3
+        _row_kernel(pending, first + i, code, code, i - 3 * code, 3, aid.variance[row, i])
+    H, z = pending.H[first : first + 6], pending.z[first : first + 6]
+    antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:], H, z)
+    if aid.lever >= 0:
+        lever_kernel(work.C, work.w_ib_b, aid.lever, H)
+    if aid.markov >= 0:
+        for i in range(6):
+            H[i, aid.markov + i] = 1.0
+            z[i] += state[aid.markov + 1 + i]
+    return 6
+
+
+@inner
+def _magnetic_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
+    state, C, m = belief.state, work.C, work.vectors[0]
+    matrix_kernel(state, C)
+    s = np.sin(state[0])
+    meridian, prime = radii_kernel(s)
+    north = (state[0] - aid.field_lla[0]) * meridian
+    east = (state[1] - aid.field_lla[1]) * prime * np.cos(state[0])
+    down = aid.field_lla[2] - state[2]
+    for i in range(3):
+        m[i] = aid.field[0, i] + north * aid.field[1, i] + east * aid.field[2, i] + down * aid.field[3, i]
+    for j in range(3):
+        k = first + j
+        _row_kernel(pending, k, MAGNETIC, MAGNETIC, j, 3, aid.variance[row, j])
+        pending.z[k] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2] - aid.values[row, j]
+        pending.H[k, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
+        pending.H[k, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
+        pending.H[k, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
+    return 3
+
+
+@inner
+def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending) -> int:
+    state = belief.state
+    u = state[3] - state[aid.wind + 1]
+    v = state[4] - state[aid.wind + 2]
+    w = state[5]
+    speed = np.sqrt(u * u + v * v + w * w)
+    if not speed > _SLOWEST_AIR:
+        return 0
+    _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, aid.variance[row, 0])
+    H = pending.H[first]
+    H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
+    H[aid.wind], H[aid.wind + 1] = -u / speed, -v / speed
+    pending.z[first] = speed - aid.values[row, 0]
+    return 1
+
+
+@inner
+def _standstill_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
+    """Zero velocity, and the rate of the Earth in the mean of the gyros."""
+    state, C, at = belief.state, work.C, aid.g_sensitivity
+    matrix_kernel(state, C)
+    s, c = np.sin(state[0]), np.cos(state[0])
+    _, g_d = gravity_kernel(s, c, state[2])
+    n, d = RATE * c, -RATE * s
+    for i in range(3):
+        _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, aid.variance[row, i])
+        pending.H[first + i, VEL + i] = 1.0
+        pending.z[first + i] = state[VEL + i]
+    for j in range(3):
+        k = first + 3 + j
+        _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, aid.variance[row, 3 + j])
+        pending.z[k] = aid.values[row, j] - state[GYRO + 1 + j] - (C[0, j] * n + C[2, j] * d)
+        pending.H[k, GYRO + j] = -1.0
+        pending.H[k, PHI] = -C[1, j] * d  # -C' [w_ie x]
+        pending.H[k, PHI + 1] = -(C[2, j] * n - C[0, j] * d)
+        pending.H[k, PHI + 2] = C[1, j] * n
+        if at >= 0:
+            for i in range(3):
+                force = -C[2, i] * g_d
+                pending.z[k] -= state[at + 1 + 3 * j + i] * force
+                pending.H[k, at + 3 * j + i] = -force
+    return 6
+
+
+@inner
+def measure_kernel(
+    kind: int, row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work
+) -> int:
+    """Fill the rows of one measurement from ``first`` on; return their number."""
+    if kind == FIX_ROWS:
+        return _fix_kernel(row, first, belief, aid, pending, work)
+    if kind == BARO_ROWS:
+        _row_kernel(pending, first, BARO, BARO, 0, 1, aid.variance[row, 0])
+        pending.H[first, POS + 2] = -1.0
+        pending.z[first] = belief.state[2] - aid.values[row, 0]
+        if aid.baro >= 0:
+            pending.H[first, aid.baro] = 1.0
+            pending.z[first] += belief.state[aid.baro + 1]
+        return 1
+    if kind == MAGNETIC_ROWS:
+        return _magnetic_kernel(row, first, belief, aid, pending, work)
+    if kind == AIRSPEED_ROWS:
+        return _airspeed_kernel(row, first, belief, aid, pending)
+    return _standstill_kernel(row, first, belief, aid, pending, work)

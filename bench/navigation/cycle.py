@@ -1,0 +1,280 @@
+"""From one measurement to the next: strapdown at every step, covariance at its own rate.
+
+The arrays a compiled filter works on, by name, and the kernel that moves them in time.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner
+from bench.navigation.error_state import (
+    GYRO,
+    PHI,
+    VEL,
+    accumulate_kernel,
+    backward_kernel,
+    covariance_kernel,
+    dynamics_kernel,
+    transition_kernel,
+)
+from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
+
+
+class Belief(NamedTuple):
+    """What the filter believes: n error states, and the n + 1 numbers they are errors of."""
+
+    state: FloatArray  # (n + 1,) navigation state (10), then the values of the states from the gyro bias on
+    P: FloatArray  # (n, n)
+    dx: FloatArray  # (n,) error estimated and not yet fed back
+
+
+class Process(NamedTuple):
+    """How the states move, as `bench.navigation.state_model.StateModel` says, and where they lie."""
+
+    q: FloatArray  # (n,)
+    decay_time: FloatArray  # (n,)
+    decay_distance: FloatArray  # (n,)
+    stationary: FloatArray  # (n,)
+    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate (0-2) or force (3-5) it multiplies
+    scale: int  # first scale factor error: gyros, then accelerometers; -1 without
+    g_sensitivity: int  # first of 9, row by row; -1 without
+    clock: int  # offset of the receiver's clock, its drift follows; -1 without
+    interval: float  # of the covariance step [s]
+
+
+class ImuSteps(NamedTuple):
+    """`bench.navigation.timeline.Steps` and the increments they go by."""
+
+    t: FloatArray  # (K,)
+    span: FloatArray  # (K,)
+    row: IntArray  # (K,)
+    share: FloatArray  # (K,)
+    unknown: FloatArray  # (K, 2)
+    dtheta_b: FloatArray  # (N, 3)
+    dvel_b: FloatArray  # (N, 3)
+
+
+class Pending(NamedTuple):
+    """Measurements made and not yet used, a slot of ``width`` rows each: z = H dx + v, var v = r."""
+
+    H: FloatArray  # (S width, n)
+    z: FloatArray  # (S width,)
+    r: FloatArray  # (S width,)
+    tags: IntArray  # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
+    live: IntArray  # (S,) rows that wait in each slot
+    width: int
+
+
+class Work(NamedTuple):
+    """Memory of the kernels."""
+
+    before: FloatArray  # (7,) the step before, for coning and sculling
+    w_ib_b: FloatArray  # (3,) rate of the last step [rad/s]
+    vectors: FloatArray  # (8, 3)
+    C: FloatArray  # (3, 3)
+    C_mean: FloatArray  # (3, 3)
+    reference: FloatArray  # (10,)
+    F: FloatArray  # (9, 15)
+    G: FloatArray  # (9, 15)
+    back: FloatArray  # (9, 15)
+    A: FloatArray  # (9, n)
+    B: FloatArray  # (n, n)
+    E: FloatArray  # (6, n)
+    Phi: FloatArray  # (n, n) since the last node of a smoother
+    decay: FloatArray  # (n,)
+    noise: FloatArray  # (n,)
+    factor: FloatArray  # (D,)
+    row: FloatArray  # (n,)
+    other_row: FloatArray  # (n,)
+    square: FloatArray  # (3, 4)
+    var: FloatArray  # (3,)
+    lever: FloatArray  # (3,)
+    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
+
+
+def work_for(n: int, drives: int) -> Work:
+    """Return the memory for n states."""
+    return Work(
+        before=np.zeros(7),
+        w_ib_b=np.zeros(3),
+        vectors=np.zeros((8, 3)),
+        C=np.zeros((3, 3)),
+        C_mean=np.zeros((3, 3)),
+        reference=np.zeros(STATE_SIZE),
+        F=np.zeros((9, 15)),
+        G=np.zeros((9, 15)),
+        back=np.zeros((9, 15)),
+        A=np.zeros((9, n)),
+        B=np.zeros((n, n)),
+        E=np.zeros((6, n)),
+        Phi=np.eye(n),
+        decay=np.ones(n),
+        noise=np.zeros(n),
+        factor=np.zeros(drives),
+        row=np.zeros(n),
+        other_row=np.zeros(n),
+        square=np.zeros((3, 4)),
+        var=np.zeros(3),
+        lever=np.zeros(3),
+        lost=np.zeros(2),
+    )
+
+
+@inner
+def increments_kernel(
+    state: FloatArray, dt: float, scale: int, g_sensitivity: int, dth: FloatArray, dv: FloatArray
+) -> None:
+    """Take the estimated errors out of measured increments over dt, in place (A-5.4.11)."""
+    for i in range(3):
+        dth[i] -= state[10 + i] * dt
+        dv[i] -= state[13 + i] * dt
+    if scale >= 0:
+        for i in range(3):
+            dv[i] /= 1.0 + state[scale + 4 + i]
+    if g_sensitivity >= 0:
+        for i in range(3):
+            for j in range(3):
+                dth[i] -= state[g_sensitivity + 1 + 3 * i + j] * dv[j]
+    if scale >= 0:
+        for i in range(3):
+            dth[i] /= 1.0 + state[scale + 1 + i]
+
+
+@inner
+def clock_kernel(P: FloatArray, at: int, T: float) -> None:
+    """Carry a clock's offset over T by its drift: P becomes Phi P Phi', Phi = I but for [at, at + 1] = T."""
+    n = P.shape[0]
+    for j in range(n):
+        P[at, j] += T * P[at + 1, j]
+    for i in range(n):
+        P[i, at] += T * P[i, at + 1]
+
+
+@inner
+def noise_kernel(
+    T: float, process: Process, speed: float, unknown: FloatArray, decay: FloatArray, noise: FloatArray
+) -> None:
+    """Fill decay and noise (n,) of an interval T, flown at a ground speed [m/s]."""
+    q, stationary = process.q, process.stationary
+    decay_time, decay_distance = process.decay_time, process.decay_distance
+    for i in range(decay.shape[0]):
+        rate = decay_time[i] + decay_distance[i] * speed
+        decay[i] = np.exp(-rate * T) if rate > 0.0 else 1.0
+        noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
+    for i in range(3):
+        noise[VEL + i] += unknown[0]
+        noise[PHI + i] += unknown[1]
+    if process.clock >= 0:
+        noise[process.clock] += q[process.clock + 1] * T * T * T / 3.0
+
+
+@inner
+def wait_kernel(T: float, pending: Pending, process: Process, work: Work) -> None:
+    """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
+    width = pending.width
+    transition_kernel(work.F, -T, work.back)
+    for slot in range(pending.live.shape[0]):
+        for a in range(slot * width, slot * width + pending.live[slot]):
+            h = pending.H[a]
+            backward_kernel(h, work.back, work.decay, process.drives, work.factor, work.row)
+            if process.clock >= 0:
+                h[process.clock + 1] -= T * h[process.clock]
+
+
+@inner
+def advance_kernel(
+    k: int,
+    until: int,
+    belief: Belief,
+    process: Process,
+    steps: ImuSteps,
+    work: Work,
+    pending: Pending,
+    keep: bool,
+) -> None:
+    """Take the steps k + 1 to ``until``, the last one closed by a covariance step.
+
+    What the loop needs is named before it: a field of a tuple costs a reference count each time.
+    """
+    state, P, Phi = belief.state, belief.P, work.Phi
+    drives, scale, sensitivity = process.drives, process.scale, process.g_sensitivity
+    clock, interval = process.clock, process.interval
+    rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
+    dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
+    C, C_mean, reference, F, G = work.C, work.C_mean, work.reference, work.F, work.G
+    A, B, E, decay, noise, factor = work.A, work.B, work.E, work.decay, work.noise, work.factor
+    before, w_ib_b, dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum, lost = (
+        work.before, work.w_ib_b, work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3],
+        work.vectors[4], work.vectors[5], work.vectors[6], work.vectors[7], work.lost,
+    )  # fmt: skip
+    driven = drives.shape[0]
+    n = P.shape[0]
+    waiting = False
+    for slot in range(pending.live.shape[0]):
+        waiting = waiting or pending.live[slot] > 0
+    T = 0.0
+    while k < until:
+        if T == 0.0:
+            lost[0], lost[1] = 0.0, 0.0
+            for i in range(3):
+                dv_sum[i], w_sum[i], f_sum[i] = 0.0, 0.0, 0.0
+                for j in range(3):
+                    C_mean[i, j] = 0.0
+            for i in range(STATE_SIZE):
+                reference[i] = state[i]
+        k += 1
+        row, dt, share = rows[k], spans[k], shares[k]
+        for i in range(3):
+            dth[i] = dtheta_b[row, i] * share
+            dv[i] = dvel_b[row, i] * share
+        increments_kernel(state, dt, scale, sensitivity, dth, dv)
+        for i in range(3):
+            w_ib_b[i] = dth[i] / dt
+        if driven > 0:
+            for i in range(3):
+                w_sum[i] += dth[i]
+                f_sum[i] += dv[i]
+        body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
+        step_kernel(state, dt, rotvec, dv_start, C, dv_n)
+        T += dt
+        lost[0] += unknown[k, 0]
+        lost[1] += unknown[k, 1]
+        for i in range(3):
+            dv_sum[i] += dv_n[i]
+            for j in range(3):
+                C_mean[i, j] += C[i, j] * dt
+        if k < until and interval > T:
+            continue
+        for i in range(3):
+            dv_sum[i] /= T
+            for j in range(3):
+                C_mean[i, j] /= T
+        for d in range(driven):
+            by = drives[d, 2]
+            factor[d] = (w_sum[by] if by < 3 else f_sum[by - 3]) / T
+        speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
+        noise_kernel(T, process, speed, lost, decay, noise)
+        for i in range(GYRO, n):
+            state[i + 1] *= decay[i]
+        dynamics_kernel(reference, C_mean, dv_sum, F)
+        transition_kernel(F, T, G)
+        if clock >= 0:
+            state[clock + 1] += T * state[clock + 2]
+            clock_kernel(P, clock, T)
+        covariance_kernel(P, G, decay, noise, drives, factor, A, B, E)
+        if clock >= 0:
+            together = 0.5 * process.q[clock + 1] * T * T
+            P[clock, clock + 1] += together
+            P[clock + 1, clock] += together
+        if keep:
+            accumulate_kernel(Phi, G, decay, drives, factor, A)
+            if clock >= 0:
+                for j in range(n):
+                    Phi[clock, j] += T * Phi[clock + 1, j]
+        if waiting:
+            wait_kernel(T, pending, process, work)
+        T = 0.0

@@ -1,0 +1,219 @@
+"""What a satellite measures of the error state: pseudorange and range rate, with a receiver's corrections.
+
+    z_range = |r_sat - r_ant| + troposphere + ionosphere + clock + offset - (pseudorange + satellite clock)
+    z_rate  = d/dt |r_sat - r_ant| + drift - (range rate + satellite clock rate)
+
+(B-12, B-14b) with the offset for GLONASS only. Both see the errors of the antenna along the line of sight.
+The delays are computed at the filter's own position, so that it goes on with any number of satellites; how
+they change with its errors is left out of H: 3e-4 of a metre per metre of height at the zenith, 3e-3 at
+5 deg.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner
+from bench.data import GLONASS, GPS, GnssObservations
+from bench.earth import WGS84, radii_kernel
+from bench.navigation.aiding import (
+    PSEUDORANGE,
+    RANGE_RATE,
+    SENSORS,
+    Aid,
+    antenna_kernel,
+    lever_kernel,
+    place_kernel,
+)
+from bench.navigation.cycle import Belief, Pending, Work
+from bench.signals import receiver
+from bench.signals.delays import (
+    klobuchar_kernel,
+    mapping_kernel,
+    range_kernel,
+    range_rate_kernel,
+    zenith_troposphere,
+)
+from bench.signals.orbits import L1, RATE
+from bench.specs import GnssSpec
+
+_E2 = WGS84.e2
+_LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
+_TOP = 12_000.0  # above it the delay counts as there [m]
+_MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
+
+
+class Sky(NamedTuple):
+    """Corrected observations, a row per satellite and epoch."""
+
+    epoch_start: IntArray  # (M + 1,)
+    values: FloatArray  # (K, 2) range [m] and rate [m/s], corrected for all but the atmosphere
+    variance: FloatArray  # (K, 2)
+    sat: FloatArray  # (K, 6) position and velocity, e at transmission
+    t: FloatArray  # (K,) of the GPS day [s]
+    ionosphere: FloatArray  # (K,) delay over that on L1, 0 for two frequencies [1]
+    which: IntArray  # (K, 3) system, channel of the range, channel of the rate
+    zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
+    klobuchar: FloatArray  # (8,)
+    sin_mask: float
+    clock: int  # state of the clock's offset, its drift follows, then the offset of GLONASS
+
+
+def no_sky() -> Sky:
+    """Return a sky without satellites."""
+    none = np.empty(0)
+    return Sky(
+        np.zeros(1, np.int64),
+        np.empty((0, 2)),
+        np.empty((0, 2)),
+        np.empty((0, 6)),
+        none,
+        none,
+        np.empty((0, 3), np.int64),
+        none,
+        none,
+        0.0,
+        -1,
+    )
+
+
+def usable(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
+    """Return range and rate (K, 2) corrected for satellite clock and group delay, and their variances (K, 2).
+
+    With two bands assumed the range is the ionosphere-free combination (B-11).
+    """
+    free = spec is not None and spec.sky is not None and spec.sky.bands == 2
+    processing = receiver.Processing(ionosphere="free" if free else "klobuchar")
+    values = np.column_stack([receiver.corrected(o, processing), o.range_rate[:, 0] + o.sat_clock_rate])
+    return values, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2
+
+
+def sky_of(
+    o: GnssObservations, spec: GnssSpec, rows: IntArray, epochs: IntArray, count: int, lat: float, clock: int
+) -> Sky:
+    """Return the rows of observations to use as the kernel wants them.
+
+    Parameters
+    ----------
+    o : GnssObservations
+        Record.
+    spec : GnssSpec
+        The receiver assumed.
+    rows, epochs : (K,) arrays of int
+        Rows in use, and the number of each one's epoch among the ``count`` in use, growing.
+    lat : float
+        Where the vertical delay is taken [rad]; 500 km north or south it is 1 mm another.
+    clock : int
+        Where the states of the receiver's clock begin.
+    """
+    values, variance = usable(o, spec)
+    free = spec.sky is not None and spec.sky.bands == 2
+    satellite = satellites(o)[rows]
+    first = len(SENSORS)
+    return Sky(
+        epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
+        values=values[rows],
+        variance=variance[rows],
+        sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
+        t=o.t[rows] + o.gps_t0,
+        ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
+        which=np.column_stack([o.system[rows], first + 2 * satellite, first + 2 * satellite + 1]),
+        zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
+        klobuchar=o.klobuchar.copy(),
+        sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
+        clock=clock,
+    )
+
+
+def satellites(o: GnssObservations) -> IntArray:
+    """Return which satellite each row (K,) is of, counted from 0 in the order of :func:`satellite_names`."""
+    _, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
+    index: IntArray = which.astype(np.int64)
+    return index
+
+
+def satellite_names(o: GnssObservations) -> list[str]:
+    """Return the satellites of a record, GPS as G05 and GLONASS as R07."""
+    letter = {GPS: "G", GLONASS: "R"}
+    return [f"{letter[int(n) // 1000]}{int(n) % 1000:02d}" for n in np.unique(1000 * o.system + o.sat)]
+
+
+@inner
+def satellites_kernel(
+    epoch: int, first: int, belief: Belief, aid: Aid, sky: Sky, pending: Pending, work: Work
+) -> int:
+    """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
+    state, C, H, z = belief.state, work.C, pending.H, pending.z
+    n, at = belief.P.shape[0], sky.clock
+    place_kernel(belief, aid, work)
+    # the last six rows of the slot take the antenna
+    last = first + pending.width - 6
+    for j in range(last, last + 6):
+        for i in range(n):
+            H[j, i] = 0.0
+    arm = z[last : last + 6]
+    antenna_kernel(state, C, work.lever, work.w_ib_b, state[:3], state[3:6], H[last : last + 6], arm)
+    if aid.lever >= 0:
+        lever_kernel(C, work.w_ib_b, aid.lever, H[last : last + 6])
+    s, c = np.sin(state[0]), np.cos(state[0])
+    sl, cl = np.sin(state[1]), np.cos(state[1])
+    _, prime = radii_kernel(s)
+    across = (prime + state[2]) * c
+    # C_en: north (-s cl, -s sl, c), east (-sl, cl, 0), down (-c cl, -c sl, -s)
+    rx = across * cl - s * cl * arm[0] - sl * arm[1] - c * cl * arm[2]
+    ry = across * sl - s * sl * arm[0] + cl * arm[1] - c * sl * arm[2]
+    rz = (prime * (1.0 - _E2) + state[2]) * s + c * arm[0] - s * arm[2]
+    v_n, v_e, v_d = state[3] + arm[3], state[4] + arm[4], state[5] + arm[5]
+    vx = -s * cl * v_n - sl * v_e - c * cl * v_d
+    vy = -s * sl * v_n + cl * v_e - c * sl * v_d
+    vz = c * v_n - s * v_d
+    layer = min(max(state[2], 0.0) / _LAYER, float(sky.zenith.shape[0]) - 1.001)
+    low = int(layer)
+    zenith = sky.zenith[low] + (layer - float(low)) * (sky.zenith[low + 1] - sky.zenith[low])
+    row = first
+    for k in range(sky.epoch_start[epoch], sky.epoch_start[epoch + 1]):
+        sx, sy, sz = sky.sat[k, 0], sky.sat[k, 1], sky.sat[k, 2]
+        wx, wy, wz = sky.sat[k, 3], sky.sat[k, 4], sky.sat[k, 5]
+        distance, ex, ey, ez = range_kernel(sx, sy, sz, rx, ry, rz, RATE)
+        e_n = -s * cl * ex - s * sl * ey + c * ez
+        e_e = -sl * ex + cl * ey
+        e_d = -c * cl * ex - c * sl * ey - s * ez
+        if not -e_d >= sky.sin_mask:
+            continue
+        a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, RATE)
+        flat = np.sqrt(e_n * e_n + e_e * e_e)
+        delay = zenith * mapping_kernel(-e_d)
+        if sky.ionosphere[k] > 0.0 and flat > 0.0:
+            delay += sky.ionosphere[k] * klobuchar_kernel(
+                state[0], state[1], np.arctan2(-e_d, flat), e_e / flat, e_n / flat, sky.t[k], sky.klobuchar
+            )
+        glonass = sky.which[k, 0] == GLONASS
+        z[row] = distance + delay + state[at + 1] - sky.values[k, 0]
+        z[row + 1] = (a - ex * vx - ey * vy - ez * vz) / b + state[at + 2] - sky.values[k, 1]
+        # the line of sight turns as the antenna moves across it
+        ux, uy, uz = wx - vx, wy - vy, wz - vz
+        along = ux * ex + uy * ey + uz * ez
+        ux, uy, uz = (ux - along * ex) / distance, (uy - along * ey) / distance, (uz - along * ez) / distance
+        u_n = -s * cl * ux - s * sl * uy + c * uz
+        u_e = -sl * ux + cl * uy
+        u_d = -c * cl * ux - c * sl * uy - s * uz
+        for i in range(n):
+            p, q, r = H[last, i], H[last + 1, i], H[last + 2, i]
+            H[row, i] = -(e_n * p + e_e * q + e_d * r)
+            H[row + 1, i] = -(e_n * H[last + 3, i] + e_e * H[last + 4, i] + e_d * H[last + 5, i]) / b - (
+                u_n * p + u_e * q + u_d * r
+            )
+        H[row, at], H[row + 1, at + 1] = 1.0, 1.0
+        if glonass:
+            H[row, at + 2] = 1.0
+            z[row] += state[at + 3]
+        for i in range(2):
+            pending.r[row + i] = sky.variance[k, i]
+            pending.tags[row + i, 0] = PSEUDORANGE if i == 0 else RANGE_RATE
+            pending.tags[row + i, 1] = sky.which[k, 1 + i]
+            pending.tags[row + i, 2], pending.tags[row + i, 3] = 0, 1
+        row += 2
+    return row - first
