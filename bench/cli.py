@@ -536,7 +536,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
       kf-gins, navego, python-ins  for these filters, with their configuration
       nmea, kml          the fixes as sentences, or on a globe
       tum                poses for evo: --with truth or --with solution:NAME
-      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[ros]')
+      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[logs]')
 
     \b
     Examples:

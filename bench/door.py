@@ -44,7 +44,8 @@ def run(
     run : int
         The noise draw of the seed.
     estimators : sequence of str or None
-        Built-in names or ``module:Class``; the profile's own when None.
+        Built-in names, ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
+        The profile's own when None, but no programs: `load_profile` with ``allow_commands`` lets it.
     sensors : mapping or None
         Units to exchange, for example ``{"imu": "icm-42688-p"}``.
 

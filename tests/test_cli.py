@@ -108,6 +108,20 @@ def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
     assert not (folder / "flight.rrd").exists()
 
 
+def test_five_estimators_stand_in_one_table_of_80_columns(here, capsys):
+    """Names of metrics whole, each mean NIS with its band; what they have in common is said once."""
+    names = ("loose-15", "loose-22", "smoother", "baro-inertial", "gnss-only")
+    chosen = [part for name in names for part in ("-e", name)]
+    status, out, _ = say(capsys, "run", "short.toml", "--no-rrd", "--set", 'sensors.baro="bmp388"', *chosen)
+    assert status == 0
+    assert max(len(line) for line in out.splitlines()) <= 80
+    for name in ("heading_convergence_s", "coverage_3sigma_phi_d", "nis_mean_gnss_velocity"):
+        assert len([line for line in out.splitlines() if line.split()[:1] == [name]]) == 1
+    (row,) = [k for k, line in enumerate(out.splitlines()) if line.split()[:1] == ["nis_mean_baro"]]
+    assert len(re.findall(r"\d\.\d\d-\d\.\d\d", out.splitlines()[row + 1])) == 4
+    assert "loose-15, loose-22, smoother, baro-inertial: not modelled: " in out.replace("\n", " ")
+
+
 def test_json_is_all_there_is_on_stdout(here, capsys):
     status, out, err = say(capsys, "run", "short.toml", "--json", "--no-rrd", "-o", "a/b", "--seed", "8")
     assert status == 0

@@ -204,6 +204,28 @@ def test_navego_structures_have_the_rows_rates_units_and_values_of_the_run(run, 
     assert_allclose(imu.ini_align[0], rotation.to_euler(sensed.initial.q_nb), atol=0.005)
 
 
+def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_the_start(run, export):
+    _, truth, sensed = run
+    data, out = sensed.data, export("python-ins", "--with", "truth")
+    imu, place, speed, track = (
+        pq.read_table(out / f"{name}.parquet") for name in ("imu", "position", "velocity", "truth")
+    )
+    assert imu.column_names == ["time", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
+    assert_array_equal(imu["time"].to_numpy(), [0.0, *data.imu.t])
+    assert_array_equal(imu["accel_z"].to_numpy()[1:], data.imu.dvel_b[:, 2])
+    assert imu["gyro_y"][0] == imu["gyro_y"][1]
+    good = data.fixes.valid
+    assert_array_equal(place["time"].to_numpy(), data.fixes.t[good])
+    assert_allclose(place["lon"].to_numpy(), np.rad2deg(data.fixes.lla[good, 1]), rtol=1e-15)
+    assert_array_equal(place["alt"].to_numpy(), data.fixes.lla[good, 2])
+    assert_array_equal(speed["VD"].to_numpy(), data.fixes.vel_n[good, 2])
+    assert_allclose(track["roll"].to_numpy(), np.rad2deg(0.65))
+    assert_allclose(track["heading"].to_numpy()[:100], np.rad2deg(0.7 + 0.3 * truth.t[:100]))
+    (start,) = pq.read_table(out / "initial.parquet").to_pylist()
+    assert start["VN"] == sensed.initial.vel_n[0]
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins under pandas 3
 def test_python_ins_runs_on_what_its_readme_says(run, export, monkeypatch):
     pytest.importorskip("pyins")
@@ -383,7 +405,7 @@ def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr == "error: rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[ros]'\n"
+    assert done.stderr == "error: rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'\n"
     assert list(tmp_path.iterdir()) == []
 
 

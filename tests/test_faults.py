@@ -152,6 +152,12 @@ def test_outside_its_interval_and_its_sensor_no_bit_changes(turn, plain, level, 
 INSTRUMENTS = ("baro", "mag", "airspeed")
 
 
+def test_a_fault_is_said_as_it_stands_in_the_profile():
+    assert script("jamming", cn0_loss_db=8.0).text == "jamming of gnss: cn0_loss_db = 8 dB"
+    assert script("spoofing", ramp_mps=[0.0, 2.0, 0.0]).text == "spoofing of gnss: ramp_mps = [0, 2, 0]"
+    assert script("frozen", sensor="gyro", axes=["z"]).text == "frozen of gyro: axes = ['z']"
+
+
 def inside(record, late=0.0):
     return (record.t > START - 1e-6) & (record.t < END - 1e-6 + late)
 
@@ -439,6 +445,19 @@ def test_one_fault_more_leaves_the_others_their_bits(turn):
     other = [script("noise-burst", sensor="gyro", times=5.0), script("jamming", cn0_loss_db=5.0)]
     alone, among = sensed(turn, SKY, burst).data.baro, sensed(turn, SKY, *other, burst).data.baro
     assert pickle.dumps(alone) == pickle.dumps(among)
+
+
+def test_an_outage_takes_rows_away_and_changes_no_fault(turn):
+    """What is dropped, repeated or noisy is the same with and without silence in between."""
+    for gnss in RECEIVERS.values():
+        for kind in ("dropped", "repeated", "noise-burst", "frozen", "latency"):
+            fault = script(kind, **EVERY[kind])
+            whole, broken = (sensed(turn, gnss, fault, outages=o).data.fixes for o in ((), ((22.0, 26.0),)))
+            kept = (whole.t < 22.0 - 1e-6) | (whole.t >= 26.0 - 1e-6)
+            for f in fields(whole):
+                assert_array_equal(
+                    getattr(broken, f.name), getattr(whole, f.name)[kept], err_msg=f"{kind} {f.name}"
+                )
 
 
 def test_the_script_stays_out_of_what_filters_get(turn):

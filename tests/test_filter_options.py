@@ -400,6 +400,14 @@ def test_outputs_in_any_order_are_each_answered_and_told(truth):
     ]
 
 
+def test_each_aiding_names_the_record_it_needs():
+    assert Loose().needs == ("fixes",)
+    assert Tight().needs == ("observations",)
+    assert Loose(airspeed=True, magnetometer=True).needs == ("fixes", "airspeed", "mag")
+    assert Loose(gnss=False).needs == ("baro",)
+    assert Loose(gnss=False, baro=False).needs == ()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,9 +18,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from solutions import without, wrong_solution
 from synthetic import turning
 
-from bench import earth, rotation, store
+from bench import config, earth, rotation, store
 from bench.cli import main
-from bench.config import ConfigError
+from bench.config import ConfigError, fault_tables
 from bench.data import NavSolution
 from bench.evaluation import metrics
 from bench.exchange.solutions import FileEstimator, read_solution, resampled
@@ -221,6 +222,21 @@ def test_a_solution_of_another_time_has_no_metrics_and_says_why(run, tmp_path, c
     assert measured["reason"] == "failed: late.csv covers 100 to 120 s, nothing of the run, 0 to 20 s"
     assert measured.get("pos_rmse_h_m") is None
     assert "late failed: late.csv covers" in said
+
+
+def test_the_faults_of_the_run_are_those_of_its_profile(run, tmp_path, capsys):
+    profile = config.load_profile("gnss-faults")
+    assert fault_tables.flown(json.loads(json.dumps(profile.document["fault"]))) == profile.sensors.faults
+    folder, truth, _ = run
+    faulty = tmp_path / "faulty"
+    shutil.copytree(folder, faulty)
+    summary = json.loads((faulty / "result.json").read_text())
+    summary["profile"]["fault"] = [{"kind": "baro-step", "start_s": 8.0, "duration_s": 4.0, "step_m": 20.0}]
+    (faulty / "result.json").write_text(json.dumps(summary))
+    measured, _ = judged(
+        capsys, str(written(tmp_path / "x.csv", wrong_solution(truth, pos_n=[3.0, 0, 0]))), str(faulty)
+    )
+    assert measured["fault_1_max_h_m"] == pytest.approx(3.0, rel=1e-6)
 
 
 # --- the results folder -------------------------------------------------------------------------------

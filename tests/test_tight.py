@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from test_error_state import plain
 from weaving import units, weaving
 
+import bench
 from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import errors as judge
@@ -140,6 +141,11 @@ def test_corrections_are_needed(sensed):
         sound = Tight().run(sensed.data, sensed.initial)
         moved = np.abs(changed.extra - sound.extra)[-1].max()
         assert moved > 1.0, name
+
+
+def test_it_keeps_the_contract_with_satellites(sensed):
+    for options in ({}, {"adaptive_noise": 20, "lever_arm_sd": 0.3, "mems": True, "standstill": True}):
+        bench.check_estimator(load("tight", options), sensed.data, sensed.initial)
 
 
 # --- honesty --------------------------------------------------------------------------------------------
@@ -303,6 +309,15 @@ def test_what_tight_does_not_model_is_named():
     ):
         assert text in named
     assert not [text for text in named if "GNSS" in text]
+
+
+def test_fixes_without_satellites_are_told_not_used(truth):
+    drawn = sensors.sense(truth, units(), 1, 0)
+    solution = Tight().run(drawn.data, drawn.initial)
+    assert [text for *_, text in solution.events.of("aiding")] == [
+        "tight coupling: asked for, but the record holds nothing for it"
+    ]
+    assert "GNSS at all: tight coupling needs a receiver with [sky]" in Tight().unmodelled(drawn.data.specs)
 
 
 def test_tight_needs_a_receiver_with_a_sky(sensed):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, TypeAdapter
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between, quantity
@@ -218,6 +218,18 @@ def sensor_of(table: _FaultTable) -> str:
     return named or _SENSOR.get(table.kind, "gnss")  # type: ignore[attr-defined]
 
 
+def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
+    """Return the faults of a profile as flown, as a ``result.json`` holds it.
+
+    Raises
+    ------
+    ValueError
+        When they are none.
+    """
+    one = TypeAdapter[Any](Annotated[FaultTable, Field(discriminator="kind")])
+    return tuple(to_fault(one.validate_python(row)) for row in rows)
+
+
 def to_fault(table: FaultTable) -> Fault:
     """Return a fault in SI."""
     given = {key: value for key, value in table if value is not None}
@@ -227,6 +239,7 @@ def to_fault(table: FaultTable) -> Fault:
         quantity(key, value)
         for key, value in given.items()
         if key not in ("kind", "sensor", "start_s", "duration_s")
+        and value != type(table).model_fields[key].default
     ]
     sensor = sensor_of(table)
     return Fault(

@@ -120,6 +120,18 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
             _abandon(fdm)
             reason = one_line(" ".join(log.lines), scratch)
             raise FlightError(f"aircraft {aircraft.name}: JSBSim cannot load it: {reason}")
+    set_gains(fdm, aircraft)
+    return fdm
+
+
+def set_gains(fdm: Any, aircraft: AircraftSpec) -> None:
+    """Give guidance the gains and limits of an aircraft.
+
+    Raises
+    ------
+    FlightError
+        When a gain is none.
+    """
     for name, gain in aircraft.gains.items():
         if not _NAME.fullmatch(name):
             raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
@@ -127,7 +139,6 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
     fdm["guidance/bank-limit-rad"] = aircraft.max_bank
     fdm["guidance/climb-limit-mps"] = aircraft.max_climb
     fdm["guidance/descent-limit-mps"] = aircraft.max_descent
-    return fdm
 
 
 def trim(fdm: Any, condition: Condition) -> Trim:

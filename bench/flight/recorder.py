@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import AirData, Controls, Events, Trajectory
+from bench.data import Controls, Events, Trajectory
 from bench.flight.increments import (
     Motion,
     at_point,
     earth_relative,
-    from_states,
     step_increments,
     true_integrals,
 )
@@ -30,7 +29,8 @@ from bench.flight.model import Condition, FlightError, Trim, load, node, settle,
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.standing import stand
-from bench.flight.units import FT, KT, PSF, RANKINE
+from bench.flight.tape import AIR, MOTION, air_data, motion_of_cg
+from bench.flight.units import FT
 from bench.flight.wind import Weather, start_turbulence
 from bench.specs import FlightSpec
 
@@ -40,30 +40,8 @@ PIECE = 30.0
 _LEAST_RATE = 400.0  # of JSBSim [Hz]
 _NEIGHBOURS = 3  # steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments
 _CLEAR = 50.0  # wheels off the ground for the trim of a flight that starts on it [m]
-_MOTION = (  # what truth is made of, per step
-    "position/eci-x-ft",
-    "position/eci-y-ft",
-    "position/eci-z-ft",
-    "velocities/eci-x-fps",
-    "velocities/eci-y-fps",
-    "velocities/eci-z-fps",
-    "attitude/phi-rad",
-    "attitude/theta-rad",
-    "attitude/psi-rad",
-    "position/lat-geod-rad",
-    "position/long-gc-rad",
-    "position/epa-rad",
-)
 _SLOW = (  # at 20 Hz, with the factor to SI
-    ("atmosphere/P-psf", PSF),
-    ("atmosphere/T-R", RANKINE),
-    ("velocities/vt-fps", FT),
-    ("velocities/vc-kts", KT),
-    ("aero/alpha-rad", 1.0),
-    ("aero/beta-rad", 1.0),
-    ("atmosphere/total-wind-north-fps", FT),
-    ("atmosphere/total-wind-east-fps", FT),
-    ("atmosphere/total-wind-down-fps", FT),
+    *AIR,
     ("motor/speed-rad_sec", 1.0),
     ("fcs/aileron-cmd-norm", 1.0),
     ("fcs/elevator-cmd-norm", 1.0),
@@ -125,7 +103,7 @@ def record(
     """
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)
-    read_motion = [node(fdm, name).get_double_value for name in _MOTION]
+    read_motion = [node(fdm, name).get_double_value for name in MOTION]
     read_slow = [node(fdm, name).get_double_value for name, _ in _SLOW]
     per_tick, run = round(1.0 / (TICK_RATE * dt)), fdm.run
     steps = range(per_tick)
@@ -142,9 +120,9 @@ def record(
         first, before = begun, _NEIGHBOURS if begun else 0
         rows = before + (end - first) * per_tick + 1 + _NEIGHBOURS
         slow_rows = end - first if first else end + 1
-        motion = _motion(spec.aircraft.imu_b, dt, _table(states, rows, _MOTION), before, q_nb)
+        motion = _motion(spec.aircraft.imu_b, dt, _table(states, rows, MOTION), before, q_nb)
         si = _table(slow, slow_rows, _SLOW) * [unit for _, unit in _SLOW]
-        del states[: (rows - 2 * _NEIGHBOURS - 1) * len(_MOTION)]
+        del states[: (rows - 2 * _NEIGHBOURS - 1) * len(MOTION)]
         del slow[: slow_rows * len(_SLOW)]
         begun, q_nb = end, motion.q_nb[-2]
         return Recording(spec.rate, substeps, first, motion, si, tuple(flown) if end == tick else ())
@@ -180,15 +158,7 @@ def _motion(
     The stretch itself and one step on either side; its attitude goes on from q_nb (4,) without a change
     of sign.
     """
-    at_cg = from_states(
-        dt,
-        epa=states[:, 11],
-        pos_i=FT * states[:, 0:3],
-        vel_i=FT * states[:, 3:6],
-        euler=states[:, 6:9],
-        lat_lon=states[:, 9:11],
-    )
-    motion = at_point(at_cg, imu_b)
+    motion = at_point(motion_of_cg(dt, states), imu_b)
     if q_nb is None:
         return motion
     kept = slice(before - 1, None)
@@ -212,7 +182,6 @@ def to_trajectory(recording: Recording) -> Trajectory:
     lla, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
     row = round(recording.first * recording.rate / TICK_RATE)
     t_slow = (recording.first + before + np.arange(len(slow))) / TICK_RATE
-    pressure, temperature, true, calibrated, attack, slip = slow[:, :6].T
     return Trajectory(
         t=np.arange(row, row + len(lla)) / recording.rate,
         lla=lla,
@@ -220,17 +189,7 @@ def to_trajectory(recording: Recording) -> Trajectory:
         q_nb=motion.q_nb[at],
         dtheta_b=alpha.reshape(-1, substeps, 3).sum(axis=1),
         dvel_b=beta.reshape(-1, substeps, 3).sum(axis=1),
-        air=AirData(
-            t=t_slow,
-            pressure=pressure,
-            temperature=temperature,
-            airspeed_true=true,
-            airspeed_calibrated=calibrated,
-            alpha=attack,
-            beta=slip,
-            wind_n=slow[:, 6:9],
-            engine_speed=slow[:, 9],
-        ),
+        air=air_data(t_slow, slow, slow[:, 9]),
         controls=Controls(t_slow, *slow[:, 10:].T),
         events=Events.from_rows([(leg.start, leg.end, "leg", leg.text) for leg in recording.legs]),
     )

@@ -10,12 +10,10 @@ from typing import Any
 from bench.data import Trajectory
 from bench.flight import sanity
 from bench.flight.foreign import copy_aircraft, copy_script, executive
-from bench.flight.increments import from_states
 from bench.flight.model import FlightError, one_line, silent_log
 from bench.flight.recorder import simulation_step
 from bench.flight.sequencer import RATE as TICK_RATE
-from bench.flight.tape import Tape, motion_of, pieces, truth_of, with_air
-from bench.flight.units import FT
+from bench.flight.tape import Tape, motion_of, motion_of_cg, pieces, truth_of, with_air
 from bench.specs import ScriptSpec, stream
 
 LONGEST = 4 * 3600.0
@@ -53,9 +51,7 @@ def fly_pieces(spec: ScriptSpec, progress: Callable[[float], None], seconds: flo
         text = str(error)
         raise FlightError(text if text.startswith(("script", "aircraft")) else f"{what}: {text}") from None
     columns = tape.columns()
-    raw = from_states(
-        dt, columns[:, 11], FT * columns[:, 0:3], FT * columns[:, 3:6], columns[:, 6:9], columns[:, 9:11]
-    )
+    raw = motion_of_cg(dt, columns)
     steps, events = sanity.stretch(dt, raw, what)
     per_tick = round(1.0 / (TICK_RATE * dt))
     begun = math.ceil(steps.start / per_tick)  # truth begins on a tick

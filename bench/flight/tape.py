@@ -41,16 +41,16 @@ from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate
 
 INCH = 0.0254  # [m]
 _Record = TypeVar("_Record", AirData, Controls)
-_MOTION = (
+MOTION = (
     *(f"position/eci-{axis}-ft" for axis in "xyz"),
     *(f"velocities/eci-{axis}-fps" for axis in "xyz"),
     *(f"attitude/{angle}-rad" for angle in ("phi", "theta", "psi")),
     "position/lat-geod-rad",
     "position/long-gc-rad",
     "position/epa-rad",
-    *(f"inertia/cg-{axis}-in" for axis in "xyz"),
 )
-_SLOW = (  # at 20 Hz, with the factor to SI; what a model does not have is 0
+"""What truth is made of, per step."""
+AIR = (
     ("atmosphere/P-psf", PSF),
     ("atmosphere/T-R", RANKINE),
     ("velocities/vt-fps", FT),
@@ -58,6 +58,11 @@ _SLOW = (  # at 20 Hz, with the factor to SI; what a model does not have is 0
     ("aero/alpha-rad", 1.0),
     ("aero/beta-rad", 1.0),
     *((f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")),
+)
+"""Air data at 20 Hz, with the factor to SI."""
+_STATES = (*MOTION, *(f"inertia/cg-{axis}-in" for axis in "xyz"))
+_SLOW = (  # at 20 Hz, with the factor to SI; what a model does not have is 0
+    *AIR,
     *((f"fcs/{name}-cmd-norm", 1.0) for name in ("aileron", "elevator", "rudder", "throttle")),
     ("position/h-agl-ft", FT),
     ("velocities/v-down-fps", FT),
@@ -84,7 +89,7 @@ class Tape:
             return [manager.get_node(name).get_double_value for name in names if manager.get_node(name)]
 
         self.dt = dt
-        self._motion = [reader(name) for name in _MOTION]
+        self._motion = [reader(name) for name in _STATES]
         self._slow = [reader(name) for name, _ in _SLOW]
         self._speed = reader(next((name for name in _SPEEDS if manager.get_node(name)), "none"))
         self._wheels, self._structure = contacts("gear"), contacts("contact")
@@ -102,7 +107,7 @@ class Tape:
         FlightError
             When the motion is no longer finite.
         """
-        if not all(map(math.isfinite, self._states[-len(_MOTION) :])):
+        if not all(map(math.isfinite, self._states[-len(_STATES) :])):
             raise FlightError(f"the motion is no longer finite at {len(self) * self.dt:.2f} s")
         wheels = float(any(read() for read in self._wheels))
         structure = float(any(read() for read in self._structure))
@@ -110,11 +115,11 @@ class Tape:
 
     def __len__(self) -> int:
         """Return the number of steps kept after the first state."""
-        return max(0, len(self._states) // len(_MOTION) - 1)
+        return max(0, len(self._states) // len(_STATES) - 1)
 
     def columns(self) -> FloatArray:
         """Return the states, (K, 15) in the units of JSBSim."""
-        return np.array(self._states).reshape(-1, len(_MOTION))
+        return np.array(self._states).reshape(-1, len(_STATES))
 
     def ticks(self) -> Ticks:
         """Return what was kept at 20 Hz, in SI."""
@@ -140,19 +145,35 @@ class Ticks:
         """Return the records of truth, from t = 0; what is not finite is 0, and reported by sanity."""
         t = np.arange(len(self.rows)) / TICK_RATE
         rows = np.where(np.isfinite(self.rows), self.rows, 0.0)
-        pressure, temperature, true, calibrated, attack, slip = rows[:, :6].T
-        air = AirData(
-            t=t,
-            pressure=pressure,
-            temperature=temperature,
-            airspeed_true=true,
-            airspeed_calibrated=calibrated,
-            alpha=attack,
-            beta=slip,
-            wind_n=rows[:, 6:9],
-            engine_speed=rows[:, 15],
-        )
-        return air, Controls(t, *rows[:, 9:13].T)
+        return air_data(t, rows, rows[:, 15]), Controls(t, *rows[:, 9:13].T)
+
+
+def air_data(t: FloatArray, rows: FloatArray, engine_speed: FloatArray) -> AirData:
+    """Return the air data of rows that begin with those of ``AIR``, in SI."""
+    pressure, temperature, true, calibrated, attack, slip = rows[:, :6].T
+    return AirData(
+        t=t,
+        pressure=pressure,
+        temperature=temperature,
+        airspeed_true=true,
+        airspeed_calibrated=calibrated,
+        alpha=attack,
+        beta=slip,
+        wind_n=rows[:, 6:9],
+        engine_speed=engine_speed,
+    )
+
+
+def motion_of_cg(dt: float, columns: FloatArray) -> Motion:
+    """Return the motion JSBSim reports, of the centre of gravity, from columns that begin with ``MOTION``."""
+    return from_states(
+        dt,
+        epa=columns[:, 11],
+        pos_i=FT * columns[:, 0:3],
+        vel_i=FT * columns[:, 3:6],
+        euler=columns[:, 6:9],
+        lat_lon=columns[:, 9:11],
+    )
 
 
 def motion_of(dt: float, columns: FloatArray, imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
@@ -172,14 +193,7 @@ def motion_of(dt: float, columns: FloatArray, imu_b: tuple[float, float, float] 
     motion : Motion
         Without the last two rows, whose velocity would need two more.
     """
-    motion = from_states(
-        dt,
-        epa=columns[:, 11],
-        pos_i=FT * columns[:, 0:3],
-        vel_i=FT * columns[:, 3:6],
-        euler=columns[:, 6:9],
-        lat_lon=columns[:, 9:11],
-    )
+    motion = motion_of_cg(dt, columns)
     arm_i = rotate(motion.q_ib, imu_b + _offset(columns[:, 12:15]))
     vel_i = motion.vel_i[:-2] + derivative(arm_i, dt)
     pos_i = np.empty_like(vel_i)

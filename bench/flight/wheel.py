@@ -19,7 +19,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.flight import sanity
-from bench.flight.foreign import NAME, copy_aircraft, executive, read_xml, write_xml
+from bench.flight.foreign import copy_aircraft, executive, read_xml, write_xml
 from bench.flight.model import (
     Condition,
     FlightError,
@@ -28,6 +28,7 @@ from bench.flight.model import (
     one_line,
     place,
     present_accelerations,
+    set_gains,
     silent_log,
     wait,
 )
@@ -127,13 +128,7 @@ def load(aircraft: AircraftSpec, foreign: ForeignSpec, dt: float) -> Any:
     if not loaded:
         reason = one_line(" ".join(log.lines), str(scratch))
         raise FlightError(f"aircraft {aircraft.name}: JSBSim cannot load it: {reason}")
-    for name, gain in aircraft.gains.items():
-        if not NAME.fullmatch(name):
-            raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
-        node(fdm, f"guidance/{name}").set_double_value(gain)
-    fdm["guidance/bank-limit-rad"] = aircraft.max_bank
-    fdm["guidance/climb-limit-mps"] = aircraft.max_climb
-    fdm["guidance/descent-limit-mps"] = aircraft.max_descent
+    set_gains(fdm, aircraft)
     return fdm
 
 

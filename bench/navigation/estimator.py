@@ -6,6 +6,7 @@ import importlib
 import inspect
 import pickle
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -217,7 +218,8 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
     It must pickle, be repeatable, leave its input as it was, answer at every ``output_t`` and give values
     that are finite and a covariance that is symmetric and positive definite over the blocks it estimates.
     A block it does not estimate is NaN at every instant, and a solution that begins with an alignment is NaN
-    throughout before its end.
+    throughout before its end. With a start that is given it stands a record without output times, aiding
+    records without rows, and rows that are not finite, flagged or not.
     """
     before = pickle.dumps((sensors, initial))
     try:
@@ -232,6 +234,41 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
         for other, how in ((second, "a pickled copy"), (third, "an earlier call")):
             same = np.array_equal(getattr(first, name), getattr(other, name), equal_nan=True)
             assert same, f"run() is not repeatable: {name} differs from {how}"
+    _sound(first, sensors, initial)
+    if initial.alignment == "given":
+        for what, hard in _hardships(sensors).items():
+            try:
+                _sound(estimator.run(hard, initial), hard, initial)
+            except Exception as error:
+                raise AssertionError(f"{what}: {error!r}") from error
+
+
+def _hardships(sensors: SensorData) -> dict[str, SensorData]:
+    """Return records an estimator has to stand, by what is the matter with them."""
+    aiding = {name: getattr(sensors, name) for name in ("fixes", "baro", "mag", "airspeed")}
+    aiding = {name: record for name, record in aiding.items() if record is not None}
+    columns = {
+        name: {f.name: np.array(getattr(record, f.name)) for f in fields(record)}
+        for name, record in aiding.items()
+    }
+    empty = {name: type(aiding[name])(**{k: c[:0] for k, c in columns[name].items()}) for name in aiding}
+    for by_name in columns.values():
+        for key, column in by_name.items():
+            if column.dtype == np.float64 and not key.startswith("t"):
+                column[1::3] = np.nan
+        by_name["valid"][1::6] = False
+    broken = {name: type(aiding[name])(**columns[name]) for name in aiding}
+    imu = {f.name: np.array(getattr(sensors.imu, f.name)) for f in fields(sensors.imu)}
+    imu["dvel_b"][10::50], imu["dtheta_b"][20::50] = np.nan, np.inf
+    return {
+        "with no output times": replace(sensors, output_t=sensors.output_t[:0]),
+        "with aiding records that have no rows": replace(sensors, **empty),
+        "with rows that are not finite": replace(sensors, imu=type(sensors.imu)(**imu), **broken),
+    }
+
+
+def _sound(first: NavSolution, sensors: SensorData, initial: InitialState) -> None:
+    """Raise AssertionError where a solution is none."""
     np.testing.assert_array_equal(first.t, sensors.output_t, err_msg="t is not sensors.output_t")
     begun = 0
     if initial.alignment != "given":  # what it has to find first it may say nothing about before

@@ -6,10 +6,10 @@ measurement (`bench.navigation.aiding`, `bench.navigation.ranging`) is fed back 
 position and velocity of the GNSS antenna, tight coupling every satellite by itself.
 
 A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
-to the instant of arrival by the transition in between: the process
-noise of the latency is left out, 1e-3 of a fix's variance at 0.2 s with the units of the catalog. The
-change of P by the turn of the frame at feedback (half the tilt correction) is neglected: below 1e-4 for
-corrections below 0.01 rad (equations section 10).
+to the instant of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
+the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The change of P by the turn of the frame at
+feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations
+section 10).
 """
 
 from __future__ import annotations
@@ -342,6 +342,17 @@ class Fusion:
         names = list(SENSORS)
         if seen is not None:
             names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
+        asked = {
+            "airspeed": self.airspeed and sensors.airspeed is None,
+            "magnetometer": self.magnetometer and sensors.mag is None,
+            "tight coupling": self.tight and self.gnss and seen is None and sensors.fixes is not None,
+        }
+        end = float(agenda.imu_t[-1]) if len(agenda.imu_t) else initial.t
+        agenda.events += [
+            (initial.t, end, "aiding", f"{what}: asked for, but the record holds nothing for it")
+            for what, absent in asked.items()
+            if absent
+        ]
         return self._filter(sensors, initial, model, agenda, sky, field, names, keep)
 
     def _filter(
@@ -427,11 +438,11 @@ class Fusion:
         )
         count = int(log.filled[0])
         numbers, marks = log.numbers[:count], log.marks[:count]
-        out_state, out_P = (
-            np.full((len(sensors.output_t), n + 1), np.nan),
-            np.full((len(sensors.output_t), n, n), np.nan),
-        )
-        out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
+        out_state, out_P = stores.state, stores.P
+        if not np.array_equal(agenda.outputs, np.arange(len(sensors.output_t))):
+            out_state = np.full((len(sensors.output_t), n + 1), np.nan)
+            out_P = np.full((len(sensors.output_t), n, n), np.nan)
+            out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
         events = agenda.events + refusals(numbers[:, 0], marks, names)
         node = np.full(len(sensors.output_t), -1)
         if keep:
@@ -463,7 +474,8 @@ class Fusion:
     @property
     def needs(self) -> tuple[str, ...]:
         """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
-        return ("fixes",) if self.gnss else ("baro",) if self.baro else ()
+        aiding = ("observations" if self.tight else "fixes",) if self.gnss else ("baro",) if self.baro else ()
+        return aiding + ("airspeed",) * self.airspeed + ("mag",) * self.magnetometer
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
@@ -507,7 +519,7 @@ def _is_count(value: object) -> bool:
 def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
     """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
 
-    What is left out at 100 km is 10 nT, at 500 km 300 nT.
+    What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
     """
     step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
     ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])

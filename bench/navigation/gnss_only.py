@@ -45,6 +45,8 @@ class GnssOnly:
 
     needs = ("fixes",)
 
+    needs = ("fixes",)
+
     def __init__(
         self,
         *,

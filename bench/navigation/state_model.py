@@ -242,7 +242,9 @@ def unmodelled(
                 "g-sensitivity of the receiver's clock": abs(sky.clock_g),
             }
             found += [what for what, sd in slow.items() if sd > 0]
-        elif not tight and not gnss_markov:
+        elif tight:
+            found.append("GNSS at all: tight coupling needs a receiver with [sky]")
+        elif not gnss_markov:
             if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0:
                 found.append("time-correlated GNSS position error")
             if specs.gnss.vel_markov_sd > 0:

@@ -29,20 +29,22 @@ class Reported(NamedTuple):
     tag: IntArray  # (M,) row whose time they carry
     late: FloatArray  # (M,) added to the arrival [s]
 
+    def where(self, kept: BoolArray) -> Reported:
+        """Return the rows (M,) that are kept."""
+        return Reported(self.content[kept], self.tag[kept], self.late[kept])
+
 
 def of(faults: Faults, sensor: str, *kinds: str) -> Iterator[Fault]:
     """Return the faults of a sensor, those of some kinds or of all."""
     return (f for f in faults if f.sensor == sensor and (not kinds or f.kind in kinds))
 
 
-def reported(t: FloatArray, faults: Faults, sensor: str, seed: int, run: int) -> Reported | None:
-    """Return what comes of rows at t (M,), frozen, late, dropped or repeated; None when all is as it was.
+def reported(t: FloatArray, faults: Faults, sensor: str, seed: int, run: int) -> Reported:
+    """Return what comes of rows at t (M,), frozen, late, dropped or repeated.
 
     An output that freezes repeats the row before the fault, or its first one when there is none.
     """
-    active = list(of(faults, sensor, "frozen", "latency", "dropped", "repeated"))
-    if not active:
-        return None
+    active = of(faults, sensor, "frozen", "latency", "dropped", "repeated")
     content, late, times = np.arange(len(t)), np.zeros(len(t)), np.ones(len(t), np.int64)
     for fault in active:
         first, stop = interval_rows(t, fault.start, fault.end)
@@ -94,14 +96,14 @@ def imu(record: ImuData, spec: ImuSpec, faults: Faults, seed: int, run: int) -> 
     What a step or a burst adds is rounded to the least bit, its remainder carried to the next sample; beyond
     the range it is clipped and the sample flagged.
     """
+    if not any(fault.sensor in ("imu", "gyro", "accel") for fault in faults):
+        return record
     valid = record.valid.copy()
     columns = {}
     for sensor, name, triad in (("gyro", "dtheta_b", spec.gyro), ("accel", "dvel_b", spec.accel)):
         columns[name] = _triad(record, getattr(record, name), sensor, triad, faults, valid, seed, run)
     faulty = ImuData(t=record.t, dt=record.dt, valid=valid, **columns)
     out = reported(record.t, faults, "imu", seed, run)
-    if out is None:
-        return faulty if any(f.sensor in ("gyro", "accel") for f in faults) else record
     return ImuData(*(getattr(faulty, f.name)[out.content] for f in fields(ImuData)))
 
 
@@ -244,10 +246,8 @@ def _among(fault: Fault, system: IntArray, sat: IntArray) -> BoolArray:
     return named
 
 
-def put_out(record: _Record, out: Reported | None) -> _Record:
+def put_out(record: _Record, out: Reported) -> _Record:
     """Return what of a record comes, and when."""
-    if out is None:
-        return record
     columns = {f.name: getattr(record, f.name)[out.content] for f in fields(record)}
     return type(record)(
         **columns | {"t": record.t[out.tag], "t_arrival": record.t_arrival[out.tag] + out.late}

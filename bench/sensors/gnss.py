@@ -11,7 +11,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
 from bench.sensors import faults
 from bench.sensors.processes import gauss_markov
-from bench.sensors.timing import epoch_rows, interval_rows
+from bench.sensors.timing import epoch_rows, in_outage
 from bench.specs import Fault, GnssSpec, stream
 
 _MASK = float(np.deg2rad(5.0))  # of the satellites whose changes make jumps
@@ -79,22 +79,19 @@ def measure(
         pos_added, vel_added = faults.fix_errors(t, spec, scripted, seed, run)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
 
-    seen = np.ones(len(truth.t), bool)
-    for start, end in outages:
-        seen[slice(*interval_rows(truth.t, start, end))] = False
-    kept = seen[rows]
-    count = int(kept.sum())
+    count = len(t)
     fixes = GnssFixes(
-        t=t[kept],
-        t_arrival=t[kept] + spec.latency,
+        t=t,
+        t_arrival=t + spec.latency,
         valid=np.ones(count, bool),
-        lla=earth.displace(lla, pos_err_n)[kept],
-        vel_n=(vel_n + vel_err_n)[kept],
+        lla=earth.displace(lla, pos_err_n),
+        vel_n=vel_n + vel_err_n,
         cov_pos_n=np.tile(np.diag(pos_white_sd**2 + pos_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
         cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
         satellites=np.full(count, SATELLITES_UNKNOWN),
     )
-    return faults.put_out(fixes, faults.reported(fixes.t, scripted, "gnss", seed, run))
+    out = faults.reported(t, scripted, "gnss", seed, run)
+    return faults.put_out(fixes, out.where(~in_outage(truth.t, rows, outages)[out.tag]))
 
 
 def antenna(

@@ -18,7 +18,7 @@ from bench.compiled import kernel
 from bench.data import GLONASS, GnssFixes, GnssObservations, SkyView, Trajectory
 from bench.sensors import faults
 from bench.sensors.clock import receiver_clock
-from bench.sensors.timing import epoch_rows, interval_rows
+from bench.sensors.timing import epoch_rows, in_outage
 from bench.sensors.view import View, view
 from bench.signals import orbits, receiver
 from bench.signals.delays import mapping_kernel, obliquity_kernel
@@ -173,16 +173,10 @@ def measure(
     clock = clock + faults.clock(t, scripted)
     errors = _Errors(t, v.epoch, v.which, len(v.sat), seed, run)
     observations = _observe(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)
-    kept = np.diff(start) > 0
-    for begin, end in outages:
-        first, stop = interval_rows(truth.t, begin, end)
-        kept &= (rows < first) | (rows >= stop)
-    content = tag = np.flatnonzero(kept)
-    late = np.zeros(len(tag))
-    out = faults.reported(t[kept], scripted, "gnss", seed, run)
-    if out is not None:
-        content, tag, late = content[out.content], tag[out.tag], out.late
-    if not np.array_equal(tag, np.arange(len(t))) or out is not None:
+    out = faults.reported(t, scripted, "gnss", seed, run)
+    out = out.where((np.diff(start) > 0)[out.content] & ~in_outage(truth.t, rows, outages)[out.tag])
+    content, tag, late = out
+    if not np.array_equal(content, np.arange(len(t))) or late.any():
         observations, seen = _epochs(observations, seen, content, t[tag], t[tag] + spec.latency + late)
     # a receiver that tracks predicts where it is; the prediction moves its fix by a centimetre at most
     solution = receiver.solve(observations, processing(sky), near=seen)

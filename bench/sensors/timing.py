@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 
 _SAME_INSTANT = 1e-6  # times closer than this are one instant [s]; far below any sample interval
 
@@ -44,6 +44,15 @@ def interval_rows(t: FloatArray, start: float, end: float) -> tuple[int, int]:
     """Return (first, stop) of the rows of t inside [start, end)."""
     first, stop = np.searchsorted(t, [start - _SAME_INSTANT, end - _SAME_INSTANT])
     return int(first), int(stop)
+
+
+def in_outage(t: FloatArray, rows: IntArray, outages: tuple[tuple[float, float], ...]) -> BoolArray:
+    """Return which rows (M,) of t lie in an outage [start, end)."""
+    lost = np.zeros(len(rows), bool)
+    for start, end in outages:
+        first, stop = interval_rows(t, start, end)
+        lost |= (rows >= first) & (rows < stop)
+    return lost
 
 
 def output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float], ...]) -> FloatArray:

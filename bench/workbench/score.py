@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from bench import store
-from bench.config import ConfigError
+from bench.config import ConfigError, fault_tables
 from bench.evaluation import metrics as judging
 from bench.exchange.exports import ExportError, reading
 from bench.exchange.solutions import check_unit, read_solution, resampled
@@ -74,6 +74,7 @@ def score(
                 (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
             ]
             outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
+            faults = fault_tables.flown(profile.get("fault", []))
             asked = output_times(truth.t, evaluation["output_hz"], outages)
     except ExportError as error:
         raise ConfigError(str(error)) from None
@@ -82,7 +83,9 @@ def score(
     given = read_solution(path, t_0=t_0)
     check_unit(given, float(truth.t[0]), truth.lla[0])
     solution = resampled(given, asked, longest)
-    errors, measured = judging.judge(truth, solution, evaluation_from=evaluation["from_s"], outages=outages)
+    errors, measured = judging.judge(
+        truth, solution, evaluation_from=evaluation["from_s"], outages=outages, faults=faults
+    )
     console.print(
         f"{profile['title']}: seed {result.seed}, run {result.run}, from {evaluation['from_s']:g} s on"
     )

@@ -20,7 +20,7 @@ FORMATS: Mapping[str, tuple[str, str]] = {
     "nmea": ("nmea", "GGA and RMC sentences of the fixes"),
     "kml": ("kml", "the fixes on a globe"),
     "tum": ("tum", "poses for evo and the TUM tools"),
-    "rosbag2": ("rosbag2", "a ROS 2 bag (pip install 'ins-gnss-bench[ros]')"),
+    "rosbag2": ("rosbag2", "a ROS 2 bag (pip install 'ins-gnss-bench[logs]')"),
 }
 """Format -> (module, what it is)."""
 

@@ -18,7 +18,7 @@ _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g
 def write(folder: Path, out: Outgoing, kind: str) -> str:
     """Write the bag; return what the README says of it."""
     if find_spec("rosbags") is None:
-        raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[ros]'")
+        raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
