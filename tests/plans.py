@@ -7,7 +7,8 @@ from math import radians
 from typing import Any
 
 from bench.config import load_profile
-from bench.specs import Climb, FlightSpec, Leg, Straight, Turn
+from bench.legs import Climb, Leg, Straight, Turn
+from bench.specs import FlightSpec
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft

@@ -20,7 +20,7 @@ from bench.flight import fly
 from bench.flight.model import Condition, FlightError, linearize, load, place, trim
 from bench.flight.recorder import record, to_trajectory
 from bench.flight.units import FT
-from bench.specs import Climb, Descend, Straight, Turn
+from bench.legs import Climb, Descend, Straight, Turn
 from tests import modes747 as etkin
 from tests.plans import plan
 from tests.test_flight_recorder import same_form_error, two_sample_error

@@ -20,7 +20,7 @@ from bench.data import Trajectory
 from bench.flight import fly
 from bench.flight.model import Condition, linearize, load, place, trim
 from bench.flight.units import FT
-from bench.specs import Climb, Descend, Straight, Turn
+from bench.legs import Climb, Descend, Straight, Turn
 from tests import modes
 from tests.plans import plan
 

@@ -22,21 +22,9 @@ from bench.data import Trajectory
 from bench.earth import difference_n, displace
 from bench.flight import FlightError, child, fly, fly_pieces, wheel
 from bench.flight.foreign import read_xml
+from bench.legs import Approach, Flare, LandingRoll, Leg, Static, Straight, TakeOff
 from bench.rotation import rotate, to_euler
-from bench.specs import (
-    AircraftSpec,
-    Approach,
-    Flare,
-    FlightSpec,
-    Gust,
-    LandingRoll,
-    Leg,
-    Runway,
-    Static,
-    Straight,
-    TakeOff,
-    WindLayer,
-)
+from bench.specs import AircraftSpec, FlightSpec, Gust, Runway, WindLayer
 from bench.store.truth_cache import truth_key
 from tests.inertial import inertial, largest_difference, navigate
 from tests.plans import FIGURE_EIGHT

@@ -14,9 +14,9 @@ import pytest
 
 from bench import config
 from bench.config.datasheets import ACCEL, GYRO, read_imu
+from bench.legs import Climb, FigureEight, Straight, Turn
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
-from bench.specs import Climb, FigureEight, Straight, Turn
 
 SHIPPED = [name for name, _ in config.list_profiles()]
 

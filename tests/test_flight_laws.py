@@ -22,12 +22,11 @@ from bench.arrays import FloatArray
 from bench.config import load_profile
 from bench.data import Trajectory
 from bench.flight.recorder import to_trajectory
-from bench.specs import (
+from bench.legs import (
     AileronRoll,
     Approach,
     Doublet,
     Flare,
-    FlightSpec,
     LandingRoll,
     Static,
     Straight,
@@ -35,6 +34,7 @@ from bench.specs import (
     Turn,
     WindUpTurn,
 )
+from bench.specs import FlightSpec
 from tests.plans import plan
 from tests.test_flight_recorder import record_whole, same_form_error, two_sample_error
 

@@ -26,8 +26,9 @@ from bench.data import Trajectory
 from bench.flight import FlightError, Summary, fly, fly_pieces, summarise
 from bench.flight.increments import Motion, at_point, step_increments
 from bench.flight.recorder import Recording, record, simulation_step, to_trajectory
+from bench.legs import Straight, Turn
 from bench.navigation import mechanization
-from bench.specs import FlightSpec, Straight, Turn
+from bench.specs import FlightSpec
 from tests.inertial import inertial, largest_difference, navigate
 from tests.plans import FIGURE_EIGHT, plan, short_plan
 

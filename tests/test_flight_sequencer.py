@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench import rotation
 from bench.data import Trajectory
 from bench.flight import FlightError, fly
-from bench.specs import Climb, Descend, FigureEight, Straight, Turn
+from bench.legs import Climb, Descend, FigureEight, Straight, Turn
 from tests.plans import AEROSONDE, FIGURE_EIGHT, plan
 
 

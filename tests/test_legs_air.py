@@ -12,20 +12,19 @@ from bench import earth, rotation
 from bench.config import load_profile
 from bench.data import Trajectory
 from bench.flight import FlightError, fly
-from bench.specs import (
+from bench.legs import (
     AileronRoll,
     Climb,
     Configuration,
     Cruise,
     Doublet,
-    Gust,
     SpeedChange,
     Straight,
     STurns,
     Turn,
-    WindLayer,
     WindUpTurn,
 )
+from bench.specs import Gust, WindLayer
 from tests.plans import AEROSONDE, plan
 
 

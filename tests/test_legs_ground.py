@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.config import load_profile
 from bench.flight import FlightError, fly
-from bench.specs import AircraftSpec, Approach, Flare, LandingRoll, Runway, Static, Straight, TakeOff
+from bench.legs import Approach, Flare, LandingRoll, Static, Straight, TakeOff
+from bench.specs import AircraftSpec, Runway
 from tests.plans import AEROSONDE, plan
 
 LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)

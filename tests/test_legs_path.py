@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.flight import FlightError, fly
 from bench.flight.paths import Path, Segment
-from bench.specs import Holding, Straight, Survey, Waypoint, Waypoints
+from bench.legs import Holding, Straight, Survey, Waypoint, Waypoints
 from tests.plans import CALM, plan
 
 BANK = radians(30.0)

@@ -33,6 +33,7 @@ from bench.data import (
     no_innovations,
 )
 from bench.evaluation.errors import error_series
+from bench.legs import FigureEight
 from bench.recording import plots, words
 from bench.specs import (
     AircraftSpec,
@@ -40,7 +41,6 @@ from bench.specs import (
     AssumedSpecs,
     BaroSpec,
     EstimatorChoice,
-    FigureEight,
     FlightSpec,
     GnssSpec,
     ImuSpec,

@@ -10,7 +10,7 @@ from bench import pipeline, rotation
 from bench.config import load_profile
 from bench.navigation.error_state import StateLayout
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Nodes
+from bench.navigation.forward import Nodes
 from bench.navigation.smoother import _difference, _moved, smooth
 
 BASE = np.concatenate(

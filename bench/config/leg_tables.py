@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between
 from bench.earth import matrix_en, to_ecef, to_geodetic
-from bench.specs import (
+from bench.legs import (
     AileronRoll,
     Approach,
     Climb,

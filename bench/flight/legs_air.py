@@ -15,7 +15,7 @@ from bench.flight.shaping import (
     ticks,
     turned_in_roll,
 )
-from bench.specs import Configuration, Cruise, FigureEight, STurns, Turn
+from bench.legs import Configuration, Cruise, FigureEight, STurns, Turn
 
 _CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
 _NEAR_ALT = 2.0  # an altitude is reached within [m]

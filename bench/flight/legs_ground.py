@@ -11,7 +11,8 @@ from bench.flight.legs_air import climb_ramp, level_off
 from bench.flight.model import FlightError
 from bench.flight.paths import Follower, Path
 from bench.flight.shaping import Steps, clip, roll_time, smooth, ticks, wait
-from bench.specs import Approach, LandingRoll, Runway, RunwaySpec, Static, TakeOff
+from bench.legs import Approach, LandingRoll, Static, TakeOff
+from bench.specs import Runway, RunwaySpec
 
 _POWER = 2.0  # in which brakes are released and power is set [s]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]

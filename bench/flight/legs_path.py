@@ -8,7 +8,7 @@ from bench.flight.cockpit import Cockpit
 from bench.flight.model import FlightError
 from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
-from bench.specs import Holding, Survey, Waypoints
+from bench.legs import Holding, Survey, Waypoints
 
 
 def waypoints(cockpit: Cockpit, leg: Waypoints) -> Steps:

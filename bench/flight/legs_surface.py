@@ -8,7 +8,7 @@ from collections.abc import Generator
 from bench.flight.cockpit import Cockpit
 from bench.flight.model import FlightError
 from bench.flight.shaping import RATE, Steps, clip, smooth, smoothstep, ticks, wait
-from bench.specs import AileronRoll, Doublet, WindUpTurn
+from bench.legs import AileronRoll, Doublet, WindUpTurn
 
 _HANDOVER = 0.4  # [s]
 _EDGE = 0.15  # a deflection takes to build up [s]

@@ -18,7 +18,7 @@ from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.model import FlightError, Trim
 from bench.flight.shaping import RATE, wait
 from bench.flight.wind import Weather
-from bench.specs import (
+from bench.legs import (
     AileronRoll,
     Approach,
     Climb,
@@ -28,7 +28,6 @@ from bench.specs import (
     Doublet,
     FigureEight,
     Flare,
-    FlightSpec,
     Holding,
     LandingRoll,
     Leg,
@@ -42,6 +41,7 @@ from bench.specs import (
     Waypoints,
     WindUpTurn,
 )
+from bench.specs import FlightSpec
 
 __all__ = ["RATE", "Cockpit", "FlownLeg", "describe", "engage", "fly_legs"]
 

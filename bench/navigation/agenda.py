@@ -122,7 +122,7 @@ class Agenda:
         return np.concatenate(self._values), np.concatenate(self._variance)
 
     def order(self) -> tuple[Steps, IntArray, int]:
-        """Return the steps, the agenda (E, 5) of `bench.navigation.fusion`, and the slots it needs."""
+        """Return the steps, the agenda (E, 5) of `bench.navigation.forward`, and the slots it needs."""
         nothing = np.empty(0)
         valid = np.concatenate([t for _, _, t, _ in self._kinds]) if self._kinds else nothing
         arrivals = np.concatenate([a for *_, a in self._kinds]) if self._kinds else nothing

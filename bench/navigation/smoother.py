@@ -21,7 +21,8 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation.error_state import CORE, PHI, POS, VEL
-from bench.navigation.fusion import Loose, Nodes, Tight, solution
+from bench.navigation.forward import Nodes, solution
+from bench.navigation.fusion import Loose, Tight
 from bench.specs import AssumedSpecs
 
 

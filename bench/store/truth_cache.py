@@ -50,6 +50,7 @@ _SOURCES = (
     "arrays.py",
     "data.py",
     "specs.py",
+    "legs.py",
 )
 """Files of the package that truth depends on."""
 

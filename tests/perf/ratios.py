@@ -24,18 +24,10 @@ from rich.table import Table
 
 from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
+from bench.legs import Straight, Turn
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.mechanization import propagate
-from bench.specs import (
-    FlightSpec,
-    ImuSpec,
-    Profile,
-    Straight,
-    ThermalSpec,
-    TriadSpec,
-    Turn,
-    VibrationSpec,
-)
+from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
 
 ROUNDS = 7
 

@@ -1,0 +1,284 @@
+"""One forward run of the compiled filter: the kernel, what it stores, and what is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner, kernel
+from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
+from bench.navigation import timeline
+from bench.navigation.agenda import MEASURE, OUTPUT, USE, Agenda
+from bench.navigation.aiding import SATELLITE_ROWS, SENSORS, Aid, Gate, Log, measure_kernel, use_kernel
+from bench.navigation.cycle import Belief, ImuSteps, Pending, Process, Work, advance_kernel, work_for
+from bench.navigation.error_state import StateLayout
+from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.state_model import StateModel
+
+
+class Stores(NamedTuple):
+    """What a run leaves behind."""
+
+    state: FloatArray  # (M, n + 1) at each output
+    P: FloatArray  # (M, n, n)
+    node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
+    node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
+    node_cov: FloatArray  # (N, 2, n, n)
+    transition: FloatArray  # (N, n, n)
+
+
+@inner
+def _keep_kernel(belief: Belief, state: FloatArray, P: FloatArray) -> None:
+    """Copy what is believed; loops, because copies of slices take the compiler seconds each."""
+    n = belief.P.shape[0]
+    for i in range(n + 1):
+        state[i] = belief.state[i]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = belief.P[i, j]
+
+
+@kernel
+def _fusion_kernel(
+    agenda: IntArray,
+    belief: Belief,
+    process: Process,
+    steps: ImuSteps,
+    aid: Aid,
+    sky: Sky,
+    pending: Pending,
+    gate: Gate,
+    log: Log,
+    stores: Stores,
+    work: Work,
+) -> None:
+    """Run the filter over a record.
+
+    A row of the agenda is a step (-1: the start), what is done after it, the kind of measurement, its row
+    among its kind, and the slot it waits in. ``belief`` is the start and ends as the last state.
+    """
+    n = belief.P.shape[0]
+    keep = stores.node_t.shape[0] > 0
+    k = steps.span.shape[0] * 0 - 1
+    e, node, output = 0, 0, 0
+    while e < agenda.shape[0]:
+        until = agenda[e, 0]
+        advance_kernel(k, until, belief, process, steps, work, pending, keep)
+        k = until
+        t = steps.t[k]  # the last one serves the start, index -1
+        if keep:
+            stores.node_t[node] = t
+            _keep_kernel(belief, stores.node_state[node, 0], stores.node_cov[node, 0])
+            for i in range(n):
+                for j in range(n):
+                    stores.transition[node, i, j] = work.Phi[i, j]
+                    work.Phi[i, j] = 1.0 if i == j else 0.0
+        while e < agenda.shape[0] and agenda[e, 0] == until and agenda[e, 1] != OUTPUT:
+            action, kind, row, slot = agenda[e, 1], agenda[e, 2], agenda[e, 3], agenda[e, 4]
+            first = slot * pending.width
+            if action != USE:
+                if kind == SATELLITE_ROWS:
+                    made = satellites_kernel(row, first, belief, aid, sky, pending, work)
+                else:
+                    made = measure_kernel(kind, row, first, belief, aid, pending, work)
+                pending.live[slot] = made
+            if action != MEASURE:
+                made = pending.live[slot]
+                pending.live[slot] = 0
+                use_kernel(t, first, made, belief, pending, gate, log, work)
+            e += 1
+        if keep:
+            _keep_kernel(belief, stores.node_state[node, 1], stores.node_cov[node, 1])
+            node += 1
+        while e < agenda.shape[0] and agenda[e, 0] == until:
+            _keep_kernel(belief, stores.state[output], stores.P[output])
+            output += 1
+            e += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """A forward run at the instants of its measurements and outputs, for a smoother."""
+
+    layout: StateLayout
+    t: FloatArray  # (N,) [s]
+    state: FloatArray  # (N, 2, n + 1) before and after: nav state (10), gyro bias, accelerometer bias, extra
+    P: FloatArray  # (N, 2, n, n) before and after
+    Phi: FloatArray  # (N, n, n) transition of the errors from the node before
+    output: IntArray  # (M,) node of each instant of the solution, -1 outside the record
+
+
+def forward_run(
+    sensors: SensorData,
+    initial: InitialState,
+    model: StateModel,
+    agenda: Agenda,
+    sky: Sky,
+    field: FloatArray,
+    names: list[str],
+    gate: Gate,
+    interval: float,
+    keep: bool,
+) -> tuple[NavSolution, Nodes]:
+    """Return the solution of one pass over a record and, with ``keep``, the nodes a smoother goes back over.
+
+    Parameters
+    ----------
+    sensors, initial : SensorData, InitialState
+        Record and start.
+    model : StateModel
+        Layout, covariance at the start (overwritten), processes.
+    agenda : Agenda
+        Everything to measure.
+    sky : Sky
+        Satellites, none without tight coupling.
+    field : (4, 3) array
+        Magnetic field at the start and its change by metre [T], n.
+    names : list of str
+        Of the channels of the gate.
+    gate : Gate
+        Tests and their memories (overwritten).
+    interval : float
+        Of the covariance step [s]; 0: every sample.
+    keep : bool
+        Store the nodes.
+    """
+    layout, n = model.layout, model.layout.size
+    steps, entries, slots = agenda.order()
+    values, variance = agenda.table()
+    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, np.zeros(n - 9)])
+    lever = model.at("antenna_b")
+    if lever >= 0:
+        state[lever + 1 : lever + 4] = sensors.antenna_b
+    visible = int(np.diff(sky.epoch_start).max(initial=0))
+    width = 2 * visible + 6
+    size = 7 * len(values) + 2 * len(sky.t)
+    log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+    m = len(agenda.outputs)
+    at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
+    stores = Stores(
+        np.empty((m, n + 1)),
+        np.empty((m, n, n)),
+        np.empty(len(at)),
+        np.empty((len(at), 2, n + 1)),
+        np.empty((len(at), 2, n, n)),
+        np.empty((len(at), n, n)),
+    )
+    _fusion_kernel(
+        entries,
+        Belief(state, model.P, np.zeros(n)),
+        Process(
+            model.q,
+            model.decay_time,
+            model.decay_distance,
+            model.stationary,
+            model.drives,
+            model.at("gyro_scale"),
+            model.at("g_sensitivity_x"),
+            model.at("clock_offset"),
+            interval,
+        ),
+        ImuSteps(
+            np.append(steps.t, initial.t),  # the last one serves the start, index -1
+            steps.span,
+            steps.row,
+            steps.share,
+            steps.unknown,
+            sensors.imu.dtheta_b,
+            sensors.imu.dvel_b,
+        ),
+        Aid(
+            values,
+            variance,
+            sensors.antenna_b.copy(),
+            field,
+            initial.lla.copy(),
+            model.at("baro_bias"),
+            model.at("gnss_pos"),
+            lever,
+            model.at("wind_north"),
+            model.at("g_sensitivity_x"),
+        ),
+        sky,
+        Pending(
+            np.zeros((slots * width, n)),
+            np.zeros(slots * width),
+            np.zeros(slots * width),
+            np.zeros((slots * width, 4), np.int64),
+            np.zeros(slots, np.int64),
+            width,
+        ),
+        gate,
+        log,
+        stores,
+        work_for(n, len(model.drives)),
+    )
+    count = int(log.filled[0])
+    numbers, marks = log.numbers[:count], log.marks[:count]
+    out_state, out_P = stores.state, stores.P
+    if not np.array_equal(agenda.outputs, np.arange(len(sensors.output_t))):
+        out_state = np.full((len(sensors.output_t), n + 1), np.nan)
+        out_P = np.full((len(sensors.output_t), n, n), np.nan)
+        out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
+    events = agenda.events + refusals(numbers[:, 0], marks, names)
+    node = np.full(len(sensors.output_t), -1)
+    if keep:
+        answered = entries[entries[:, 1] == OUTPUT, 0]
+        node[agenda.outputs] = np.searchsorted(at, answered)
+    nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
+    told = timeline.as_events(events)
+    return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), told), nodes
+
+
+def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[timeline.Event]:
+    """Return an event for every row of refusals of one channel, from the first to the last instant."""
+    events = []
+    first = marks[:, 1] == 0
+    for channel in np.unique(marks[first & (marks[:, 2] == 0), 3]):
+        rows = np.flatnonzero(first & (marks[:, 3] == channel))
+        refused = marks[rows, 2] == 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
+        for begin, end in edges.reshape(-1, 2):
+            span = float(t[rows[begin]]), float(t[rows[end - 1]])
+            events.append((*span, "refused", f"{names[channel]}: {end - begin} in a row refused"))
+    return sorted(events)
+
+
+def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
+    """Return the table of the innovations a kernel has logged."""
+    if len(numbers) == 0:
+        return no_innovations()
+    return Innovations(
+        t=numbers[:, 0],
+        sensor=SENSORS,
+        code=marks[:, 0],
+        component=marks[:, 1],
+        z=numbers[:, 1],
+        S=numbers[:, 2],
+        nis=numbers[:, 3],
+        accepted=marks[:, 2].astype(np.bool_),
+    )
+
+
+def solution(
+    t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
+) -> NavSolution:
+    """Return states (M, n + 1) and covariances (M, n, n) at instants t as a solution; NaN is no answer."""
+    variance = np.einsum("kii->ki", P)[:, 9:]
+    return NavSolution(
+        t=t,
+        lla=state[:, :3],
+        vel_n=state[:, 3:6],
+        q_nb=state[:, 6:10],
+        gyro_bias_b=state[:, 10:13],
+        accel_bias_b=state[:, 13:16],
+        cov=P[:, :9, :9],
+        extra_names=layout.labels(),
+        extra=state[:, 10:],
+        extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+        innovations=table,
+        events=events,
+    )
