@@ -210,37 +210,6 @@ def tight(profile: Profile, truth: Trajectory) -> list[Figure]:
     return [Figure("tight, 20 Hz covariance / strapdown", cost, 8.0, "x")]
 
 
-def compiling(truth: Trajectory, seconds: float = 10.0) -> list[Figure]:
-    """CPU of compiling the kernels of all estimators: first runs less second ones, in fresh processes."""
-    code = (
-        "import time, pickle, sys; from bench.navigation.estimator import BUILT_IN, load;"
-        "data, initial = pickle.load(open(sys.argv[1], 'rb'));"
-        "start = time.process_time(); [load(n, {}).run(data, initial) for n in BUILT_IN];"
-        "print(time.process_time() - start)"
-    )
-    sensed = pipeline.sense(config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}), truth)
-    imu, output_t = sensed.data.imu, sensed.data.output_t
-    n = int(np.searchsorted(imu.t, seconds))
-    cut = type(imu)(*(getattr(imu, f)[:n] for f in ("t", "dt", "valid", "dtheta_b", "dvel_b")))
-    data = replace(sensed.data, imu=cut, output_t=output_t[output_t < seconds])
-    with tempfile.TemporaryDirectory() as folder:
-        given = Path(folder) / "given.pickle"
-        given.write_bytes(pickle.dumps((data, sensed.initial)))
-        environment = dict(os.environ) | {"BENCH_CACHE": str(Path(folder) / "cache")}
-        spent = [
-            float(
-                subprocess.run(
-                    [sys.executable, "-c", code, str(given)],
-                    env=environment,
-                    capture_output=True,
-                    check=True,
-                ).stdout
-            )
-            for _ in range(2)
-        ]
-    return [Figure("compiling all estimators", spent[0] - spent[1], 40.0, "s CPU")]
-
-
 def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> list[Figure]:
     """Largest relative change of a pooled RMSE when the covariance runs at 20 Hz."""
     names = (
@@ -353,8 +322,9 @@ for name in sys.argv[2:] or BUILT_IN:
 """
 
 
-def starting(sensed: Sensed) -> list[Figure]:
+def starting(truth: Trajectory) -> list[Figure]:
     """First answers to two seconds of a record, each in a process of its own: compiling, and compiled."""
+    sensed = pipeline.sense(config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}), truth)
     imu = sensed.data.imu
     begun = {f.name: getattr(imu, f.name)[:400] for f in fields(imu)}
     data = replace(sensed.data, imu=replace(imu, **begun), output_t=sensed.data.output_t[:21])
@@ -388,10 +358,9 @@ def main() -> None:
     figures = [
         *navigating(truth, sensed),
         *tight(profile, truth),
-        *compiling(truth),
         *slower_covariance(matched, truth),
         *against_python_ins(truth, sensed),
-        *starting(sensed),
+        *starting(truth),
         *sensing(profile, truth),
         *flying(profile),
         *commands(),
