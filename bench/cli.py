@@ -43,7 +43,7 @@ def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...
             )
         try:
             values[key] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (tomllib.TOMLDecodeError, RecursionError):
             values[key] = text
     return values
 

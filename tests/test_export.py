@@ -483,7 +483,7 @@ def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
     assert err == f"error: {folder}: no sensors-imu.parquet in it; 'bench run' writes a whole folder\n"
     other = tmp_path / "other"
     make_run(other)
-    for start in ("[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
+    for start in ("[" * 100_000, "[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
         (other / "sensors-start.json").write_text(start)
         err = complaint(capsys, "export", str(other), "--to", "csv")
         assert "cannot be read" in err
