@@ -418,6 +418,32 @@ def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_
     assert_allclose(errors["mine"].pos_n[late], errors["loose-15"].pos_n[late], atol=1e-3)
 
 
+def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    main(["navigate", str(folder / "drive.toml"), "-e", "gnss-only", "-o", str(out)])
+    said, err = capsys.readouterr()
+    assert err == ""
+    assert "No recording: no estimator has position, velocity and attitude" in said
+    assert (out / "result.json").is_file()
+    assert not (out / "flight.rrd").exists()
+
+
+def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
+    """A course alignment tells no place: the map of the bag begins at the first fix."""
+    pytest.importorskip("rosbags")
+    out, bag = tmp_path / "out", tmp_path / "bag"
+    main(["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-o", str(out), "--no-rrd"])
+    with_solution = ["--with", "solution:loose-15"]
+    assert main(["export", str(out), "--to", "rosbag2", "-o", str(bag), *with_solution]) == 0
+    fixes = store.load_sensors(out)[1]
+    first = np.rad2deg(fixes.lla[fixes.valid][0, 0])
+    assert f"{first:.9f}" in (bag / "README.md").read_text()
+    capsys.readouterr()
+    for arguments in (["export", str(out), "--to", "csv", "--with", "truth"], ["score", "x.csv", str(out)]):
+        assert main(arguments) == 2
+        assert "has no truth" in capsys.readouterr().err
+
+
 # --- statistics and the law ---------------------------------------------------------------------------
 
 
@@ -577,8 +603,11 @@ def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys,
     ("arguments", "words"),
     [
         ([], "give a LOG.toml"),
-        (["x.toml", "--mask-deg", "5"], "--mask-deg is for --observations"),
-        (["--observations", "a", "--navigation", "b", "--outages", "5"], "--outages is for a LOG.toml"),
+        (["x.toml", "--mask-deg", "5"], "--mask-deg does not go with a LOG.toml"),
+        (
+            ["--observations", "a", "--navigation", "b", "--outages", "5"],
+            "--outages goes with a LOG",
+        ),
         (["x.toml", "--outages", "5,no"], "must be seconds"),
         (["x.toml"], "x.toml: no such file"),
     ],

@@ -50,6 +50,8 @@ def write(
     ------
     OSError
         When the file cannot be written.
+    bench.recording.plots.NothingToShowError
+        Without a truth, when no estimator has a motion to show.
     """
     recorded = _record(profile, truth, sensed, solutions, errors, metrics, more)
     part = path.with_name(f"{path.name}.tmp")

@@ -46,14 +46,18 @@ class Carrier:
 Motion = Trajectory | Carrier
 
 
+class NothingToShowError(Exception):
+    """There is no truth, and no estimator has position, velocity and attitude at any instant."""
+
+
 def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
-    """Return the motion the first estimator says there was, where it is finite."""
-    first = next(iter(solutions.values()))
-    good = np.isfinite(np.hstack([first.lla, first.vel_n, first.q_nb])).all(axis=1)
-    if not good.any():
-        raise ValueError("no solution has a finite row to show")
-    rows = (first.t[good], first.lla[good], first.vel_n[good], first.q_nb[good])
-    return Carrier(*rows, no_air(), no_controls(), no_events())
+    """Return the motion the first estimator that has one says there was, where it is finite."""
+    for one in solutions.values():
+        good = np.isfinite(np.hstack([one.lla, one.vel_n, one.q_nb])).all(axis=1)
+        if good.any():
+            rows = (one.t[good], one.lla[good], one.vel_n[good], one.q_nb[good])
+            return Carrier(*rows, no_air(), no_controls(), no_events())
+    raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
 
 
 TRUTH: Colour = (110, 190, 90)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
     RESULT,
+    TRUTH,
     add_solution,
     load,
     load_observations,
@@ -23,6 +24,7 @@ from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth
 __all__ = [
     "RESULT",
     "START",
+    "TRUTH",
     "add_solution",
     "initial_state",
     "load",

@@ -37,6 +37,7 @@ from bench.store.start import START, start_document
 
 _T = TypeVar("_T")
 RESULT = "result.json"
+TRUTH = "truth.parquet"
 OBSERVATIONS = "sensors-observations.parquet"
 
 
@@ -190,7 +191,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
 def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
     """Read the truth of a results folder back."""
     folder = Path(folder)
-    motion = parquet.read(folder / "truth.parquet", {**columns.MOTION, **columns.INCREMENTS})
+    motion = parquet.read(folder / TRUTH, {**columns.MOTION, **columns.INCREMENTS})
     motion |= {name: motion[name][1:] for name in columns.INCREMENTS}  # the first row ends no interval
     return Trajectory(
         **motion,
@@ -296,7 +297,7 @@ def _save_truth(folder: Path, truth: Trajectory) -> None:
         dtheta_b=np.vstack([no_interval, truth.dtheta_b]),
         dvel_b=np.vstack([no_interval, truth.dvel_b]),
     )
-    parquet.write(folder / "truth.parquet", motion, {**columns.MOTION, **columns.INCREMENTS})
+    parquet.write(folder / TRUTH, motion, {**columns.MOTION, **columns.INCREMENTS})
     parquet.write(folder / "truth-air.parquet", truth.air, columns.AIR)
     parquet.write(folder / "truth-controls.parquet", truth.controls, columns.CONTROLS)
     parquet.write(folder / "truth-events.parquet", truth.events, columns.EVENTS)

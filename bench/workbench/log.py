@@ -140,8 +140,13 @@ def navigate(
         store.save(partial, result, None, sensed, more)
         if recording:
             from bench.recording import write
+            from bench.recording.plots import NothingToShowError
 
-            write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))
+            try:
+                write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))
+            except NothingToShowError as error:
+                recording = False
+                console.print(f"No recording: {error}.")
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
     if recording:
         console.print(f"Next: bench view {folder}")
@@ -307,7 +312,7 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         str(row["places"]),
         _interval(row, "median_h"),
         _interval(row, "p95_h"),
-        f"{row['claimed_median_h_m']:.3g}",
+        _number(row["claimed_median_h_m"]),
         f"{row['closed_form_median_h_m']:.3g}",
     )
 
@@ -323,5 +328,11 @@ def _page(table: Sequence[Mapping[str, Any]]) -> str:
 
 def _interval(row: Mapping[str, Any], name: str) -> str:
     low, high = row[f"{name}_low_m"], row[f"{name}_high_m"]
-    ends = " to ".join("-" if end is None else f"{end:.3g}" for end in (low, high))
+    if not np.isfinite(row[f"{name}_m"]):
+        return "-"
+    ends = " to ".join(map(_number, (low, high)))
     return f"{row[f'{name}_m']:.3g} ({ends})"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.exchange.exports.local import enu, flu, poses
 from bench.exchange.exports.outgoing import Calendar, ExportError, Outgoing
 
@@ -42,7 +43,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     listed = "\n".join(
         f"- `{topic}`: {kind_of}{_SAID.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
     )
-    lla = np.array(_origin(out))
+    lla = _origin(out)
     lat, lon = np.rad2deg(lla[:2])
     return f"""`ros2 bag play {FOLDER}`; messages of ROS 2 Humble in SQLite, stamped with their validity in
   UTC.
@@ -65,9 +66,16 @@ _SAID = {
 _TRACK = ": pose of the IMU in `map`, velocity in `imu_link`"
 
 
-def _origin(out: Outgoing) -> Any:
+def _origin(out: Outgoing) -> FloatArray:
+    """Return where `map` is (3,): at the start the filters are told, or at the first fix."""
     told = out.start["initial"]
-    return [told["lat_rad"], told["lon_rad"], told["alt_m"]]
+    places = [np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float)]  # NaN when not told
+    if out.fixes is not None:
+        places += list(out.fixes.lla[out.fixes.valid])
+    found = next((place for place in places if np.isfinite(place).all()), None)
+    if found is None:
+        raise ExportError("the run has neither a start nor a fix, of which this format needs one")
+    return found
 
 
 class _Messages:
@@ -166,7 +174,7 @@ class _Messages:
         from bench import rotation
 
         track = out.tracks[name]
-        position, attitude = poses(track.lla, track.q_nb, np.array(_origin(out)))
+        position, attitude = poses(track.lla, track.q_nb, _origin(out))
         vel_b = flu(rotation.rotate(rotation.conjugate(track.q_nb), track.vel_n))
         none = np.zeros((6, 6))
         for k, t in enumerate(track.t):
