@@ -67,9 +67,7 @@ def reading(folder: Path) -> Iterator[None]:
         missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
         what = missing[-1] if missing else "file"
         if what == store.TRUTH:
-            raise ExportError(
-                f"{folder}: has no truth; one of 'bench run' has, of a log there is none"
-            ) from None
+            raise ExportError(f"{folder}: has no truth, being that of a log") from None
         raise ExportError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
     except parquet.DAMAGED as error:
         said = " ".join(str(error).split())[:200]
