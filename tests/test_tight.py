@@ -358,9 +358,12 @@ def test_what_tight_does_not_model_is_named():
     for text in (
         "ionosphere beyond the broadcast model",
         "multipath",
+        "flicker of the receiver's clock",
         "g-sensitivity of the receiver's clock",
     ):
         assert text in named
+    steady = replace(SKY, sky=replace(SKY.sky, clock_h_m1=0.0))
+    assert "flicker of the receiver's clock" not in Tight().unmodelled(units(gnss=steady).assumed)
     assert not [text for text in named if "GNSS" in text]
 
 
