@@ -1,9 +1,10 @@
 """Which rows of a sensor record are used and when, and the count of the rest.
 
 A row is used at the first step of the filter at or after its arrival. What is left out
-is never repaired: it becomes a "timeline" event of the solution. A gap in the IMU record is
-bridged by the rates of the last sample before it (nothing later has arrived), and the filter is
-told how little these say of the motion (:func:`bridge_variance`).
+is never repaired: it becomes a "timeline" event of the solution. :func:`steps` bridges a gap in the IMU
+record by the rates of the last sample before it (nothing later has arrived), and tells the filter how
+little these say of the motion (:func:`bridge_variance`). A filter that goes by :func:`imu_rows` alone has
+the first sample after a gap to cover all of it.
 """
 
 from __future__ import annotations
