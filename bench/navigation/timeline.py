@@ -202,6 +202,24 @@ def aiding_rows(
     return ordered_rows(record.t, record.t_arrival, sound, name, imu_t, start)
 
 
+def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[Event]]:
+    """Return what :func:`aiding_rows` does, of fixes: a position must be finite, a velocity need not be.
+
+    A velocity that is not finite in all of its components is none; an event counts the fixes in use that
+    have none.
+    """
+    rows, sample, events = aiding_rows(fixes, fixes.lla, "gnss", imu_t, start)
+    finite = np.isfinite(fixes.vel_n[rows]).sum(axis=1)
+    if (finite < 3).any():
+        t = fixes.t[rows[finite < 3]]
+        text = f"gnss: {len(t)} fixes without velocity"
+        part = int(((finite > 0) & (finite < 3)).sum())
+        if part:
+            text += f", in {part} of them some components are not finite"
+        events.append((float(t.min()), float(t.max()), "timeline", text))
+    return rows, sample, events
+
+
 def ordered_rows(
     t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, imu_t: FloatArray, start: float
 ) -> tuple[IntArray, IntArray, list[Event]]:
