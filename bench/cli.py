@@ -43,7 +43,7 @@ def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...
             )
         try:
             values[key] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (tomllib.TOMLDecodeError, RecursionError):
             values[key] = text
     return values
 
@@ -284,7 +284,8 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
     "estimators",
     multiple=True,
     metavar="NAME",
-    help="of a log: use only this one, of the file, built in or 'module:Class'; repeat for more",
+    help="of a log: use only this one, of the file, built in, 'module:Class', 'file:solution.csv' or "
+    "'command:./program {sensors} {solution}'; repeat for more",
 )
 @click.option(
     "--outages",
@@ -410,7 +411,7 @@ def navigate(
         if ctx.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE
     }
     if log is not None:
-        _refuse(given - {"log", "out", "as_json", *_OF_A_LOG}, "is for --observations, not for a LOG.toml")
+        _refuse(given - {"log", "out", "as_json", *_OF_A_LOG}, "does not go with a LOG.toml")
         from bench.workbench.log import navigate as navigate_log
 
         summary = navigate_log(
@@ -429,7 +430,7 @@ def navigate(
         return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
     if observations is None or not navigation:
         raise click.UsageError("give a LOG.toml, or --observations and --navigation")
-    _refuse(given & _OF_A_LOG, "is for a LOG.toml, not for --observations")
+    _refuse(given & _OF_A_LOG, "goes with a LOG.toml only")
     from math import radians
 
     from bench.signals.receiver import Processing
@@ -723,7 +724,8 @@ def _failure(error: Exception) -> tuple[int, str] | None:
 
 
 def _fail(status: int, message: str) -> int:
-    click.echo(f"error: {message}", err=True)
+    told = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # a stranger's file is quoted
+    click.echo(f"error: {told}", err=True)
     return status
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import tomllib
 from pathlib import Path
@@ -276,7 +277,8 @@ def test_estimators_are_chosen_by_label(tmp_path):
     assert (kept.use, kept.options) == ("my.lab:Huber", {"k": 1.5})
     assert errors(name, estimators=["loos-15"]) == [
         "own.toml: no estimator 'loos-15' in this profile. Did you mean 'loose-15'?\n"
-        f"  known estimators: {', '.join(sorted([*BUILT_IN, 'Huber']))}, 'module:Class'"
+        f"  known estimators: {', '.join(sorted([*BUILT_IN, 'Huber']))}, 'module:Class', 'file:SOLUTION', "
+        "'command:PROGRAM ...'"
     ]
     others = config.load_profile(name, estimators=["free-inertial", "your.lab:Own"])
     assert [(c.use, c.label) for c in others.estimators] == [
@@ -535,6 +537,17 @@ def test_a_file_that_is_no_text(tmp_path):
     assert errors(str(tmp_path / "own.toml")) == ["own.toml: not a text file in UTF-8"]
     (tmp_path / "dir.toml").mkdir()
     assert errors(str(tmp_path / "dir.toml")) == ["dir.toml: Is a directory"]
+    os.mkfifo(tmp_path / "pipe.toml")
+    assert errors(str(tmp_path / "pipe.toml")) == ["pipe.toml: no file"]
+
+
+def test_a_hostile_file_is_refused_in_bounded_memory_and_depth(tmp_path):
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
+    (found,) = errors(str(tmp_path / "deep.toml"))
+    assert found == "deep.toml: not valid TOML: too many brackets within brackets"
+    with (tmp_path / "huge.toml").open("wb") as file:
+        file.truncate(3_000_000_000)  # a hole: it needs no room
+    assert errors(str(tmp_path / "huge.toml")) == ["huge.toml: larger than 10 MB"]
 
 
 @pytest.mark.parametrize(

@@ -444,6 +444,12 @@ def test_the_default_folder_stands_beside_the_run(run, capsys):
     assert (run[0].parent / "circle-nmea" / "gnss.nmea").is_file()
 
 
+def test_the_present_folder_is_a_run_like_another(run, monkeypatch):
+    monkeypatch.chdir(run[0])
+    assert main(["export", ".", "--to", "kml"]) == 0
+    assert (run[0].parent / "circle-kml" / "tracks.kml").is_file()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -477,8 +483,10 @@ def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
     assert err == f"error: {folder}: no sensors-imu.parquet in it; 'bench run' writes a whole folder\n"
     other = tmp_path / "other"
     make_run(other)
-    for start in ("[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
+    for start in ("[" * 100_000, "[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
         (other / "sensors-start.json").write_text(start)
         err = complaint(capsys, "export", str(other), "--to", "csv")
         assert "cannot be read" in err
+    (other / "sensors-start.json").write_text("{}")
+    assert "there is no '" in complaint(capsys, "export", str(other), "--to", "csv")
     assert not (tmp_path / "out").exists()

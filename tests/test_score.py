@@ -299,6 +299,21 @@ def test_a_wrong_file_is_one_line_with_the_row(run, tmp_path, capsys, text, said
     assert said in err
 
 
+@pytest.mark.parametrize("option", [("--t0", "nan"), ("--t0", "-inf"), ("--max-gap", "nan")])
+def test_a_number_of_seconds_is_finite(run, tmp_path, capsys, option):
+    (tmp_path / "his.csv").write_text(GOOD + "0,47,11,1200\n")
+    assert main(["score", str(tmp_path / "his.csv"), str(run[0]), *option]) == 2
+    assert capsys.readouterr().err == f"error: {' '.join(option)} must be a number of seconds\n"
+
+
+def test_a_terminal_obeys_nothing_that_a_file_says(run, tmp_path, capsys):
+    (tmp_path / "his.csv").write_bytes(b"\x1b]0;mine\x07x,y\n1,2\n")
+    assert main(["score", str(tmp_path / "his.csv"), str(run[0])]) == 2
+    err = capsys.readouterr().err
+    assert "?]0;mine?x, y" in err
+    assert "\x1b" not in err
+
+
 def test_what_is_no_file_or_no_table_is_one_line(run, tmp_path, capsys):
     fifo = tmp_path / "pipe.csv"
     os.mkfifo(fifo)

@@ -205,8 +205,8 @@ def test_a_client_that_leaves_is_said_in_one_line(run):
         (("--udp", "192.0.2.1:5600"), "not this machine; --allow-remote lets the messages out"),
         (("--tcp", "0.0.0.0:5600"), "not this machine"),
         (("--tcp", "[::]:5600"), "not this machine"),
-        (("--udp", "127.0.0.1:5600", "--rate", "-1"), "--rate -1 must be above 0"),
-        (("--udp", "127.0.0.1:5600", "--rate", "nan"), "--rate nan must be above 0"),
+        (("--udp", "127.0.0.1:5600", "--rate", "-1"), "--rate -1 must not be negative"),
+        (("--udp", "127.0.0.1:5600", "--rate", "nan"), "--rate nan must not be negative"),
     ],
 )
 def test_a_wrong_command_line_is_one_line(run, capsys, options, said):
@@ -223,6 +223,14 @@ def test_a_port_that_is_taken(run, capsys):
         port = other.getsockname()[1]
         assert main(["stream", str(run), "--tcp", f"127.0.0.1:{port}"]) == 4
     assert capsys.readouterr().err == f"error: tcp 127.0.0.1:{port}: Address already in use\n"
+
+
+def test_an_address_that_cannot_be_reached_is_named(run, capsys):
+    to = ("--udp", "255.255.255.255:5600", "--allow-remote", "--rate", "0")
+    assert main(["stream", str(run), *to]) == 4
+    err = capsys.readouterr().err
+    assert err.startswith("error: udp 255.255.255.255:5600: ")
+    assert err.count("\n") == 1
 
 
 def test_no_run_no_stream(tmp_path, capsys):

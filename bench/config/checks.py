@@ -123,6 +123,9 @@ def units(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> lis
     return wrong
 
 
+_BROUGHT = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # what stands for an estimator, too
+
+
 def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
     """Check that the estimators exist, and that labels can name files and are unique."""
     wrong = []
@@ -133,7 +136,7 @@ def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
             wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
         if ":" not in choice.use and choice.use not in BUILT_IN:
             hint = suggest(choice.use, BUILT_IN, "estimators")
-            wrong.append(f"{place}use = {choice.use!r} is no built-in estimator{hint}, 'module:Class'")
+            wrong.append(f"{place}use = {choice.use!r} is no built-in estimator{hint}, {_BROUGHT}")
         what = f"{place}label = {choice.label!r}"
         if not _LABEL.fullmatch(choice.label):
             wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.'")
@@ -157,7 +160,7 @@ def asked(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]
     """Check that every estimator asked for is in the profile, built in, or a ``module:Class``."""
     known = {choice.label for choice in choices} | set(BUILT_IN)
     return [
-        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, 'module:Class'"
+        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_BROUGHT}"
         for name in names
         if name not in known and ":" not in name
     ]

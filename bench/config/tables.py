@@ -66,16 +66,26 @@ ROWS = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) els
 """Take the array of a TOML file for a tuple."""
 
 
+MOST_BYTES = 10_000_000
+"""Of a TOML file."""
+
+
 def read(path: Path, shown: str) -> dict[str, Any]:
     """Return the content of a TOML file.
 
     Raises
     ------
     ConfigError
-        When it cannot be read or is not TOML; ``shown`` is what the message calls it.
+        When it cannot be read, is too large or is not TOML; ``shown`` is what the message calls it.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for
+            raise ConfigError(f"{shown}: no file")
+        with path.open("rb") as file:
+            text = file.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        return tomllib.loads(text.decode("utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except UnicodeDecodeError:
@@ -84,6 +94,8 @@ def read(path: Path, shown: str) -> dict[str, Any]:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{shown}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{shown}: not valid TOML: too many brackets within brackets") from None
 
 
 def checked(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:

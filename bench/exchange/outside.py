@@ -18,6 +18,7 @@ import subprocess
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import IO
@@ -271,6 +272,4 @@ def _failed(t: FloatArray, why: str, events: list[tuple[float, float, str, str]]
 
 
 def _with_events(solution: NavSolution, rows: list[tuple[float, float, str, str]]) -> NavSolution:
-    from dataclasses import replace
-
     return replace(solution, events=Events.from_rows(rows))

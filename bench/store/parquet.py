@@ -14,7 +14,15 @@ from pyarrow import csv
 
 from bench.store.columns import Layout
 
-DAMAGED = (pa.ArrowException, KeyError, TypeError, ValueError, OverflowError, OSError)
+DAMAGED = (
+    pa.ArrowException,
+    KeyError,
+    TypeError,
+    ValueError,
+    OverflowError,
+    RecursionError,
+    OSError,
+)
 """What reading a file that is damaged, or none of ours, raises."""
 
 

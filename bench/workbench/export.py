@@ -47,7 +47,10 @@ def export(
     ConfigError
         When it cannot be done; nothing is left behind.
     """
-    out = out or folder.with_name(f"{folder.resolve().name}-{kind}")
+    beside = (
+        folder if folder.name not in ("", "..") else folder.resolve()
+    )  # "." has no name to put another for
+    out = out or beside.with_name(f"{folder.resolve().name}-{kind}")
     readme = out / README
     ours = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())
     check_folder(out, force=force, ours=ours)

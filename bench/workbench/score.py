@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from pathlib import Path
@@ -17,7 +18,7 @@ from bench.exchange.exports import ExportError, reading
 from bench.exchange.solutions import check_unit, read_solution, resampled
 from bench.sensors.timing import output_times
 from bench.workbench import show
-from bench.workbench.run import RECORDING, check_folder
+from bench.workbench.run import RECORDING, check_folder, new_folder
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
@@ -57,13 +58,16 @@ def score(
     Raises
     ------
     ConfigError
-        When the solution or the folder is wrong: one line; nothing is written.
+        When the solution, the folder or a number is wrong: one line; nothing is written.
     """
     label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
     if not _LABEL.fullmatch(label):
         raise ConfigError(f"--label {label!r} must be a name of letters, digits, '-', '_' and '.'")
     if not (folder / store.RESULT).is_file():
         raise ConfigError(f"{folder}: no results folder, there is no {store.RESULT} in it")
+    for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
+        if seconds is not None and not math.isfinite(seconds):
+            raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
     if out is not None:
         check_folder(out, force=force)
     try:
@@ -96,7 +100,7 @@ def score(
         for _, _, text in solution.events.of(kind):
             console.print(f"{label}: {text}")
     if out is not None:
-        with store.results_folder(out, replace=force or out.is_dir()) as partial:
+        with new_folder(out, force=force) as partial:
             shutil.copytree(folder, partial, dirs_exist_ok=True, ignore=shutil.ignore_patterns(RECORDING))
             store.add_solution(partial, label, solution, errors, measured)
         console.print(f"Wrote {out}")

@@ -55,7 +55,7 @@ def stream(
         When the address cannot be used, or the other side closes the connection before the end.
     """
     if math.isnan(rate) or rate < 0:
-        raise ConfigError(f"--rate {rate:g} must be above 0; 0 or inf sends as fast as it goes")
+        raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as it goes")
     host, port = _address(kind, address, remote)
     try:
         run = gather(folder)
@@ -76,6 +76,8 @@ def stream(
             except (ConnectionError, BrokenPipeError):
                 text = f"the other side closed the connection after {sent} messages"
                 raise OSError(errno.ECONNRESET, text, f"{kind} {address}") from None
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, f"{kind} {address}") from None
             sent += 1
         took = time.monotonic() - begun
     pace = f", none more than {1e3 * late:.3g} ms late" if 0 < rate < math.inf else ""

@@ -69,4 +69,6 @@ def reading(folder: Path) -> Iterator[None]:
         raise ExportError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
     except parquet.DAMAGED as error:
         said = " ".join(str(error).split())[:200]
+        if isinstance(error, KeyError):
+            said = f"there is no {said} in it"
         raise ExportError(f"{folder}: cannot be read: {said or type(error).__name__}") from None
