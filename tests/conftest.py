@@ -1,9 +1,14 @@
-"""Truths from JSBSim that several test files look at; each is flown once."""
+"""What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
 import pytest
 
 from bench.data import Trajectory
 from bench.flight import fly
+from bench.specs import stream
 from tests.plans import FIGURE_EIGHT, short_plan
 
 
@@ -17,3 +22,21 @@ def short_truth() -> Trajectory:
 def figure_eight_truth() -> Trajectory:
     """The shipped flight figure-eight, 600 s at 200 Hz."""
     return fly(FIGURE_EIGHT)
+
+
+@pytest.fixture
+def streams_drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
+    """Watch modules of sensors: the list it gives holds the name of every random stream they ask for."""
+
+    def watch(*modules: ModuleType) -> list[str]:
+        names: list[str] = []
+
+        def recorded(seed: int, run: int, name: str) -> np.random.Generator:
+            names.append(name)
+            return stream(seed, run, name)
+
+        for module in modules:
+            monkeypatch.setattr(module, "stream", recorded)
+        return names
+
+    return watch

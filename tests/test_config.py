@@ -442,6 +442,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         ('"uav"', '"jetliner"', "class = 'jetliner' must be 'uav', 'light', 'transport' or 'fighter'"),
         ("speed_mps = 28.0", "speed_mps = 30.0", "[[trim]] 3: speed_mps = 30 m/s is outside [limits]"),
         ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is no table of it"),
+        ('"runway", "g', '"imu", "g', "assumed names 'imu', which is no table of it"),
     ):
         (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
         assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]

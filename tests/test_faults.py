@@ -6,6 +6,7 @@ What a fault did is the record with it less the record without it: every noise s
 from __future__ import annotations
 
 import pickle
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -406,6 +407,15 @@ def test_a_noise_burst_is_as_large_as_it_says(sensor):
     low, high = (2 * gammaincinv(len(unit) / 2, p) / len(unit) for p in (0.0005, 0.9995))
     assert low < np.mean(unit**2) < high
     assert not low < np.mean(unit**2) * 1.25**2 < high
+
+
+def test_an_airspeed_in_a_burst_is_never_negative_and_not_valid_where_the_unit_is_blind(turn, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "PITOT", replace(PITOT, white_sd=3.0, min_speed=4.0))
+    read = sensed(turn, POSITION, script("noise-burst", sensor="airspeed", times=10.0)).data.airspeed
+    burst = inside(read)
+    assert (read.airspeed_true[burst] == 0.0).sum() > 5  # 25 m/s is less than one sigma of 30 m/s
+    assert (read.airspeed_true >= 0.0).all()
+    assert_array_equal(read.valid[burst], read.airspeed_true[burst] >= 4.0)
 
 
 def test_later_arrivals(turn, plain):

@@ -386,15 +386,28 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     assert (np.abs(off) < 4 * np.sqrt(np.diag(solution.cov[k])[6:])).all()
 
 
-def test_fixes_without_a_velocity_are_refused_in_one_line(tmp_path, capsys):
+@pytest.mark.parametrize("lacking", ["every", "some"])
+def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, capsys, lacking):
+    """No columns, or NaN in every third row: the withheld fixes then judge positions alone."""
     path = drives.write_log(tmp_path, drives.LOG.replace(KIND, GIVEN))
     columns = drives.gnss_columns(drives.sensed()["gnss"])
-    drives.write_csv(tmp_path / "gnss.csv", {k: v for k, v in columns.items() if "mps" not in k})
-    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
-    assert "no usable fix" in capsys.readouterr().err
-    path.write_text(drives.LOG)
-    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
-    assert "gives no velocity of the antenna" in capsys.readouterr().err
+    if lacking == "every":
+        columns = {name: values for name, values in columns.items() if "mps" not in name}
+    else:
+        columns["vel_e_mps"] = np.where(np.arange(len(columns["t_s"])) % 3, columns["vel_e_mps"], np.nan)
+    drives.write_csv(tmp_path / "gnss.csv", columns)
+    for log in (path.read_text(), drives.LOG):
+        path.write_text(log)
+        arguments = ["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd", "--force", "--json"]
+        assert main(arguments) == 0
+        metrics = json.loads(capsys.readouterr().out)["metrics"]["loose-15"]
+        assert metrics["pos_rmse_h_m"] < 0.05
+        assert metrics["nees_states"] == 3
+        assert 2.0 < metrics["nees_mean"] < 4.0
+        assert "vel_rmse_3d_mps" not in metrics
+        assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
+    events = store.load(tmp_path / "out").solutions["loose-15"].events.of("timeline")
+    assert sum("fixes without velocity" in text for _, _, text in events) == 1
 
 
 def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_path, capsys):

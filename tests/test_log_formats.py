@@ -34,7 +34,7 @@ FLU = [1.0, -1.0, -1.0]
 # --- writers ------------------------------------------------------------------------------------------
 
 
-def rosbag(path: Path, made, ros2=True, plugin=StoragePlugin.SQLITE3) -> Path:
+def rosbag(path: Path, made, ros2=True, plugin=StoragePlugin.SQLITE3, twist=True) -> Path:
     types = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
     t_of = types.types
     rows: list[tuple[float, str, str, object]] = []
@@ -65,11 +65,12 @@ def rosbag(path: Path, made, ros2=True, plugin=StoragePlugin.SQLITE3) -> Path:
         n, e, d = gnss["vel_n"][k]
         cov = np.zeros((6, 6))
         cov[:3, :3] = np.diag(np.square(drives.VEL_SD))
-        twist = t_of["geometry_msgs/msg/TwistWithCovariance"](
+        moving = t_of["geometry_msgs/msg/TwistWithCovariance"](
             t_of["geometry_msgs/msg/Twist"](vector((e, n, -d)), vector((0, 0, 0))), cov.ravel()
         )
         kind = "geometry_msgs/msg/TwistWithCovarianceStamped"
-        rows.append((t, "/gnss/vel", kind, t_of[kind](header(t), twist)))
+        if twist:
+            rows.append((t, "/gnss/vel", kind, t_of[kind](header(t), moving)))
     for k, t in enumerate(baro["t"] + EPOCH):
         ratio = 1.0 - 0.0065 * baro["alt"][k] / 288.15  # ISO 2533
         pressure = 101325.0 * ratio ** (9.80665 / 287.05287 / 0.0065)

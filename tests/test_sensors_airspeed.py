@@ -16,7 +16,7 @@ from synthetic import still
 from bench.data import no_air
 from bench.sensors import airspeed
 from bench.signals import air
-from bench.specs import AirspeedSpec, stream
+from bench.specs import AirspeedSpec
 
 TAIL = 0.0005  # each side of a 99.9 % band
 OFF = AirspeedSpec("off", rate=20.0)
@@ -142,14 +142,8 @@ def test_rate_and_latency_and_a_truth_without_air(steady):
         airspeed.measure(replace(steady, air=no_air()), FULL, 1, 0)
 
 
-def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(steady, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(airspeed, "stream", recorded)
+def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(steady, streams_drawn):
+    drawn = streams_drawn(airspeed)
     airspeed.measure(steady, OFF, 1, 0)
     assert drawn == []
     airspeed.measure(steady, FULL, 1, 0)

@@ -14,7 +14,7 @@ from scipy.special import gammaincinv
 from synthetic import ORIGIN, still
 
 from bench.sensors import baro
-from bench.specs import BaroSpec, stream
+from bench.specs import BaroSpec
 
 TAIL = 0.0005  # each side of a 99.9 % band
 OFF = BaroSpec("off", rate=5.0, white_sd=0.0, bias_sd=0.0, bias_walk=0.0)
@@ -104,14 +104,8 @@ def test_rate_and_latency(rest):
         baro.measure(rest, replace(FULL, rate=200.0), 1, 0)
 
 
-def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(rest, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(baro, "stream", recorded)
+def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(rest, streams_drawn):
+    drawn = streams_drawn(baro)
     baro.measure(rest, OFF, 1, 0)
     assert drawn == []
     baro.measure(rest, FULL, 1, 0)

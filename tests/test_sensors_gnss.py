@@ -20,7 +20,7 @@ from bench import earth, rotation
 from bench.config import ConfigError
 from bench.config.datasheets import read_gnss
 from bench.sensors import gnss
-from bench.specs import GnssSpec, stream
+from bench.specs import GnssSpec
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
 TAIL = 0.0005  # each side of a 99.9 % band
@@ -142,14 +142,8 @@ def test_doubling_an_error_doubles_it_alone(turn, figure, quantity, axes):
     assert_array_equal(columns[quantity][:, others], 0)
 
 
-def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(turn, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(gnss, "stream", recorded)
+def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(gnss)
     measure(turn, SILENT)
     assert drawn == []
     measure(turn, FULL)

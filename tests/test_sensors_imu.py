@@ -17,7 +17,7 @@ from synthetic import still, turning
 
 from bench.sensors import imu, processes
 from bench.signals import allan
-from bench.specs import ImuSpec, TriadSpec, stream
+from bench.specs import ImuSpec, TriadSpec
 
 TAIL = 0.0005  # each side of a 99.9 % band
 Z = -ndtri(TAIL)  # 3.29
@@ -93,14 +93,8 @@ def test_doubling_the_correlation_time_halves_the_wandering(rest):
     )
 
 
-def test_every_term_has_a_stream_and_none_is_drawn_for_nothing(turn, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(imu, "stream", recorded)
+def test_every_term_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(imu)
     measure(turn, gyro=replace(OFF, random_walk=1e-5, bias_correlation=100.0))
     assert drawn == ["imu.gyro.white"]
     drawn.clear()

@@ -16,7 +16,7 @@ from synthetic import still, turning
 from bench import rotation
 from bench.sensors import magnetometer
 from bench.signals.magnetic import field_n
-from bench.specs import MagSpec, stream
+from bench.specs import MagSpec
 
 TAIL = 0.0005  # each side of a 99.9 % band
 DATE = 2026.0
@@ -145,14 +145,8 @@ def test_the_date_moves_the_field(turn):
         magnetometer.measure(turn, OFF, 2031.0, 1, 0)
 
 
-def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(turn, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(magnetometer, "stream", recorded)
+def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(magnetometer)
     magnetometer.measure(turn, OFF, DATE, 1, 0)
     assert drawn == []
     magnetometer.measure(turn, FULL, DATE, 1, 0)

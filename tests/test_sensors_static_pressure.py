@@ -17,7 +17,7 @@ from bench import rotation
 from bench.data import no_air
 from bench.sensors import static_pressure
 from bench.signals import air
-from bench.specs import BaroSpec, StaticPressureSpec, stream
+from bench.specs import BaroSpec, StaticPressureSpec
 
 TAIL = 0.0005  # each side of a 99.9 % band
 STANDARD = 101325.0
@@ -184,14 +184,8 @@ def test_without_air_or_without_a_physical_part_it_is_refused():
         read(level(), None)
 
 
-def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(static_pressure, "stream", recorded)
+def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(streams_drawn):
+    drawn = streams_drawn(static_pressure)
     read(level())
     assert drawn == []
     read(level(), FULL)

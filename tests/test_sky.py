@@ -21,7 +21,7 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.sensors import clock, gnss, sky
 from bench.signals import allan, delays, orbits, receiver
-from bench.specs import SkySpec, stream
+from bench.specs import SkySpec
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
 DATA = Path(__file__).parents[2] / "shared" / "data" / "gnss"
@@ -333,15 +333,8 @@ def test_specific_force_bends_the_clock(turn):
     assert_allclose(offset, drift * turn.t[rows], rtol=1e-9)
 
 
-def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, monkeypatch):
-    drawn = []
-
-    def recorded(seed, run, name):
-        drawn.append(name)
-        return stream(seed, run, name)
-
-    monkeypatch.setattr(sky, "stream", recorded)
-    monkeypatch.setattr(clock, "stream", recorded)
+def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(sky, clock)
     measure(turn, QUIET)
     assert drawn == []
     measure(turn, replace(FULL, bands=2, clock_h_m1=7e-21))

@@ -17,11 +17,14 @@ import bench
 from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import errors as judge
+from bench.evaluation import metrics
+from bench.evaluation.consistency import chi2_quantile
 from bench.navigation import aiding, error_state, ranging
 from bench.navigation.agenda import Agenda
 from bench.navigation.cycle import Belief, Pending, work_for
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
+from bench.specs import Fault
 
 SKY = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
 MEMS = config.load_profile("figure-eight").sensors.imu
@@ -280,6 +283,56 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
     print("delays", delay)
 
 
+def scripted(truth, sensed, step, ramp, start, end, **options):
+    """Fault of the pseudorange of the satellite seen most, its metrics, and the solution."""
+    o = sensed.data.observations
+    row = np.flatnonzero(ranging.satellites(o) == np.bincount(ranging.satellites(o)).argmax())[0]
+    name = ranging.satellite_names(o)[ranging.satellites(o)[row]]
+    satellite = (int(o.system[row]), int(o.sat[row]))
+    fault = Fault(
+        "pseudorange", "gnss", start, end, "scripted", satellites=(satellite,), step=(step,), ramp=(ramp,)
+    )
+    drawn = sensors.sense(truth, replace(units(gnss=MATCHED), faults=(fault,)), 1, 0)
+    solution = Tight(**options).run(drawn.data, drawn.initial)
+    _, found = metrics.judge(truth, solution, evaluation_from=10.0, outages=(), faults=(fault,))
+    return found, solution, name
+
+
+def test_a_scripted_step_is_scored_as_detected_at_once(truth, sensed):
+    """One refusal for each of its ten epochs, none before, after, or of another satellite."""
+    found, solution, name = scripted(truth, sensed, 100.0, 0.0, 30.0, 40.0)
+    assert found["fault_1_detected"] == 1.0
+    assert found["fault_1_delay_s"] == pytest.approx(0.0, abs=1e-6)
+    assert found["false_alarms_pseudorange"] == found["false_alarms_range_rate"] == 0.0
+    told = solution.events.of("refused")
+    assert [(t, end, text) for t, end, text in told] == [(30.0, 39.0, f"{name} range: 10 in a row refused")]
+    started_between = scripted(truth, sensed, 100.0, 0.0, 30.25, 40.0)[0]
+    assert started_between["fault_1_delay_s"] == pytest.approx(0.75, abs=1e-6)
+
+
+def test_a_scripted_ramp_is_scored_with_its_delay_or_as_undetected(truth, sensed):
+    """The gate alone decides when: the first epoch of the interval at which the NIS of a filter that gates
+    nothing passes the bound. 1 m/s is there before 5 s, 5 m being seven sigma of the range; what creeps by
+    0.4 m in all stays undetected."""
+    probability = 1e-5
+    for ramp in (1.0, 0.02):
+        found, solution, name = scripted(truth, sensed, 0.0, ramp, 30.0, 50.0, gate_probability=probability)
+        table = scripted(truth, sensed, 0.0, ramp, 30.0, 50.0, integrity=())[1].innovations
+        assert table.accepted.all()
+        rows = np.isin(table.code, [table.sensor.index(what) for what in ("pseudorange", "range_rate")])
+        beyond = table.t[rows & (table.nis > chi2_quantile(1.0 - probability, 1)) & (table.t < 50.0 - 1e-6)]
+        assert not (beyond < 30.0 - 1e-6).any()
+        if ramp == 1.0:
+            assert found["fault_1_detected"] == 1.0
+            assert found["fault_1_delay_s"] == pytest.approx(beyond.min() - 30.0, abs=1e-6)
+            assert 0.0 < found["fault_1_delay_s"] <= 5.0
+            assert solution.events.of("refused")[0][2].startswith(f"{name} range")
+        else:
+            assert len(beyond) == 0
+            assert found["fault_1_detected"] == 0.0
+            assert found["fault_1_delay_s"] is None
+
+
 def test_satellites_that_are_not_finite_are_counted_and_left_out(sensed):
     o = sensed.data.observations
     bad = shifted(o, np.array([7, 60]), np.nan)
@@ -305,9 +358,12 @@ def test_what_tight_does_not_model_is_named():
     for text in (
         "ionosphere beyond the broadcast model",
         "multipath",
+        "flicker of the receiver's clock",
         "g-sensitivity of the receiver's clock",
     ):
         assert text in named
+    steady = replace(SKY, sky=replace(SKY.sky, clock_h_m1=0.0))
+    assert "flicker of the receiver's clock" not in Tight().unmodelled(units(gnss=steady).assumed)
     assert not [text for text in named if "GNSS" in text]
 
 

@@ -75,7 +75,7 @@ GARBAGE = {"lla": [0.1, 0.2, 3.0], "vel_n": [900.0, 0.0, 0.0]}
 BAD_FIXES = {
     "flagged": ({"valid": False, **GARBAGE}, "flagged or not finite"),
     "position NaN": ({"lla": np.nan}, "flagged or not finite"),
-    "one velocity infinite": ({"vel_n": [1.0, np.inf, 0.0]}, "flagged or not finite"),
+    "one position infinite": ({"lla": [0.8, np.inf, 800.0]}, "flagged or not finite"),
     "no time": ({"t": np.nan, **GARBAGE}, "flagged or not finite"),
     "never arrived": ({"t_arrival": np.nan, **GARBAGE}, "flagged or not finite"),
     "repeated": ({}, "repeated or going back in time"),

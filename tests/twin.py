@@ -402,7 +402,8 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
             row = fixes_at[k]
             place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
             aiding.use("position", (place - sensors.fixes.lla[row]) * metres(lla), H[:3], fix_R[:3, :3])
-            aiding.use("velocity", speed - sensors.fixes.vel_n[row], H[3:], fix_R[3:, 3:])
+            if np.isfinite(sensors.fixes.vel_n[row]).all():
+                aiding.use("velocity", speed - sensors.fixes.vel_n[row], H[3:], fix_R[3:, 3:])
             lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
             kf.x = np.zeros((n, 1))
         if k in epochs_at:

@@ -26,8 +26,6 @@ from bench.config.profile_tables import ProfileTable
 from bench.config.tables import quantity
 from bench.specs import AircraftSpec
 
-_ON_RUNWAY = (TakeOffTable, ApproachTable, FlareTable, LandingRollTable)
-
 
 def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     """Check what the aircraft can do, that climbs go up and descents down, and where the ground is."""

@@ -190,7 +190,7 @@ def _aircraft(
             raise ConfigError(
                 f"{shown}: [[trim]] {number}: {quantity('speed_mps', row.speed_mps)} is outside [limits]"
             )
-    missing = [name for name in table.assumed if not hasattr(table, name)]
+    missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is no table of it")
     systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]

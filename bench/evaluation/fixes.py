@@ -36,25 +36,30 @@ def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) ->
     Returns
     -------
     errors : ErrorSeries
-        ``phi_n`` and ``heading`` are NaN. ``nees`` is of position and velocity, or of position alone where
-        no fix has a velocity, under the covariance of estimate and fix together.
+        ``phi_n`` and ``heading`` are NaN. ``nees`` is of position and velocity, or of position alone when
+        a fix has no velocity, under the covariance of estimate and fix together.
     """
     k, m = _matched(solution.t, fixes.t)
     with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
         C_nb = rotation.matrix(solution.q_nb[k])
         arm_n = C_nb @ data.antenna_b
+        # without attitude the arm points anywhere: such an estimator says where the antenna is, about
+        turned = ~np.isnan(solution.q_nb[k]).all(axis=1)
+        arm_n = np.where(turned[:, None], arm_n, 0.0)
         w_b = turn_rate(data.imu, solution.t[k]) - solution.gyro_bias_b[k]
         swing_n = np.einsum("kij,kj->ki", C_nb, np.cross(w_b, data.antenna_b))
+        swing_n = np.where(turned[:, None], swing_n, 0.0)
         pos_n = earth.difference_n(earth.displace(solution.lla[k], arm_n), fixes.lla[m])
         vel_n = solution.vel_n[k] + swing_n - fixes.vel_n[m]
         # antenna position error: dp - [arm x] phi; the arm's share of the velocity error is left out
         T = np.tile(np.eye(6, 9), (len(k), 1, 1))
         T[:, :3, 6:] = -rotation.skew(arm_n)
-        P = T @ solution.cov[k] @ T.transpose(0, 2, 1)
+        cov = np.where(turned[:, None, None], solution.cov[k], 0.0)
+        cov[:, :6, :6] = solution.cov[k, :6, :6]
+        P = T @ cov @ T.transpose(0, 2, 1)
         P[:, :3, :3] += fixes.cov_pos_n[m]
         P[:, 3:, 3:] += fixes.cov_vel_n[m]
-        moving = np.isfinite(vel_n).all(axis=1)
-        states = 6 if moving.any() else 3
+        states = 6 if np.isfinite(fixes.vel_n[m]).all() else 3
         both = np.hstack([pos_n, vel_n])[:, :states]
         nees = normalized_squares(both, P[:, :states, :states])
     nothing = np.full((len(k), 3), np.nan)

@@ -175,7 +175,8 @@ def _rest(motion: _Motion) -> list[Check]:
     for a, b in spans:
         rows |= (motion.t > a + 0.5) & (motion.t < b - 0.5)
     if not rows.any():
-        text = "imu: the receiver shows no standstill; gravity and gyro bias are not checked"
+        shown = "shows no standstill" if np.isfinite(motion.speed).any() else "gives no velocity"
+        text = f"imu: the receiver {shown}; gravity and gyro bias are not checked"
         return [Check("gravity_ratio", None, text, True)]
     force = motion.accel[rows].mean(axis=0)
     size = float(np.linalg.norm(force))

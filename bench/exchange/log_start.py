@@ -9,13 +9,15 @@ from bench.config.log import LogSpec
 from bench.config.tables import ConfigError
 from bench.data import InitialState
 from bench.exchange.log import Recording
+from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.rotation import from_euler, matrix
 
 
 def start(recording: Recording, spec: LogSpec) -> InitialState:
     """Return the start at or after ``[alignment] at_s``; what is not told is NaN with infinite variance.
 
-    "given": position and velocity of the first usable fix, less the lever arm, and the attitude of the log.
+    "given": position and velocity of the first usable fix, less the lever arm, and the attitude of the log;
+    where no fix has a velocity, any velocity.
     "level": the position of that fix, as uncertain as the direction of the arm. "course": the time alone.
 
     Raises
@@ -34,7 +36,10 @@ def start(recording: Recording, spec: LogSpec) -> InitialState:
     )
     if told.alignment != "course":
         moving = told.alignment == "given"
-        usable = fixes.valid & (fixes.t >= told.at) & (np.isfinite(fixes.vel_n).all(axis=1) | (not moving))
+        usable = fixes.valid & (fixes.t >= told.at)
+        full = usable & np.isfinite(fixes.vel_n).all(axis=1)
+        if moving and full.any():
+            usable = full
         if not usable.any():
             raise ConfigError(
                 f"{spec.name}.toml: [alignment] at_s = {told.at:g} s: no usable fix from there on"
@@ -46,6 +51,8 @@ def start(recording: Recording, spec: LogSpec) -> InitialState:
             q_nb = from_euler(*told.attitude)
             lla, vel_n = earth.displace(lla, -matrix(q_nb) @ arm_b), fixes.vel_n[row]
             variance[3:6] = np.diag(fixes.cov_vel_n[row])
+            if not full[row]:
+                vel_n, variance[3:6] = np.zeros(3), UNKNOWN_SPEED_SD**2
             variance[6:] = np.square([told.tilt_sd, told.tilt_sd, told.heading_sd])
         else:
             variance[:3] += arm_b @ arm_b

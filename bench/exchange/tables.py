@@ -20,8 +20,6 @@ from bench.config.tables import ConfigError
 from bench.exchange.mat_file import read_mat, vector
 from bench.unit_names import split_unit
 
-ENDINGS = (".csv", ".parquet", ".mat")
-"""Endings of the files that :func:`read_table` takes."""
 MOST_BYTES = 2_000_000_000
 """Of a file."""
 _MOST_HEADER = 1_000_000  # of the first line [byte]

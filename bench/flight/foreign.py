@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.flight.model import FlightError
+from bench.flight.model import NAME, FlightError
 
-NAME = re.compile(r"[A-Za-z0-9_-]+")
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
 _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB

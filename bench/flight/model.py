@@ -25,7 +25,7 @@ from bench.flight.wind import set_wind
 from bench.rotation import conjugate, from_euler, rotate
 from bench.specs import AircraftSpec
 
-_NAME = re.compile(r"[A-Za-z0-9_-]+")
+NAME = re.compile(r"[A-Za-z0-9_-]+")
 _SETTLED = 1e-9  # largest acceleration left in a trimmed flight [m/s^2, rad/s^2]
 _TRIM_STARTS = [  # angle of attack, sideslip, roll [rad], aileron, elevator, throttle
     np.array([alpha, 0.0, 0.0, 0.0, 0.0, throttle])
@@ -92,7 +92,7 @@ def load(aircraft: AircraftSpec, dt: float) -> Any:
     """
     import jsbsim
 
-    if not _NAME.fullmatch(aircraft.name):
+    if not NAME.fullmatch(aircraft.name):
         raise FlightError(f"aircraft {aircraft.name!r}: a name has letters, digits, '_' and '-' only")
     source = aircraft.folder / f"{aircraft.name}.xml"
     if not source.is_file():
@@ -133,7 +133,7 @@ def set_gains(fdm: Any, aircraft: AircraftSpec) -> None:
         When a gain is none.
     """
     for name, gain in aircraft.gains.items():
-        if not _NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
         node(fdm, f"guidance/{name}").set_double_value(gain)
     fdm["guidance/bank-limit-rad"] = aircraft.max_bank

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import GLONASS, GPS, GnssObservations, SensorData
+from bench.data import GLONASS, GPS, GnssFixes, GnssObservations, SensorData
 from bench.navigation import ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
 from bench.navigation.timeline import TIME_TOLERANCE, Steps
@@ -47,7 +47,10 @@ class Agenda:
     ) -> None:
         """Take a record: its values (M, m), up to six, and their variance (m,) or (M, m)."""
         variance = np.broadcast_to(variance, values.shape)
-        rows, _, told = timeline.aiding_rows(record, values, name, self.imu_t, self._start)
+        if isinstance(record, GnssFixes):
+            rows, _, told = timeline.fix_rows(record, self.imu_t, self._start)
+        else:
+            rows, _, told = timeline.aiding_rows(record, values, name, self.imu_t, self._start)
         self.events += told
         self._plan(kind, name, record.t[rows], record.t_arrival[rows], values[rows], variance[rows])
 

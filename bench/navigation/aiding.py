@@ -10,7 +10,7 @@ Every z is predicted less measured, z = H dx + noise:
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
 
 with l the antenna in b, w the rate of b against e, m the Markov part of the GNSS error where the layout has
-it, u the direction of the airspeed and w in its row the wind.
+it, u the direction of the airspeed and w in its row the wind. A fix without velocity is its position alone.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def _fix_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending
         for i in range(6):
             H[i, aid.markov + i] = 1.0
             z[i] += state[aid.markov + 1 + i]
-    return 6
+    return 6 if np.isfinite(values[3] + values[4] + values[5]) else 3  # a fix may have no velocity
 
 
 @inner

@@ -722,8 +722,7 @@ class Classic22:
         aids: dict[int, list[tuple[int | None, int | None]]] = {}
         fixes, baro = sensors.fixes, sensors.baro
         if fixes is not None:
-            values = np.hstack([fixes.lla, fixes.vel_n])
-            used, at, left = timeline.aiding_rows(fixes, values, "gnss", t, initial.t)
+            used, at, left = timeline.fix_rows(fixes, t, initial.t)
             events += left
             for row, k in zip(used.tolist(), at.tolist(), strict=True):
                 aids.setdefault(k, []).append((row, None))
@@ -875,7 +874,11 @@ class _Flight:
         error = H[:, :15] @ self.kf.x[:15, 0]  # of the INS, as far as it is known
         apart = (Y - error) * metres  # corrected INS less aid
         use = []
-        for name, given in (("gnss_position", fix_row), ("gnss_velocity", fix_row), ("baro", baro_row)):
+        vel_row = fix_row
+        if fix_row is not None and self.sensors.fixes is not None:
+            moving = np.isfinite(self.sensors.fixes.vel_n[fix_row]).all()
+            vel_row = fix_row if moving else None  # a fix may have no velocity
+        for name, given in (("gnss_position", fix_row), ("gnss_velocity", vel_row), ("baro", baro_row)):
             if given is not None and self._is_sound(
                 now, name, apart, y * metres, S * np.outer(metres, metres)
             ):

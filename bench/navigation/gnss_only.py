@@ -18,6 +18,7 @@ from bench import earth
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import timeline
+from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.state_model import fix_variance, unmodelled
 from bench.specs import AssumedSpecs
@@ -68,7 +69,7 @@ class GnssOnly:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity and their covariance; attitude and sensor errors are NaN.
 
-        Without a given start it begins with the first fix.
+        Without a given start it begins with the first fix; a start without velocity may have any.
 
         Raises
         ------
@@ -81,8 +82,7 @@ class GnssOnly:
         r = np.zeros(6)
         if fixes is not None:
             r = fix_variance(sensors.specs, gnss_markov=False)
-            values = np.hstack([fixes.lla, fixes.vel_n])
-            used, at, events = timeline.aiding_rows(fixes, values, "gnss", sensors.output_t, initial.t)
+            used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         m = len(sensors.output_t)
         out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
         arm2 = float(sensors.antenna_b @ sensors.antenna_b) / 3.0  # of an antenna in an unknown direction
@@ -94,7 +94,9 @@ class GnssOnly:
                 row = used[next_fix]
                 if track is None:
                     track = _Track(self, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row])))
-                    text = "position and velocity of the first fix; attitude is not estimated"
+                    moving = np.isfinite(fixes.vel_n[row]).all()
+                    told_by = "position and velocity" if moving else "position"
+                    text = f"{told_by} of the first fix; attitude is not estimated"
                     events.append((initial.t, float(now), "alignment", text))
                 elif fixes.t[row] > track.t:  # one from before the start tells nothing
                     track.go_to(float(fixes.t[row]))
@@ -142,8 +144,10 @@ def _is_number(value: object) -> bool:
 
 
 def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:
-    """Return a fix as a start."""
+    """Return a fix as a start; without velocity it may have any."""
     cov = np.diag(np.concatenate([r, np.zeros(3)]))
+    if not np.isfinite(vel_n).all():
+        vel_n, cov[3:6, 3:6] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
     return InitialState(t, lla, vel_n, np.array([1.0, 0.0, 0.0, 0.0]), cov, "given")
 
 
@@ -202,8 +206,8 @@ class _Track:
         self.lla, self.vel, self.acc, self.t = state[:3], state[3:6], state[6:], t
 
     def use(self, lla: FloatArray, vel_n: FloatArray, r: FloatArray) -> None:
-        """Use a fix that is valid now, position and velocity gated each by itself."""
-        for code in (0, 1):
+        """Use a fix that is valid now, position and velocity gated each by itself; it may have none."""
+        for code in (0, 1) if np.isfinite(vel_n).all() else (0,):
             rows = slice(3 * code, 3 * code + 3)
             y = (
                 earth.difference_n(lla, self.lla) if code == 0 else vel_n - self.vel

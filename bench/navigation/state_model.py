@@ -68,7 +68,8 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Blocks) -> S
 
     Notes
     -----
-    Clock: ``c^2 h_0 / 2`` into the offset and ``2 pi^2 c^2 h_-2`` into the drift (Brown and Hwang).
+    Clock: ``c^2 h_0 / 2`` into the offset and ``2 pi^2 c^2 h_-2`` into the drift (Brown and Hwang); flicker,
+    h_-1, has no state of finite size.
     """
     named: list[tuple[str, str, int]] = []
     if blocks.baro_bias:
@@ -239,6 +240,7 @@ def unmodelled(
                 "ionosphere beyond the broadcast model": sky.ionosphere_sd if sky.bands == 1 else 0.0,
                 "troposphere beyond the model": sky.troposphere_sd,
                 "multipath": max(sky.multipath_zenith_sd, sky.multipath_horizon_sd),
+                "flicker of the receiver's clock": sky.clock_h_m1,
                 "g-sensitivity of the receiver's clock": abs(sky.clock_g),
             }
             found += [what for what, sd in slow.items() if sd > 0]

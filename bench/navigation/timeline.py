@@ -1,9 +1,10 @@
 """Which rows of a sensor record are used and when, and the count of the rest.
 
 A row is used at the first step of the filter at or after its arrival. What is left out
-is never repaired: it becomes a "timeline" event of the solution. A gap in the IMU record is
-bridged by the rates of the last sample before it (nothing later has arrived), and the filter is
-told how little these say of the motion (:func:`bridge_variance`).
+is never repaired: it becomes a "timeline" event of the solution. :func:`steps` bridges a gap in the IMU
+record by the rates of the last sample before it (nothing later has arrived), and tells the filter how
+little these say of the motion (:func:`bridge_variance`). A filter that goes by :func:`imu_rows` alone has
+the first sample after a gap to cover all of it.
 """
 
 from __future__ import annotations
@@ -199,6 +200,24 @@ def aiding_rows(
     sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
     sound &= np.isfinite(values).all(axis=1)
     return ordered_rows(record.t, record.t_arrival, sound, name, imu_t, start)
+
+
+def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[Event]]:
+    """Return what :func:`aiding_rows` does, of fixes: a position must be finite, a velocity need not be.
+
+    A velocity that is not finite in all of its components is none; an event counts the fixes in use that
+    have none.
+    """
+    rows, sample, events = aiding_rows(fixes, fixes.lla, "gnss", imu_t, start)
+    finite = np.isfinite(fixes.vel_n[rows]).sum(axis=1)
+    if (finite < 3).any():
+        t = fixes.t[rows[finite < 3]]
+        text = f"gnss: {len(t)} fixes without velocity"
+        part = int(((finite > 0) & (finite < 3)).sum())
+        if part:
+            text += f", in {part} of them some components are not finite"
+        events.append((float(t.min()), float(t.max()), "timeline", text))
+    return rows, sample, events
 
 
 def ordered_rows(

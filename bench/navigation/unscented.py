@@ -123,8 +123,7 @@ class Unscented:
         fix_r, baro_r = np.zeros(6), 0.0
         if fixes is not None:
             fix_r = fix_variance(sensors.specs, gnss_markov=False)
-            values = np.hstack([fixes.lla, fixes.vel_n])
-            fixes_at, left = _by_sample(timeline.aiding_rows(fixes, values, "gnss", t, initial.t))
+            fixes_at, left = _by_sample(timeline.fix_rows(fixes, t, initial.t))
             events += left
         if baro is not None:
             baro_r = known(sensors.specs.baro, "baro").white_sd ** 2
@@ -287,10 +286,10 @@ class _Flight:
         antenna_b: FloatArray,
         w_ib_b: FloatArray,
     ) -> None:
-        """Use position and velocity of a fix, each gated by itself."""
+        """Use position and velocity of a fix, each gated by itself; there may be no velocity."""
         if self.lost:
             return
-        for code in (0, 1):
+        for code in (0, 1) if np.isfinite(fix[1]).all() else (0,):
             points = self.points()
             truth = _less(self.nav, points.x)
             q = truth[:, 6:]

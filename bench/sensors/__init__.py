@@ -71,6 +71,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         airspeed_data = faults.instrument(
             airspeed_data, "airspeed", "airspeed_true", 0.0, scripted, seed, run
         )
+        airspeed_data = airspeed.read_out(airspeed_data, spec.airspeed)  # of a burst too
     data = SensorData(
         imu=imu_data,
         fixes=fixes,

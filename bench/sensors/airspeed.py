@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench.arrays import FloatArray
@@ -69,12 +71,18 @@ def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple
     if spec.range > 0:
         clipped = np.abs(impact) > spec.range
         impact = np.clip(impact, -spec.range, spec.range)
-    measured = np.maximum(computed(impact) + drawn("white", spec.white_sd, len(t)), 0.0)
+    measured = computed(impact) + drawn("white", spec.white_sd, len(t))
     record = AirspeedData(
         t=t,
         t_arrival=t + spec.latency,
-        valid=(measured >= spec.min_speed) & ~clipped,
+        valid=~clipped,
         airspeed_true=measured,
-        sd=air.airspeed_sd(spec, measured, pressure, temperature),
+        sd=air.airspeed_sd(spec, np.maximum(measured, 0.0), pressure, temperature),
     )
-    return record, computed(zero) - true
+    return read_out(record, spec), computed(zero) - true
+
+
+def read_out(record: AirspeedData, spec: AirspeedSpec) -> AirspeedData:
+    """Return a record as the unit puts it out: 0 m/s instead of less, not valid below ``min_speed``."""
+    speed = np.maximum(record.airspeed_true, 0.0)
+    return replace(record, airspeed_true=speed, valid=record.valid & (speed >= spec.min_speed))

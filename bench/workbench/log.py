@@ -167,10 +167,6 @@ class Session:
         good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
         self.fixes = taken(fixes, good)
-        if len(self.fixes) and np.isnan(self.fixes.vel_n).any(axis=1).all():
-            raise ConfigError(
-                f"{spec.name}.toml: [gnss] gives no velocity of the antenna; estimators need it with each fix"
-            )
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         last = float(imu.t.max())

@@ -47,8 +47,7 @@ class StartingPoint:
         R = np.zeros((6, 6))
         if sensors.fixes is not None:
             R = _fix_covariance(sensors.specs)
-            values = np.hstack([sensors.fixes.lla, sensors.fixes.vel_n])
-            fix_rows, fix_at, left_out = timeline.aiding_rows(sensors.fixes, values, "gnss", t, initial.t)
+            fix_rows, fix_at, left_out = timeline.fix_rows(sensors.fixes, t, initial.t)
             events += left_out
         fixes = dict(zip(fix_at.tolist(), fix_rows.tolist(), strict=True))  # by IMU sample
         end = t[-1] if len(t) else initial.t
@@ -85,7 +84,7 @@ class StartingPoint:
                 z[:3] += earth.difference_n(nav[:3], sensors.fixes.lla[row])
                 z[3:] += nav[3:6] - sensors.fixes.vel_n[row]
                 x = np.zeros(15)
-                for code in (0, 1):
+                for code in (0, 1) if np.isfinite(z[3:]).all() else (0,):  # a fix may have no velocity
                     use = slice(3 * code, 3 * code + 3)
                     y = z[use] - H[use] @ x
                     S = H[use] @ P @ H[use].T + R[use, use]
