@@ -215,12 +215,15 @@ class _Track:
             R = np.diag(r[rows])
             S = self.P[rows, rows] + R
             value = nis(y, S)
-            sound = value <= self.settings.gate or self.misses[code] >= self.settings.readmit_after
+            sound = value <= self.settings.gate
+            if not sound and self.misses[code] >= self.settings.readmit_after:
+                self.P[rows, rows] += np.diag(y**2)  # it may be right
+                sound = True
             self.misses[code] = 0 if sound else self.misses[code] + 1
             for i in range(3):
                 self.innovations.append((self.t, code, i, y[i], S[i, i], value, sound))
             if sound:
-                K = np.linalg.solve(S, self.P[rows]).T
+                K = np.linalg.solve(self.P[rows, rows] + R, self.P[rows]).T
                 J = np.eye(9)
                 J[:, rows] -= K
                 self.P = J @ self.P @ J.T + K @ R @ K.T
