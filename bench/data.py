@@ -207,7 +207,7 @@ class GnssFixes:
     t_arrival: FloatArray  # (M,) when the fix reaches the filter [s]
     valid: BoolArray  # (M,)
     lla: FloatArray  # (M, 3) [rad, rad, m]
-    vel_n: FloatArray  # (M, 3) [m/s], n
+    vel_n: FloatArray  # (M, 3) [m/s], n; NaN where it reports none
     cov_pos_n: FloatArray  # (M, 3, 3) reported [m^2], n
     cov_vel_n: FloatArray  # (M, 3, 3) reported [m^2/s^2], n
     satellites: IntArray  # (M,) number used

@@ -298,7 +298,7 @@ class Fusion:
 
 
 class Loose(Fusion):
-    """Loosely coupled INS/GNSS/baro filter: position and velocity of a receiver's fixes."""
+    """Loosely coupled INS/GNSS/baro filter: position and, if any, velocity of a receiver's fixes."""
 
 
 class Tight(Fusion):
