@@ -18,6 +18,7 @@ from bench import rotation, sensors
 from bench.earth import RATE
 from bench.navigation import classic, integrity, square_root
 from bench.navigation.classic import R3, Classic22, Nav
+from bench.navigation.estimator import load
 
 # --- error model: #18 to #20 ------------------------------------------------------------------------------
 
@@ -568,12 +569,14 @@ def test_41_a_ramp_of_1_m_s_is_refused_late_or_never(minutes, sound):
     assert 5.0 < pulled < 80.0
 
 
-def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, sound):
+@pytest.mark.parametrize("name", ["classic-22", "loose-22", "loose-15", "gnss-only"])
+def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
     """A step that stays: refused readmit_after times, then P grows and the filter goes there."""
     _, sensed = minutes
     fixes = sensed.data.fixes
     data = shifted(sensed.data, np.where(fixes.t >= 59.5, 200.0, 0.0))
-    solution = Classic22(readmit_after=4).run(data, sensed.initial)
+    solution = load(name, {"readmit_after": 4}).run(data, sensed.initial)
+    sound = load(name, {}).run(sensed.data, sensed.initial)
     t, accepted = epochs(solution, "gnss_position")
     assert not accepted[t >= 59.5][:4].any()
     assert accepted[t >= 59.5][4:].all()
