@@ -194,6 +194,21 @@ def test_level_errors_are_what_the_covariance_says():
     assert np.mean(tight) > high
 
 
+def test_a_gyro_that_feels_gravity_has_it_in_its_heading_sd():
+    """100 draws, 99.9 % band; believed to feel none, it fails."""
+    truth, runs = standing(20.0), 100
+    felt = replace(FINE, gyro=replace(FINE.gyro, g_sensitivity_sd=0.02 * DEG / 3600))
+    square, deaf = [], []
+    for run in range(runs):
+        start, error = found(truth, level(felt), run=run)
+        square.append(error[8] ** 2 / start.cov[8, 8])
+        start, error = found(truth, replace(level(felt), assumed=level().assumed), run=run)
+        deaf.append(error[8] ** 2 / start.cov[8, 8])
+    low, high = band(1, runs)
+    assert low < np.mean(square) < high
+    assert np.mean(deaf) > high
+
+
 def test_a_mems_unit_levels_and_says_that_its_heading_is_unknown():
     truth = standing(60.0)
     sensed = sensors.sense(truth, level(IMU), 1, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -182,3 +182,19 @@ def test_every_option_moves_the_answer(sensed):
         {"readmit_after": 2}, {"spread": 0.3},
     ):  # fmt: skip
         assert not np.array_equal(Unscented(**options).run(data, sensed.initial).lla, plain.lla), options
+
+
+def test_outputs_inside_a_gap_of_the_imu_are_answered(sensed):
+    """A second of the IMU is missing: in between, the last rates known carry both filters alike."""
+    imu = sensed.data.imu
+    there = (imu.t < 10.0 + 1e-6) | (imu.t > 11.0 - 1e-6)
+    columns = {f.name: getattr(imu, f.name)[there] for f in fields(imu)}
+    data = replace(sensed.data, imu=replace(imu, **columns))
+    mine, theirs = (e.run(data, sensed.initial) for e in (Unscented(), Loose()))
+    assert np.isfinite(mine.lla).all()
+    assert np.isfinite(mine.cov).all()
+    inside = (mine.t > 10.0) & (mine.t < 11.0)
+    assert inside.sum() == 9
+    apart = np.linalg.norm(earth.difference_n(mine.lla, theirs.lla), axis=1)[inside]
+    speed = np.linalg.norm(mine.vel_n[inside], axis=1).min()
+    assert apart.max() < 0.1 * speed  # the state at the end of the gap would be up to 0.9 s of flight away

@@ -188,9 +188,10 @@ def _rest(
 def _mean_sd(sensors: SensorData, T: float, g: float) -> tuple[float, float]:
     """Return the standard deviations of a mean of T seconds at rest: specific force, rate; each axis."""
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
+    by_g = np.hypot(g * gyro.g_sensitivity_sd, g * g * gyro.g2_sensitivity_sd)
     return (
         float(np.hypot(_bias_sd(accel, g), accel.random_walk / np.sqrt(T))),
-        float(np.hypot(_bias_sd(gyro, 0.0), gyro.random_walk / np.sqrt(T))),
+        float(np.linalg.norm([_bias_sd(gyro, 0.0), by_g, gyro.random_walk / np.sqrt(T)])),
     )
 
 

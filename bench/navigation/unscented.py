@@ -1,6 +1,8 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
-States, datasheets, choice of rows and gates are those of `bench.navigation.fusion.Loose`; sigma points and
+States, datasheets and gates are those of `bench.navigation.fusion.Loose`, rows too, but a gap in the IMU
+record is covered by the sample after it, without more noise, and a refused sensor that is used again opens no
+variance. Sigma points and
 their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE
 92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws
 sigma points of the error about zero, carries the truth each one stands for through the strapdown with the
@@ -10,6 +12,7 @@ mean is fed back at once. A measurement is predicted from each of the truths the
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,7 +138,9 @@ class Unscented:
         served = (sensors.output_t >= initial.t - slack) & (sensors.output_t <= end + slack)
         asked = np.searchsorted(t, sensors.output_t - slack)
         asked[sensors.output_t < initial.t + slack] = -1
-        outputs = {int(k): row for row, k in enumerate(asked) if served[row]}
+        outputs: dict[int, list[int]] = {}
+        for row in np.flatnonzero(served).tolist():
+            outputs.setdefault(int(asked[row]), []).append(row)
 
         flight = _Flight(self, model, initial)
         out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
@@ -144,6 +149,15 @@ class Unscented:
         stops = sorted({*range(every - 1, len(t), every), *fixes_at, *baro_at, *outputs})
         done = -1
         for k in stops:
+            early = [row for row in outputs.get(k, []) if len(outputs[k]) > 1 and k >= 0]
+            if early and k > done + 1:  # several instants within one interval: a gap
+                flight.predict(span[done + 1 : k], dtheta[done + 1 : k], dvel[done + 1 : k])
+                done = k - 1
+            for row in early:
+                share = min(1.0 + (sensors.output_t[row] - t[k]) / span[k], 1.0)
+                there = copy.deepcopy(flight)
+                there.predict(span[k : k + 1] * share, dtheta[k : k + 1] * share, dvel[k : k + 1] * share)
+                out[row], out_P[row] = np.concatenate([there.nav, there.rest]), there.P
             if k > done:
                 flight.predict(span[done + 1 : k + 1], dtheta[done + 1 : k + 1], dvel[done + 1 : k + 1])
                 done = k
@@ -155,9 +169,9 @@ class Unscented:
             for row in baro_at.get(k, []):
                 assert baro is not None
                 flight.use_baro(float(t[k]), float(baro.alt_baro[row]), baro_r)
-            if k in outputs:
-                out[outputs[k]] = np.concatenate([flight.nav, flight.rest])
-                out_P[outputs[k]] = flight.P
+            for row in outputs.get(k, []):
+                if row not in early or sensors.output_t[row] > t[k] - slack:
+                    out[row], out_P[row] = np.concatenate([flight.nav, flight.rest]), flight.P
         variance = np.einsum("kii->ki", out_P)[:, 9:]
         table = np.array(flight.innovations, float).reshape(-1, 7)
         return NavSolution(
