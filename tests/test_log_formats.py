@@ -6,6 +6,7 @@ The files are written here: with the library of the format, or from its document
 from __future__ import annotations
 
 import json
+import resource
 import struct
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -25,6 +26,7 @@ from scipy.io import savemat
 from bench.cli import main
 from bench.config import ConfigError
 from bench.config.log import load_log
+from bench.exchange.imports import bags
 from bench.exchange.log import read_log
 
 EPOCH = 1_751_000_000.0  # what a clock of ROS shows at t = 0 [s]
@@ -424,6 +426,25 @@ def test_bytes_changed_at_random_never_end_in_a_traceback(tmp_path, made):
             except ConfigError as error:
                 messages = error.messages
             assert len(messages) == 1
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the limit is that of Linux")
+def test_a_chunk_that_unpacks_to_more_than_the_limit_is_one_line(tmp_path, monkeypatch):
+    """A few kilobytes that hold 200 MB of blanks; with room for them the file itself is what is wrong."""
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType.ZSTD, chunk_size=1)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/Imu", "jsonschema", b"{}")
+        channel = writer.register_channel("/imu", "json", schema)
+        writer.add_message(channel, 0, b" " * 200_000_000, 0)
+        writer.finish()
+    assert path.stat().st_size < 100_000
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    roomy = refused(tmp_path, "x.mcap")
+    monkeypatch.setattr(bags, "_MOST_UNPACKED", 50_000_000)
+    assert refused(tmp_path, "x.mcap") != roomy
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 @pytest.mark.parametrize(

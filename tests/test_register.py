@@ -700,7 +700,7 @@ def test_45_the_calibration_is_kept_and_applied(minutes, sound):
 
 # --- section 7.1 ------------------------------------------------------------------------------------------
 
-TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h; then E at +60, +120, +300,
+TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h; E at +60, +120, +300 and
     # +600 s; growth of E at +60 and +300 s; growth of 5 m reached after s
     "1": (6.00, 3.41, 0.019, 0.0005, 0.0038, 0.0017, (6.5, 7.3, 11.0, 20.7), (2.6, 9.2), 155),
     "2": (6.00, 3.43, 0.021, 0.0011, 0.0043, 0.0024, (6.6, 7.5, 12.2, 25.4), (2.7, 10.6), 141),

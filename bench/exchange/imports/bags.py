@@ -27,6 +27,7 @@ from bench.exchange.tables import MOST_BYTES
 from bench.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # of an MCAP file, a chunk included [byte]
+_MOST_UNPACKED = 4_000_000_000  # that a file may take in memory, whatever its chunks claim [byte]
 _SAME_STAMP = 1e-3  # [s]
 _TYPES = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -47,7 +48,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     opened = _open_mcap if form == "mcap" else _open_bag
     try:
-        with opened(path) as (topics, messages):
+        with _confined(), opened(path) as (topics, messages):
             chosen = _topic(path, topics, _TYPES[kind], topic)
             numbers = _numbers(path, messages(chosen), {"imu": _imu, "gnss": _fix, "baro": _pressure}[kind])
             twist = np.empty((0, 10))
@@ -66,6 +67,26 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
     if kind == "baro":
         return Rows(t, {"alt_baro": pressure_altitude(np.where(numbers[:, 1:] > 0, numbers[:, 1:], np.nan))})
     return _fixes(numbers, twist)
+
+
+@contextmanager
+def _confined() -> Iterator[None]:
+    """Let no chunk unpack into all the memory there is: beyond the limit it is a MemoryError."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except (ImportError, OSError):  # not Linux: what the system itself allows
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + _MOST_UNPACKED
+    limits = [limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _topic(path: Path, topics: Mapping[str, str], types: Sequence[str], told: str | None) -> str:
