@@ -299,22 +299,14 @@ class Aiding:
         self.refused, self.rows = {}, []
 
     def use(self, name, z, H, R):
-        """Gate one sub-vector of predicted less measured values z (m,), then update error and P.
-
-        One that is readmitted opens the variance of its own states by its innovation squared (A-5.4.7).
-        """
+        """Gate one sub-vector of predicted less measured values z (m,), then update error and P."""
         kf, column = self.kf, np.asarray(z).reshape(-1, 1)
         wide = np.zeros((len(z), kf.dim_x))
         wide[:, : H.shape[1]] = H
         innovation = column - wide @ kf.x
         S = wide @ kf.P @ wide.T + R
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
-        sound = nis <= chi2.ppf(self.sound, len(z))
-        accepted = sound or self.refused.get(name, 0) >= self.readmit_after
-        if accepted and not sound and isinstance(name, str):
-            first = {"position": 0, "velocity": 3, "baro": 15}[name]
-            open_ = np.arange(first, first + len(z))
-            kf.P[open_, open_] += innovation[:, 0] ** 2
+        accepted = nis <= chi2.ppf(self.sound, len(z)) or self.refused.get(name, 0) >= self.readmit_after
         self.refused[name] = 0 if accepted else self.refused.get(name, 0) + 1
         self.rows.append((nis, accepted))
         if accepted:

@@ -121,16 +121,6 @@ def use_kernel(
         if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
             sound = False  # it flies: the rates of the window are not those of the Earth alone
         accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
-        if accepted and not sound and code <= BARO:
-            for b in range(m):  # what was refused so long may be right: its state is as open as it says
-                at = POS + b
-                if code == VELOCITY:
-                    at = VEL + b
-                if code == BARO:
-                    at = n - 1
-                    while H[b, at] == 0.0:
-                        at -= 1
-                P[at, at] += log.numbers[row + b, 1] ** 2
         gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
         for b in range(m):
             log.marks[row + b, 0], log.marks[row + b, 1] = code, pending.tags[a + b, 2]

@@ -74,9 +74,8 @@ class Fusion:
     gate_probability : float
         Chance of refusing a sound sub-vector of a matched filter, (0, 1).
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7), the variance of its
-        own position, velocity or barometer states opened by its innovation squared; every satellite counts
-        for itself, and opens nothing.
+        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7); every satellite
+        counts for itself.
     integrity : sequence of {"nis", "trace", "tolerance"}
         Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
         fixes the distance from the INS since the last one used (A-5.4.T).

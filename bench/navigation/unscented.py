@@ -1,8 +1,7 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
 States, datasheets and gates are those of `bench.navigation.fusion.Loose`, rows too, but a gap in the IMU
-record is covered by the sample after it, without more noise, and a refused sensor that is used again opens no
-variance. Sigma points and
+record is covered by the sample after it, without more noise. Sigma points and
 their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE
 92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws
 sigma points of the error about zero, carries the truth each one stands for through the strapdown with the
