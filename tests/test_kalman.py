@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.navigation.kalman import nis_kernel, update_kernel
+from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
 
 N = 16
 
@@ -86,6 +86,30 @@ def test_nis_sees_a_fault_that_points_across_the_correlation():
     value, var = nis(P, np.zeros(2), np.eye(2), np.array([1.0, -1.0]), np.full(2, 1e-4))
     assert_allclose(value, 2 / (0.01 + 1e-4), rtol=1e-12)
     assert (1.0 / var < 1.0).all()
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m):
+    """A-5.4.7: then the refused innovation is one to be expected, NIS at most m; the smoother's P alike."""
+    P, dx, H, z, r = problem(seed, m)
+    own = np.arange(m)
+    H[:, :m] = np.eye(m)  # as a fix: each component is one state by itself, and others beside it
+    e = 30.0 * np.sqrt(np.diag(H @ P @ H.T) + r)
+    z = H @ dx + e
+    var, work = np.empty(m), np.zeros((m, m + 1))
+    opened, before = P.copy(), 2.0 * P
+    assert nis_kernel(P, dx, H, z, r, var, work) > 899.0
+    open_kernel(opened, before, H, e, own, work, np.empty(N))
+    x = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(r), e)
+    step = np.zeros(N)
+    step[own] = e
+    size = np.sqrt(np.diag(P))
+    unit = np.outer(size, size)
+    assert_allclose((opened - P) / unit, (np.outer(x, x) + np.diag(step**2)) / unit, rtol=1e-6, atol=1e-6)
+    assert_allclose((before - 2.0 * P) / unit, (opened - P) / unit, rtol=1e-9, atol=1e-9)
+    assert_array_equal(opened, opened.T)
+    assert nis(opened, dx, H, z, r)[0] <= m
 
 
 @pytest.mark.parametrize("broken", [np.nan, -5.0])

@@ -569,7 +569,7 @@ def test_41_a_ramp_of_1_m_s_is_refused_late_or_never(minutes, sound):
     assert 5.0 < pulled < 80.0
 
 
-@pytest.mark.parametrize("name", ["classic-22", "gnss-only"])
+@pytest.mark.parametrize("name", ["classic-22", "gnss-only", "loose-15", "loose-22", "loose-mems", "ukf"])
 def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
     """A step that stays: refused readmit_after times, then P grows and the filter goes there."""
     _, sensed = minutes
@@ -580,6 +580,7 @@ def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
     t, accepted = epochs(solution, "gnss_position")
     assert not accepted[t >= 59.5][:4].any()
     assert accepted[t >= 59.5][4:].all()
+    assert epochs(solution, "gnss_velocity")[1].all()  # a step of the place alone is no speed
     assert (solution.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
 
 

@@ -1,5 +1,7 @@
 """The smoother: filterpy's on a linear problem, nowhere less sure than its filter, honest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -8,6 +10,7 @@ from test_layouts import claims, five_minutes  # noqa: F401 (a fixture)
 
 from bench import pipeline, rotation
 from bench.config import load_profile
+from bench.data import GnssFixes
 from bench.navigation.error_state import StateLayout
 from bench.navigation.estimator import load
 from bench.navigation.forward import Nodes
@@ -85,6 +88,25 @@ def test_the_outage_is_bridged_from_both_sides(matched, figure_eight_truth):
         _, metrics = pipeline.judge(matched, figure_eight_truth, solution)
         growth[name] = metrics["outage_1_drift_h_m"]
     assert growth["smoother"] < growth["loose-15"] / 3
+
+
+@pytest.mark.parametrize("markov", [False, True])
+def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov):  # noqa: F811
+    """200 m north from 150 s on, taken for true 10 s later: what lies before is not drawn after it."""
+    sensed = pipeline.sense(matched, five_minutes)
+    lla = sensed.data.fixes.lla.copy()
+    lla[sensed.data.fixes.t >= 150.0, 0] += 200.0 / 6.37e6
+    columns = {name: getattr(sensed.data.fixes, name) for name in GnssFixes.__slots__}
+    data = replace(sensed.data, fixes=GnssFixes(**{**columns, "lla": lla}))
+    options = {"covariance_hz": 20.0, "gnss_markov": markov}
+    forward = load("bench.navigation.fusion:Loose", options).run(data, sensed.initial)
+    place = load("bench.navigation.smoother:Smoother", options)
+    stepped, sound = place.run(data, sensed.initial), place.run(sensed.data, sensed.initial)
+    got, limit = (np.einsum("kii->ki", s.cov) for s in (stepped, forward))
+    assert (got <= limit * (1 + 1e-9)).all()
+    north = (stepped.lla[:, 0] - sound.lla[:, 0]) * 6.37e6 / np.sqrt(sound.cov[:, 0, 0])
+    assert np.abs(north[sound.t < 140.0]).max() < 1.0
+    assert (stepped.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
 
 
 @pytest.mark.slow

@@ -291,6 +291,10 @@ def transition(F, T, decay):
     return Phi
 
 
+OWN = {"position": [0, 1, 2], "velocity": [3, 4, 5], "baro": [15]}
+"""States a sensor measures by itself; they grow when it is taken back."""
+
+
 class Aiding:
     """Gate and use sub-vectors by filterpy; the state of the counters of refusals."""
 
@@ -306,9 +310,15 @@ class Aiding:
         innovation = column - wide @ kf.x
         S = wide @ kf.P @ wide.T + R
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
-        accepted = nis <= chi2.ppf(self.sound, len(z)) or self.refused.get(name, 0) >= self.readmit_after
+        sound = nis <= chi2.ppf(self.sound, len(z))
+        accepted = sound or self.refused.get(name, 0) >= self.readmit_after
         self.refused[name] = 0 if accepted else self.refused.get(name, 0) + 1
         self.rows.append((nis, accepted))
+        if accepted and not sound and name in OWN:  # a step of its own, or an error P had too small
+            refused = kf.P @ wide.T @ np.linalg.solve(S, innovation)
+            step = np.zeros(kf.dim_x)
+            step[OWN[name]] = innovation[:, 0]
+            kf.P = kf.P + refused @ refused.T + np.diag(step**2)
         if accepted:
             kf.update(column, R=R, H=wide)
             assert kf.x.shape == (kf.dim_x, 1)

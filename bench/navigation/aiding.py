@@ -24,7 +24,7 @@ from bench.compiled import inner, kernel
 from bench.earth import RATE, gravity_kernel, radii_kernel
 from bench.navigation.cycle import Belief, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
-from bench.navigation.kalman import nis_kernel, update_kernel
+from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
 from bench.navigation.mechanization import matrix_kernel
 
 SENSORS = (
@@ -70,6 +70,7 @@ class Gate(NamedTuple):
     sigmas: float  # that test grants to the receiver
     memory: float  # share of a new measurement in the adapted noise; 0: noise as the datasheet says
     readmit_after: IntArray  # (sensors,) refusals in a row after which a channel is used all the same
+    own: IntArray  # (sensors, 3) the states it then opens; -1: none
     misses: IntArray  # (channels,) refusals in a row
     used: FloatArray  # (channels,) when it was last used [s]
     level: FloatArray  # (sensors,) adapted variance over that of the datasheet
@@ -85,9 +86,20 @@ class Log(NamedTuple):
 
 @inner
 def use_kernel(
-    t: float, first: int, rows: int, belief: Belief, pending: Pending, gate: Gate, log: Log, work: Work
+    t: float,
+    first: int,
+    rows: int,
+    belief: Belief,
+    before: FloatArray,
+    pending: Pending,
+    gate: Gate,
+    log: Log,
+    work: Work,
 ) -> None:
-    """Test the sub-vectors of a measurement in turn, use them or not, write their rows; feed back."""
+    """Test the sub-vectors of a measurement in turn, use them or not, write their rows; feed back.
+
+    ``before`` is the covariance a smoother takes for that before the measurement: it grows where P does.
+    """
     P, dx, n = belief.P, belief.dx, belief.P.shape[0]
     a = first
     while a < first + rows:
@@ -128,6 +140,9 @@ def use_kernel(
         log.filled[0] += m
         if accepted:
             gate.used[channel] = t
+            if not sound and gate.own[code, 0] >= 0:
+                e = log.numbers[row : row + m, 1]
+                open_kernel(P, before, H, e, gate.own[code], work.square, work.row)
             for b in range(m):
                 update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
         if gate.memory > 0.0 and np.isfinite(excess):

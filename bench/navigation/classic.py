@@ -607,8 +607,7 @@ class Classic22:
     tolerance_sigmas : float
         Multiple of the receiver's standard deviation granted by "tolerance".
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used: the variance of what it measures grows by
-        the square of its innovation first (A-5.4.7).
+        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
     monitor_sigmas : float
         Difference of barometer and GNSS height, over its standard deviation, that is reported (row 8 of
         A-5.4.3).
@@ -880,7 +879,7 @@ class _Flight:
             vel_row = fix_row if moving else None  # a fix may have no velocity
         for name, given in (("gnss_position", fix_row), ("gnss_velocity", vel_row), ("baro", baro_row)):
             if given is not None and self._is_sound(
-                now, name, apart, y * metres, S * np.outer(metres, metres)
+                now, name, apart, y * metres, S * np.outer(metres, metres), H * metres[:, None]
             ):
                 use += _ROWS[name]
         if fix_row is not None and baro_row is not None:
@@ -938,7 +937,9 @@ class _Flight:
         Y[7] = Y[3] - Y[0]
         return Y
 
-    def _is_sound(self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray) -> bool:
+    def _is_sound(
+        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, H: FloatArray
+    ) -> bool:
         """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals."""
         rows, settings = _ROWS[name], self.settings
         y, S = y[rows], S[np.ix_(rows, rows)]
@@ -952,6 +953,8 @@ class _Flight:
             earth = ellipsoid(self.nav.lat, self.nav.h)
             unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
             states = _STATES[name]
+            x = self.kf.P @ H[rows].T @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
+            self.kf.P += np.outer(x, x)
             self.kf.P[states, states] += np.square(y * unit)
         if failed and not readmitted:
             self.misses[name] += 1

@@ -69,7 +69,9 @@ def _fusion_kernel(
         advance_kernel(k, until, belief, process, steps, work, pending, keep)
         k = until
         t = steps.t[k]  # the last one serves the start, index -1
+        before = work.B  # nobody looks there
         if keep:
+            before = stores.node_cov[node, 0]
             stores.node_t[node] = t
             _keep_kernel(belief, stores.node_state[node, 0], stores.node_cov[node, 0])
             for i in range(n):
@@ -88,7 +90,7 @@ def _fusion_kernel(
             if action != MEASURE:
                 made = pending.live[slot]
                 pending.live[slot] = 0
-                use_kernel(t, first, made, belief, pending, gate, log, work)
+                use_kernel(t, first, made, belief, before, pending, gate, log, work)
             e += 1
         if keep:
             _keep_kernel(belief, stores.node_state[node, 1], stores.node_cov[node, 1])

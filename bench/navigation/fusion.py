@@ -25,19 +25,24 @@ from bench.navigation import alignment, ranging, standstill
 from bench.navigation.agenda import Agenda
 from bench.navigation.aiding import (
     AIRSPEED_ROWS,
+    BARO,
     BARO_ROWS,
     FIX_ROWS,
     MAGNETIC_ROWS,
+    POSITION,
     SENSORS,
     STANDSTILL_ROWS,
+    VELOCITY,
     ZERO_RATE,
     ZERO_VELOCITY,
     Gate,
 )
+from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import Nodes, forward_run
 from bench.navigation.integrity import nis_limit
 from bench.navigation.state_model import (
     Blocks,
+    StateModel,
     airspeed_variance,
     field_variance,
     fix_variance,
@@ -74,8 +79,8 @@ class Fusion:
     gate_probability : float
         Chance of refusing a sound sub-vector of a matched filter, (0, 1).
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7); every satellite
-        counts for itself.
+        Refusals in a row after which the next sub-vector is used all the same (A-5.4.7), P grown for it
+        where it is position, velocity or height; every satellite counts for itself.
     integrity : sequence of {"nis", "trace", "tolerance"}
         Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
         fixes the distance from the INS since the last one used (A-5.4.T).
@@ -251,18 +256,21 @@ class Fusion:
             if absent
         ]
         interval = 0.0 if self.covariance_hz is None else (1.0 - 1e-6) / self.covariance_hz
-        gate = self._gate(len(names), initial.t)
+        gate = self._gate(len(names), initial.t, model)
         return forward_run(
             sensors, initial, model, agenda, sky, field, names, gate=gate, interval=interval, keep=keep
         )
 
-    def _gate(self, channels: int, start: float) -> Gate:
+    def _gate(self, channels: int, start: float, model: StateModel) -> Gate:
         """Return the tests asked for, with empty memories."""
         bounds = np.full(4, np.inf)
         if "nis" in self.integrity:
             bounds[1:] = [nis_limit(m, self.gate_probability) for m in (1, 2, 3)]
         readmit = np.full(len(SENSORS), int(self.readmit_after))
         readmit[[ZERO_VELOCITY, ZERO_RATE]] = _NEVER
+        own = np.full((len(SENSORS), 3), -1)  # one satellite of many opens nothing: it is outvoted
+        own[POSITION], own[VELOCITY] = POS + np.arange(3), VEL + np.arange(3)
+        own[BARO, 0] = model.at("baro_bias")
         return Gate(
             nis=bounds,
             trace=self.trace_ratio if "trace" in self.integrity else np.inf,
@@ -270,6 +278,7 @@ class Fusion:
             sigmas=float(self.tolerance_sigmas),
             memory=0.0 if self.adaptive_noise is None else 1.0 / self.adaptive_noise,
             readmit_after=readmit,
+            own=own,
             misses=np.zeros(channels, np.int64),
             used=np.full(channels, start),
             level=np.ones(len(SENSORS)),

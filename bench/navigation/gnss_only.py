@@ -41,10 +41,8 @@ class GnssOnly:
     gate_probability : float
         Chance of refusing a sound sub-vector of a matched filter, (0, 1).
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same.
+        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
     """
-
-    needs = ("fixes",)
 
     needs = ("fixes",)
 
@@ -217,7 +215,9 @@ class _Track:
             value = nis(y, S)
             sound = value <= self.settings.gate
             if not sound and self.misses[code] >= self.settings.readmit_after:
-                self.P[rows, rows] += np.diag(y**2)  # it may be right: A-5.4.7
+                x = self.P[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
+                self.P += np.outer(x, x)
+                self.P[rows, rows] += np.diag(y**2)
                 sound = True
             self.misses[code] = 0 if sound else self.misses[code] + 1
             for i in range(3):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 
 
@@ -51,6 +51,43 @@ def nis_kernel(
         work[a, m] = e / work[a, a]
         nis += work[a, m] * work[a, m]
     return nis
+
+
+@kernel
+def open_kernel(
+    P: FloatArray,
+    before: FloatArray,
+    H: FloatArray,
+    e: FloatArray,
+    own: IntArray,
+    work: FloatArray,
+    row: FloatArray,
+) -> None:
+    """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
+
+    It has two explanations, and P grows by both: an error that grew the way P says errors do, which is the
+    refused correction x = P H' S^-1 e, and a step of the measured states ``own`` (m,) alone. The measurements
+    that follow tell which. ``before`` (n, n), the P a smoother goes back by, grows alike. ``work`` (m, m + 1)
+    is as :func:`nis_kernel` left it.
+    """
+    m, n = H.shape
+    for a in range(m - 1, -1, -1):  # S^-1 e
+        for b in range(a + 1, m):
+            work[a, m] -= work[b, a] * work[b, m]
+        work[a, m] /= work[a, a]
+    for i in range(n):
+        row[i] = 0.0
+        for a in range(m):
+            for j in range(n):
+                if H[a, j] != 0.0:
+                    row[i] += P[i, j] * H[a, j] * work[a, m]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] += row[i] * row[j]
+            before[i, j] += row[i] * row[j]
+    for a in range(m):
+        P[own[a], own[a]] += e[a] * e[a]
+        before[own[a], own[a]] += e[a] * e[a]
 
 
 @kernel

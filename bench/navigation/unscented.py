@@ -12,6 +12,7 @@ mean is fed back at once. A measurement is predicted from each of the truths the
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,7 +69,7 @@ class Unscented:
     gate_probability : float
         Chance of refusing a sound sub-vector of a matched filter, (0, 1).
     readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same.
+        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
     spread : float
         How far the sigma points are drawn, in units of sqrt(n) standard deviations, (0, 1]: two standard
         deviations of the 16 states by default.
@@ -302,44 +303,68 @@ class _Flight:
         """Use position and velocity of a fix, each gated by itself; there may be no velocity."""
         if self.lost:
             return
-        for code in (0, 1) if np.isfinite(fix[1]).all() else (0,):
-            points = self.points()
-            truth = _less(self.nav, points.x)
-            q = truth[:, 6:]
-            if code == 0:
-                y = rotation.rotate(q, antenna_b) + earth.difference_n(truth[:, :3], fix[0])
-            else:
-                lat = self.nav[0]
-                earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-                w_b = w_ib_b - self.rest[:3] + points.x[:, GYRO : GYRO + 3]
-                w_b = w_b - rotation.rotate(rotation.conjugate(q), earth_n)
-                y = truth[:, 3:6] + rotation.rotate(q, np.cross(w_b, antenna_b)) - fix[1]
-            self._update(t, code, points, y, r[3 * code : 3 * code + 3])
+
+        def place(x: FloatArray) -> FloatArray:
+            truth = _less(self.nav, x)
+            return rotation.rotate(truth[:, 6:], antenna_b) + earth.difference_n(truth[:, :3], fix[0])
+
+        def motion(x: FloatArray) -> FloatArray:
+            truth = _less(self.nav, x)
+            lat = self.nav[0]
+            earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+            w_b = w_ib_b - self.rest[:3] + x[:, GYRO : GYRO + 3]
+            w_b = w_b - rotation.rotate(rotation.conjugate(truth[:, 6:]), earth_n)
+            return truth[:, 3:6] + rotation.rotate(truth[:, 6:], np.cross(w_b, antenna_b)) - fix[1]
+
+        self._update(t, 0, place, r[:3], slice(POS, POS + 3))
+        if np.isfinite(fix[1]).all():
+            self._update(t, 1, motion, r[3:], slice(VEL, VEL + 3))
 
     def use_baro(self, t: float, alt_baro: float, r: float) -> None:
         """Use a barometric altitude."""
         if self.lost:
             return
-        points = self.points()
-        y = self.nav[2] + points.x[:, POS + 2] - alt_baro + self.rest[CORE - 9] - points.x[:, CORE]
-        self._update(t, 2, points, y[:, None], np.array([r]))
 
-    def _update(self, t: float, code: int, points: _Points, y: FloatArray, r: FloatArray) -> None:
-        """Gate and use a sub-vector; ``y`` (S, m) is predicted less measured, of the truth of each point."""
+        def height(x: FloatArray) -> FloatArray:
+            y = self.nav[2] + x[:, POS + 2] - alt_baro + self.rest[CORE - 9] - x[:, CORE]
+            return np.asarray(y[:, None])
+
+        self._update(t, 2, height, np.array([r]), slice(CORE, CORE + 1))
+
+    def _update(
+        self, t: float, code: int, measure: Callable[[FloatArray], FloatArray], r: FloatArray, own: slice
+    ) -> None:
+        """Gate and use a sub-vector of the states ``own``.
+
+        ``measure`` says of errors (S, n) what the truth is predicted to show less what was measured (S, m).
+        """
+        y, S, K = self._expect(measure, r)
+        value = nis(y, S)
+        sound = value <= self.gates[len(r)]
+        use = sound or self.misses[code] >= self.settings.readmit_after
+        self.misses[code] = 0 if use else self.misses[code] + 1
+        for i in range(len(r)):
+            self.innovations.append((t, code, i, -y[i], S[i, i], value, use))
+        if not use:
+            return
+        if not sound:
+            x = K @ y  # as `bench.navigation.kalman.open_kernel`
+            self.P += np.outer(x, x)
+            self.P[own, own] += np.diag(y**2)
+            y, S, K = self._expect(measure, r)
+        P = self.P - K @ S @ K.T
+        self.P = 0.5 * (P + P.T)
+        self._feed_back(K @ -y)
+
+    def _expect(self, measure: Callable[[FloatArray], FloatArray], r: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the mean (m,) and covariance (m, m) of a sub-vector, and its gain (n, m)."""
+        points = self.points()
+        y = measure(points.x)
         mean = points.mean @ y
         spread = y - mean
         S = (spread.T * points.cov) @ spread + np.diag(r)
-        value = nis(mean, S)
-        sound = value <= self.gates[len(r)] or self.misses[code] >= self.settings.readmit_after
-        self.misses[code] = 0 if sound else self.misses[code] + 1
-        for i in range(len(r)):
-            self.innovations.append((t, code, i, -mean[i], S[i, i], value, sound))
-        if sound:
-            cross = (points.x.T * points.cov) @ spread
-            K = np.linalg.solve(S, cross.T).T
-            P = self.P - K @ S @ K.T
-            self.P = 0.5 * (P + P.T)
-            self._feed_back(K @ -mean)
+        cross = (points.x.T * points.cov) @ spread
+        return mean, S, np.linalg.solve(S, cross.T).T
 
     def _feed_back(self, x: FloatArray) -> None:
         """Take an expected error off the estimate."""
