@@ -701,8 +701,8 @@ def test_45_the_calibration_is_kept_and_applied(minutes, sound):
 
 # --- section 7.1 ------------------------------------------------------------------------------------------
 
-TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h, accelerometer ug; E at +60,
-    # +120, +300 and +600 s; growth of E at +60 and +300 s; growth of 5 m reached after s
+TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h, accelerometer ug; E at
+    # +60, +120, +300 and +600 s; growth of E at +60 and +300 s; growth of 5 m reached after s
     "1": (6.00, 3.41, 0.019, 0.0005, 0.0038, 0.0017, 8.4, (6.5, 7.3, 11.0, 20.7), (2.6, 9.2), 155),
     "2": (6.00, 3.43, 0.021, 0.0011, 0.0043, 0.0024, 15.1, (6.6, 7.5, 12.2, 25.4), (2.7, 10.6), 141),
     "3": (6.01, 3.44, 0.035, 0.0026, 0.0084, 0.017, 22.9, (7.0, 9.6, 28.1, 73.5), (3.7, 27.5), 85),
