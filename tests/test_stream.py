@@ -86,16 +86,11 @@ def compare(run, data: bytes) -> None:
             assert int(place[2][:2]) * 60 + float(place[2][2:]) == pytest.approx(minutes, abs=1e-7)
 
 
-def hear_ctrl_c():
-    """Undo what a shell does to what it starts in the background."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @contextmanager
 def streaming(run, *options: str):
     command = [sys.executable, "-m", "bench.cli", "stream", str(run), *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, **pipes, preexec_fn=hear_ctrl_c) as process:
+    with subprocess.Popen(command, **pipes) as process:
         try:
             yield process
         finally:
