@@ -452,6 +452,23 @@ class Innovations:
         _freeze(self, t=(None,), z=(None,), S=(None,), nis=(None,))
         _equal_lengths(self, dict.fromkeys(("t", "code", "component", "accepted")))
 
+    @classmethod
+    def from_rows(
+        cls, sensor: tuple[str, ...], rows: list[tuple[float, int, int, float, float, float, bool]]
+    ) -> Innovations:
+        """Return a table from rows (t, code, component, z, S, nis, accepted)."""
+        table = np.array(rows, float).reshape(-1, 7)
+        return cls(
+            t=table[:, 0],
+            sensor=sensor,
+            code=table[:, 1].astype(np.int64),
+            component=table[:, 2].astype(np.int64),
+            z=table[:, 3],
+            S=table[:, 4],
+            nis=table[:, 5],
+            accepted=table[:, 6].astype(np.bool_),
+        )
+
     def __len__(self) -> int:
         return len(self.t)
 
@@ -460,8 +477,7 @@ class Innovations:
 
 def no_innovations() -> Innovations:
     """Return an empty table, for an estimator without updates."""
-    none, index = np.empty(0), np.empty(0, np.int64)
-    return Innovations(none, (), index, index, none, none, none, np.empty(0, np.bool_))
+    return Innovations.from_rows((), [])
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
+import signal
 from collections.abc import Callable
 from types import ModuleType
 
@@ -10,6 +11,9 @@ from bench.data import Trajectory
 from bench.flight import fly
 from bench.specs import stream
 from tests.plans import FIGURE_EIGHT, short_plan
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

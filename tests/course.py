@@ -2,8 +2,9 @@
 
 Level at 200 m/s and 50 deg north, one S-turn of 120 s every 600 s, fixes and barometer at 1 Hz, GNSS lost at
 1800 s. The register leaves open, and this is assumed here: the height (5 km, no effect seen), the course (40
-deg, what fits the outage of the MEMS grade best), that the turn rate is a sine of 3 deg/s, that the first
-turn begins at 240 s, and that the flight is straight without GNSS.
+deg, what fits the outage of the MEMS grade best), that the turn rate is a sine of 3 deg/s, that turns are
+banked so that no force is felt sideways, that the first begins at 240 s, and that the flight is straight
+without GNSS.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ def place(t, turns=True):
         w = 2 * math.pi / TURN
         rate, course = RATE * math.sin(w * phase), COURSE + RATE / w * (1 - math.cos(w * phase))
     s, c = math.sin(course), math.cos(course)
-    nav = classic.Nav(LAT, 0.0, HEIGHT, SPEED * np.array([s, c, 0.0]), classic.body_to_enu(course, 0.0, 0.0))
+    bank = math.atan2(SPEED * rate, EARTH.g)
+    B = classic.body_to_enu(course, 0.0, bank)
+    nav = classic.Nav(LAT, 0.0, HEIGHT, SPEED * np.array([s, c, 0.0]), B)
     return nav, np.array([SPEED * rate * c, -SPEED * rate * s, EARTH.g]), rate
 
 

@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
 from weaving import DEG, GNSS, IMU, units, weaving
 
 from bench import earth, rotation, sensors
@@ -105,7 +106,10 @@ def test_an_epoch_between_two_samples_is_used_at_its_own_instant(truth):
 
 
 def test_noise_is_taken_from_the_innovations(truth):
-    """A receiver four times as noisy as assumed: NIS falls to 3, errors shrink, the claim follows."""
+    """A receiver four times as noisy as assumed: NIS falls to 3, errors shrink, the claim follows.
+
+    Without it NIS lies between 3 and 3 * 16, by how much of S is R.
+    """
     noisy = replace(GNSS, pos_h_white_sd=6.0, pos_v_white_sd=10.0, vel_white_sd=0.2)
     found = np.zeros((RUNS, 2, 3))
     for run in range(RUNS):
@@ -119,8 +123,7 @@ def test_noise_is_taken_from_the_innovations(truth):
     plain, adapted = found.mean(axis=0)
     assert plain[0] > 12
     assert 2.0 < adapted[0] < 5.0
-    assert adapted[1] < 0.9 * plain[1]
-    assert adapted[2] < 0.5 * plain[2]
+    assert (stats.ttest_rel(found[:, 0], found[:, 1], alternative="greater").pvalue < 0.001).all()
 
 
 def test_noise_of_the_datasheet_stays_when_it_is_right(truth):
@@ -274,8 +277,8 @@ def test_airspeed_slows_the_drift_without_gnss():
     truth = weaving(240.0)
     wind = np.array([5.0, -3.0, 0.0])
     spec = AirspeedSpec("pitot", 10.0, white_sd=0.3)
-    error = np.zeros((RUNS, 2))
-    for run in range(RUNS):
+    error = np.zeros((2 * RUNS, 2))
+    for run in range(2 * RUNS):
         drawn = sensors.sense(truth, units(baro=None), 12, run)
         keep = drawn.data.fixes.t <= 60.0
         fixes = GnssFixes(*(getattr(drawn.data.fixes, f.name)[keep] for f in fields(GnssFixes)))
@@ -291,7 +294,7 @@ def test_airspeed_slows_the_drift_without_gnss():
         at = solution.extra_names.index("wind_north_m_s")
         off = (solution.extra[-1, at : at + 2] - wind[:2]) / solution.extra_sd[-1, at : at + 2]
         assert np.abs(off).max() < 4.5
-    assert error[:, 1].mean() < 0.75 * error[:, 0].mean()
+    assert stats.ttest_rel(*error.T, alternative="greater").pvalue < 0.001
 
 
 def test_a_magnetometer_gives_the_heading():

@@ -109,9 +109,10 @@ def test_in_a_flight_it_covers_its_errors_and_says_nothing_of_attitude(flight):
     _, judged = metrics.judge(truth, solution, evaluation_from=10.0, outages=())
     assert judged["converged"]
     assert judged["nees_states"] == 6
+    most = stats.binom.ppf(0.999, 80, 2 * stats.norm.sf(3.0)) / 80  # of what the 80 fixes allow
     for axis in "ned":
-        assert judged[f"coverage_3sigma_pos_{axis}"] > 0.99
-        assert judged[f"coverage_3sigma_vel_{axis}"] > 0.98
+        assert 1.0 - judged[f"coverage_3sigma_pos_{axis}"] <= most
+        assert 1.0 - judged[f"coverage_3sigma_vel_{axis}"] <= most
     assert "heading_rmse_deg" not in judged
     assert np.isnan(solution.q_nb).all()
 

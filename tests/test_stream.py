@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -85,9 +86,15 @@ def compare(run, data: bytes) -> None:
             assert int(place[2][:2]) * 60 + float(place[2][2:]) == pytest.approx(minutes, abs=1e-7)
 
 
-def streaming(run, *options: str) -> subprocess.Popen:
+@contextmanager
+def streaming(run, *options: str):
     command = [sys.executable, "-m", "bench.cli", "stream", str(run), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def port_of(process: subprocess.Popen) -> int:

@@ -1080,17 +1080,6 @@ def _solution(
         column[served] = np.array(values)
     lla, vel_n, q_nb, states, sd, cov = columns
     layout = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
-    table = np.array(flight.innovations, float).reshape(-1, 7)
-    innovations = Innovations(
-        t=table[:, 0],
-        sensor=SENSORS,
-        code=table[:, 1].astype(np.int64),
-        component=table[:, 2].astype(np.int64),
-        z=table[:, 3],
-        S=table[:, 4],
-        nis=table[:, 5],
-        accepted=table[:, 6].astype(np.bool_),
-    )
     return NavSolution(
         t=sensors.output_t,
         lla=lla,
@@ -1102,6 +1091,6 @@ def _solution(
         extra_names=layout.labels(),
         extra=states,
         extra_sd=sd,
-        innovations=innovations,
+        innovations=Innovations.from_rows(SENSORS, flight.innovations),
         events=Events.from_rows(events + flight.events),
     )

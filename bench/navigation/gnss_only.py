@@ -106,7 +106,6 @@ class GnssOnly:
         cov = out_P[:, :9, :9].copy()
         cov[:, 6:], cov[:, :, 6:] = np.nan, np.nan
         none = np.full((m, 4), np.nan)
-        table = np.array(track.innovations if track else [], float).reshape(-1, 7)
         return NavSolution(
             t=sensors.output_t,
             lla=out[:, :3],
@@ -118,16 +117,7 @@ class GnssOnly:
             extra_names=STATES,
             extra=out[:, 6:],
             extra_sd=np.sqrt(np.einsum("kii->ki", out_P)[:, 6:]),
-            innovations=Innovations(
-                t=table[:, 0],
-                sensor=SENSORS,
-                code=table[:, 1].astype(np.int64),
-                component=table[:, 2].astype(np.int64),
-                z=table[:, 3],
-                S=table[:, 4],
-                nis=table[:, 5],
-                accepted=table[:, 6].astype(np.bool_),
-            ),
+            innovations=Innovations.from_rows(SENSORS, track.innovations if track else []),
             events=Events.from_rows(events),
         )
 

@@ -173,7 +173,6 @@ class Unscented:
                 if row not in early or sensors.output_t[row] > t[k] - slack:
                     out[row], out_P[row] = np.concatenate([flight.nav, flight.rest]), flight.P
         variance = np.einsum("kii->ki", out_P)[:, 9:]
-        table = np.array(flight.innovations, float).reshape(-1, 7)
         return NavSolution(
             t=sensors.output_t,
             lla=out[:, :3],
@@ -185,16 +184,7 @@ class Unscented:
             extra_names=model.layout.labels(),
             extra=out[:, 10:],
             extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
-            innovations=Innovations(
-                t=table[:, 0],
-                sensor=SENSORS,
-                code=table[:, 1].astype(np.int64),
-                component=table[:, 2].astype(np.int64),
-                z=table[:, 3],
-                S=table[:, 4],
-                nis=table[:, 5],
-                accepted=table[:, 6].astype(np.bool_),
-            ),
+            innovations=Innovations.from_rows(SENSORS, flight.innovations),
             events=Events.from_rows(events),
         )
 
@@ -364,7 +354,7 @@ class _Flight:
         spread = y - mean
         S = (spread.T * points.cov) @ spread + np.diag(r)
         cross = (points.x.T * points.cov) @ spread
-        return mean, S, np.linalg.solve(S, cross.T).T
+        return mean, S, np.asarray(np.linalg.solve(S, cross.T).T, np.float64)
 
     def _feed_back(self, x: FloatArray) -> None:
         """Take an expected error off the estimate."""

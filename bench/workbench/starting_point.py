@@ -113,7 +113,7 @@ class StartingPoint:
             extra_names=EXTRA,
             extra=out[:, 10:],
             extra_sd=np.sqrt(np.einsum("kii->ki", out_P)[:, 9:]),
-            innovations=_innovations(found),
+            innovations=Innovations.from_rows(SENSORS, found),
             events=Events.from_rows(events),
         )
 
@@ -152,18 +152,3 @@ def _antenna(nav: FloatArray, antenna_b: FloatArray, w_ib_b: FloatArray) -> tupl
     H[3:, 6:9] = -rotation.skew(C @ swept)
     H[3:, 9:12] = C @ rotation.skew(antenna_b)
     return np.concatenate([C @ antenna_b, C @ swept]), H
-
-
-def _innovations(found: list[tuple[float, int, int, float, float, float, bool]]) -> Innovations:
-    """Return the rows (t, sensor, component, innovation, variance, NIS, used) as a table."""
-    table = np.array(found, float).reshape(-1, 7)
-    return Innovations(
-        t=table[:, 0],
-        sensor=SENSORS,
-        code=table[:, 1].astype(np.int64),
-        component=table[:, 2].astype(np.int64),
-        z=table[:, 3],
-        S=table[:, 4],
-        nis=table[:, 5],
-        accepted=table[:, 6].astype(np.bool_),
-    )
