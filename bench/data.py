@@ -375,9 +375,11 @@ class InitialState:
     alignment: str  # what is told: "given" all, "level" the position of a standstill, "course" nothing
     align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
+    bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))  # of them with both biases, b
 
     def __post_init__(self) -> None:
-        for name, shape in {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}.items():
+        shapes = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9), "bias_cov": (9, 6)}
+        for name, shape in shapes.items():
             told = self.alignment == "given"
             _store(self, name, as_float(_label(self, name), getattr(self, name), shape, finite=told))
 

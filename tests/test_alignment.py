@@ -22,6 +22,8 @@ from bench.evaluation import metrics
 from bench.evaluation.errors import error_series
 from bench.navigation import alignment
 from bench.navigation.estimator import BUILT_IN, EstimatorError, load
+from bench.navigation.fusion import Loose
+from bench.navigation.state_model import Blocks, state_model
 from bench.specs import ImuSpec, TriadSpec
 
 FINE = ImuSpec(
@@ -192,6 +194,55 @@ def test_level_errors_are_what_the_covariance_says():
     low, high = band(6, runs)
     assert low < np.mean(nees) < high
     assert np.mean(tight) > high
+
+
+CLEAN = TriadSpec(random_walk=0.02 / 60, turn_on_bias_sd=5e-3 * 9.81)
+STEADY = ImuSpec("steady", TriadSpec(random_walk=0.1 * DEG / 60, turn_on_bias_sd=50 * DEG / 3600), CLEAN)
+MOTIONS = {
+    "level": (lambda: standing(60.0), level(FINE, align_for=20.0)),
+    "course": (lambda: weaving(60.0, straight_from=0.0), course(STEADY, drift=2 * DEG)),
+}
+
+
+def tilts(motion, believed):
+    """NEES of the tilt at the end of the minute, 100 draws; a filter is told ``believed`` of it."""
+    make, spec = MOTIONS[motion]
+    truth, nees = make(), []
+    for run in range(100):
+        sensed = sensors.sense(truth, spec, 3, run)
+        start, _ = alignment.complete(sensed.data, sensed.initial)
+        assert np.abs(start.bias_cov).max() > 0
+        solution = Loose(covariance_hz=20.0).run(sensed.data, believed(start))
+        phi = error_series(truth, solution).phi_n[-1, :2]
+        nees.append(phi @ np.linalg.solve(solution.cov[-1, 6:8, 6:8], phi))
+    return np.array(nees)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_what_tilt_and_biases_have_in_common_is_told(motion):
+    """The tilt an accelerometer bias made stays when the filter sees no motion: NEES 2, not 3 or more."""
+    low, high = band(2, 100)
+    assert low < tilts(motion, lambda start: start).mean() < high
+    strangers = tilts(motion, lambda start: replace(start, bias_cov=np.zeros((9, 6))))
+    assert strangers.mean() > high
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_the_joint_covariance_with_the_biases_is_that_of_the_errors(motion):
+    """Along its two narrowest directions, which are those that tie each tilt to the bias that made it."""
+    make, spec = MOTIONS[motion]
+    truth, narrow = make(), []
+    for run in range(100):
+        start, error = found(truth, spec, seed=3, run=run)
+        sensed = sensors.sense(truth, spec, 3, run)
+        P = state_model(start, sensed.data.specs, Blocks()).P
+        bias = np.concatenate([sensed.truth.gyro_bias_b[0], sensed.truth.accel_bias_b[0]])
+        d = np.concatenate([error, -bias])[6:] / np.sqrt(np.diag(P)[6:])
+        w, V = np.linalg.eigh(P[6:, 6:] / np.sqrt(np.outer(np.diag(P)[6:], np.diag(P)[6:])))
+        assert w[0] > 0
+        narrow.append(np.sum((V[:, :2].T @ d) ** 2 / w[:2]))
+    low, high = band(2, 100)
+    assert low < np.mean(narrow) < high
 
 
 def test_a_gyro_that_feels_gravity_has_it_in_its_heading_sd():

@@ -12,9 +12,9 @@ with F the mean specific force in n and e the error of the gain over its time,
 
     phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D
 
-The covariances hold the datasheet's biases, noise and misalignments. What a covariance of position, velocity
-and attitude cannot hold is the correlation of the tilt with the accelerometer bias that made it: the filters
-that start from here believe a little less than they know.
+The covariances hold the datasheet's biases, noise and misalignments, ``bias_cov`` what an attitude has in
+common with the biases that made it: a filter told of both as strangers would halve the variance of the tilt
+as soon as it sees the aircraft stand, and the tilt would not have moved.
 """
 
 from __future__ import annotations
@@ -111,6 +111,12 @@ def _level(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Ro
     J[2] = -np.tan(lat) * J[0]
     J[2, 2] = -1 / e_rate
     phi_cov = J @ np.diag(np.square([force_sd, force_sd, rate_sd])) @ J.T
+    q_nb = rotation.multiply(plumb, rotation.from_euler(roll, pitch, heading))
+    accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
+    C = rotation.matrix(q_nb)
+    bias_cov = np.zeros((9, 6))  # of an error of the bias: estimate, zero, less truth
+    bias_cov[6:, 3:] = -(_bias_sd(accel, 0.0) ** 2) * J[:, :2] @ C[:2]
+    bias_cov[6:, :3] = -(_bias_sd(gyro, 0.0) ** 2) * J[:, 2:] @ C[1:2]
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
     text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
     if heading_sd < UNKNOWN_HEADING_SD:
@@ -118,6 +124,7 @@ def _level(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Ro
     else:
         phi_cov[2], phi_cov[:, 2] = 0.0, 0.0
         phi_cov[2, 2] = UNKNOWN_HEADING_SD**2
+        bias_cov[:] = 0.0  # of a tilt in n, it would not turn with the heading that is found
         text += (
             f"heading is unknown: gyros of {np.rad2deg(rate_sd) * 3600:.2g} deg/h cannot gyrocompass by "
             f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; a course finds it"
@@ -130,8 +137,9 @@ def _level(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Ro
         initial,
         t=float(t[end - 1]),
         vel_n=np.zeros(3),
-        q_nb=rotation.multiply(plumb, rotation.from_euler(roll, pitch, heading)),
+        q_nb=q_nb,
         cov=cov,
+        bias_cov=bias_cov,
         alignment="given",
     )
     return found, [(initial.t, found.t, "alignment", text)]
@@ -273,6 +281,10 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
         cov[3:6, :3] = cov[:3, 3:6].T
         cov[6:, :3] = cov[:3, 6:].T
     cov[6:, 3:5] = cov[3:5, 6:].T
+    C = rotation.matrix(states[:, 6:]).mean(axis=0)  # a bias turned with the aircraft while it was felt
+    bias_cov = np.zeros((9, 6))
+    bias_cov[6:, 3:] = -(_bias_sd(specs.imu.accel, 0.0) ** 2) * J[:, 5:7] @ C[:2]
+    bias_cov[6:, :3] = -(_bias_sd(gyro, 0.0) ** 2) * T / 2 * J[:, 7:] @ C[:2]
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
     sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
     text = (
@@ -286,6 +298,7 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
         vel_n=rest[3:6],
         q_nb=rest[6:],
         cov=cov,
+        bias_cov=bias_cov,
         alignment="given",
     )
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]

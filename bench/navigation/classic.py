@@ -795,6 +795,8 @@ class _Flight:
         unit = np.array([east, north, 1.0, 1.0, 1.0, 1.0])
         rest = [sig.eps] * 3 + [sig.da] * 3 + [sig.bb] + (unit * _per_axis(sig.markov)).tolist()
         P[np.arange(9, SIZE), np.arange(9, SIZE)] = np.square(rest)
+        P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
+        P[9:15, :9] = P[:9, 9:15].T
         self.floor = settings.floor**2 * np.diag(P)
         self.kf: Any = KalmanFilter(dim_x=SIZE, dim_z=7)
         self.kf.P = P

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.data import AirspeedData, InitialState, MagData
-from bench.navigation.error_state import StateLayout
+from bench.navigation.error_state import CORE, GYRO, StateLayout
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, TriadSpec
 
@@ -55,7 +55,7 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Blocks) -> S
     Parameters
     ----------
     initial : InitialState
-        Covariance of position, velocity and attitude at the start.
+        Covariance of position, velocity and attitude at the start, and theirs with the biases.
     specs : AssumedSpecs
         The datasheets to believe.
     blocks : Blocks
@@ -92,6 +92,7 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Blocks) -> S
     drives: list[tuple[int, int, int]] = []
     gyro, accel = specs.imu.gyro, specs.imu.accel
     P[:9, :9] = initial.cov
+    P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
     q[layout.slice("vel")] = accel.random_walk**2
     q[layout.slice("phi")] = gyro.random_walk**2
     for name, triad in (("gyro_bias", gyro), ("accel_bias", accel)):

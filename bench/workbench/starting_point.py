@@ -122,6 +122,7 @@ def _start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray, Floa
     """Return P (15, 15) at the start and the densities q (15,) of the noise, from the datasheets."""
     P, q = np.zeros((15, 15)), np.zeros(15)
     P[:9, :9] = initial.cov
+    P[:9, 9:], P[9:, :9] = initial.bias_cov, initial.bias_cov.T  # of a tilt found by a biased accelerometer
     gyro, accel = specs.imu.gyro, specs.imu.accel
     q[3:6], q[6:9] = accel.random_walk**2, gyro.random_walk**2
     for rows, triad in ((slice(9, 12), gyro), (slice(12, 15), accel)):
