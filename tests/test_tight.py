@@ -367,6 +367,23 @@ def test_what_tight_does_not_model_is_named():
     assert not [text for text in named if "GNSS" in text]
 
 
+def test_epochs_without_satellites_are_counted_and_carried_through(sensed):
+    """As of a receiver under a bridge: six epochs of nothing, one after the other, and two at the end."""
+    o = sensed.data.observations
+    epoch = np.arange(len(o.epoch_start) - 1)
+    gone = (epoch >= 20) & (epoch < 26) | (epoch >= len(epoch) - 2)
+    data = replace(sensed.data, observations=taken(o, ~gone[o.epoch]))
+    solution = Tight().run(data, sensed.initial)
+    ((start, end, text),) = solution.events.of("timeline")
+    assert text == "satellites: 8 epochs without satellites"
+    assert start == o.t[o.epoch_start[19]]
+    assert end == sensed.data.imu.t[-1]
+    v = solution.innovations
+    ranged = v.t[np.char.endswith(np.array(v.sensor)[v.code], "range")]
+    assert len(np.unique(ranged)) == len(epoch) - 8
+    assert np.isfinite(solution.lla).all()
+
+
 def test_fixes_without_satellites_are_told_not_used(truth):
     drawn = sensors.sense(truth, units(), 1, 0)
     solution = Tight().run(drawn.data, drawn.initial)

@@ -70,16 +70,16 @@ class Agenda:
         self.events += timeline.left_out("satellites", o.t, ~sound, "not finite")
         system = {"gps": [GPS], "glonass": [GLONASS]}.get(specs.gnss.sky.systems, [GPS, GLONASS])
         wanted = np.isin(o.system, system)
-        start = o.epoch_start[:-1]
-        filled = np.diff(o.epoch_start) > 0
-        t, arrival = np.full((2, len(start)), np.nan)
-        t[filled], arrival[filled] = o.t[start[filled]], o.t_arrival[start[filled]]
-        usable = filled & np.isfinite(t) & np.isfinite(arrival)
+        self.events += timeline.empty_epochs(o.t, o.epoch_start, self._start, self._end)
+        filled = np.flatnonzero(np.diff(o.epoch_start) > 0)
+        first_row = o.epoch_start[filled]
+        t, arrival = o.t[first_row], o.t_arrival[first_row]
+        usable = np.isfinite(t) & np.isfinite(arrival)
         epochs, _, told = timeline.ordered_rows(t, arrival, usable, "satellites", self.imu_t, self._start)
         self.events += told
         first = self._plan(SATELLITE_ROWS, "satellites", t[epochs], arrival[epochs], None, None)
-        epochs = epochs[first:]
-        number = np.full(len(start), -1)
+        epochs = filled[epochs[first:]]
+        number = np.full(len(o.epoch_start) - 1, -1)
         number[epochs] = np.arange(len(epochs))
         of_row = number[o.epoch]
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))

@@ -243,6 +243,19 @@ def ordered_rows(
     return rows[inside], sample[inside].astype(np.int64), events
 
 
+def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[Event]:
+    """Return the event that counts the epochs without a row, none when there are none.
+
+    They have no time of their own: it spans the rows ``t`` (K,) next to them, or the record's start or end.
+    """
+    empty = np.flatnonzero(np.diff(epoch_start) == 0)
+    if not len(empty):
+        return []
+    around = np.nan_to_num(np.concatenate([[start], t, [end]]), nan=start)
+    first, last = around[epoch_start[empty[0]]], around[epoch_start[empty[-1]] + 1]
+    return [(float(first), float(last), "timeline", f"satellites: {len(empty)} epochs without satellites")]
+
+
 def as_events(rows: list[Event]) -> Events:
     """Return the collected rows as one table."""
     return Events.from_rows(rows)
