@@ -187,7 +187,10 @@ def test_every_option_moves_the_answer(sensed):
 
 
 def test_outputs_inside_a_gap_of_the_imu_are_answered(sensed):
-    """A second of the IMU is missing: in between, the last rates known carry both filters alike."""
+    """A second of the IMU is missing: the last rates known carry both filters alike, and P grows alike.
+
+    Velocity and attitude are claimed twenty times worse than before; there the two part, by tilts of degrees.
+    """
     imu = sensed.data.imu
     there = (imu.t < 10.0 + 1e-6) | (imu.t > 11.0 - 1e-6)
     columns = {f.name: getattr(imu, f.name)[there] for f in fields(imu)}
@@ -197,6 +200,7 @@ def test_outputs_inside_a_gap_of_the_imu_are_answered(sensed):
     assert np.isfinite(mine.cov).all()
     inside = (mine.t > 10.0) & (mine.t < 11.0)
     assert inside.sum() == 9
-    apart = np.linalg.norm(earth.difference_n(mine.lla, theirs.lla), axis=1)[inside]
-    speed = np.linalg.norm(mine.vel_n[inside], axis=1).min()
-    assert apart.max() < 0.1 * speed  # the state at the end of the gap would be up to 0.9 s of flight away
+    claimed = [np.sqrt(np.einsum("kii->ki", s.cov))[mine.t > 10.0] for s in (mine, theirs)]
+    assert_allclose(claimed[0], claimed[1], rtol=0.1)
+    apart = np.hstack([earth.difference_n(mine.lla, theirs.lla), mine.vel_n - theirs.vel_n])[mine.t > 10.0]
+    assert (np.abs(apart) < 0.5 * claimed[1][:, :6]).all()

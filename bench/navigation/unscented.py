@@ -1,17 +1,15 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
-States, datasheets and gates are those of `bench.navigation.fusion.Loose`, rows too, but a gap in the IMU
-record is covered by the sample after it, without more noise. Sigma points and
-their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE
-92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws
-sigma points of the error about zero, carries the truth each one stands for through the strapdown with the
-same increments less its own biases, and takes the spread of what they became about the carried estimate; the
-mean is fed back at once. A measurement is predicted from each of the truths the points stand for.
+States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`. Sigma points and their
+weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3),
+2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws sigma
+points of the error about zero, carries the truth each one stands for through the strapdown with the same
+increments less its own biases, and takes the spread of what they became about the carried estimate; the mean
+is fed back at once. A measurement is predicted from each of the truths the points stand for.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +20,9 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment, timeline
+from bench.navigation import alignment
+from bench.navigation.agenda import OUTPUT, Agenda
+from bench.navigation.aiding import BARO_ROWS, FIX_ROWS
 from bench.navigation.error_state import CORE, GYRO, PHI, POS, VEL
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.mechanization import body_step_kernel, step_kernel
@@ -112,67 +112,48 @@ class Unscented:
         bench.navigation.estimator.EstimatorError
             When the record does not allow the alignment that is asked for.
         """
-        initial, events = alignment.complete(sensors, initial)
+        initial, aligned = alignment.complete(sensors, initial)
         fixes = sensors.fixes if self.gnss else None
         baro = sensors.baro if self.baro else None
         model = state_model(initial, sensors.specs, Blocks(baro_bias=baro is not None))
-        rows, span, left = timeline.imu_rows(sensors.imu, initial.t)
-        events += left
-        t = sensors.imu.t[rows]
-        stretch = (span / sensors.imu.dt[rows])[:, None]
-        dtheta, dvel = sensors.imu.dtheta_b[rows] * stretch, sensors.imu.dvel_b[rows] * stretch
-        fixes_at: dict[int, list[int]] = {}
-        baro_at: dict[int, list[int]] = {}
-        fix_r, baro_r = np.zeros(6), 0.0
+        agenda = Agenda(sensors, initial.t, compensate=False)
+        agenda.events += aligned
         if fixes is not None:
-            fix_r = fix_variance(sensors.specs, gnss_markov=False)
-            fixes_at, left = _by_sample(timeline.fix_rows(fixes, t, initial.t))
-            events += left
+            r = fix_variance(sensors.specs, gnss_markov=False)
+            agenda.add(FIX_ROWS, "gnss", fixes, np.hstack([fixes.lla, fixes.vel_n]), r)
         if baro is not None:
-            baro_r = known(sensors.specs.baro, "baro").white_sd ** 2
-            values = baro.alt_baro[:, None]
-            baro_at, left = _by_sample(timeline.aiding_rows(baro, values, "baro", t, initial.t))
-            events += left
-        end = t[-1] if len(t) else initial.t
-        slack = timeline.TIME_TOLERANCE
-        served = (sensors.output_t >= initial.t - slack) & (sensors.output_t <= end + slack)
-        asked = np.searchsorted(t, sensors.output_t - slack)
-        asked[sensors.output_t < initial.t + slack] = -1
-        outputs: dict[int, list[int]] = {}
-        for row in np.flatnonzero(served).tolist():
-            outputs.setdefault(int(asked[row]), []).append(row)
+            r = np.array([known(sensors.specs.baro, "baro").white_sd ** 2])
+            agenda.add(BARO_ROWS, "baro", baro, baro.alt_baro[:, None], r)
+        steps, entries, _ = agenda.order()
+        values, variance = agenda.table()
+        share = steps.share[:, None]
+        dtheta, dvel = sensors.imu.dtheta_b[steps.row] * share, sensors.imu.dvel_b[steps.row] * share
+        todo: dict[int, list[list[int]]] = {}
+        for step, *what in entries.tolist():
+            todo.setdefault(step, []).append(what)
 
         flight = _Flight(self, model, initial)
         out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
-        every = max(1, round(1.0 / (self.covariance_hz * float(np.median(span))))) if len(span) else 1
-        stops = sorted({*range(every - 1, len(t), every), *fixes_at, *baro_at, *outputs})
+        waiting = iter(agenda.outputs.tolist())
+        length = float(np.median(steps.span)) if len(steps.span) else 1.0
+        every = max(1, round(1.0 / (self.covariance_hz * length)))
         done = -1
-        for k in stops:
-            early = [row for row in outputs.get(k, []) if len(outputs[k]) > 1 and k >= 0]
-            if early and k > done + 1:  # several instants within one interval: a gap
-                flight.predict(span[done + 1 : k], dtheta[done + 1 : k], dvel[done + 1 : k])
-                done = k - 1
-            for row in early:
-                share = min(1.0 + (sensors.output_t[row] - t[k]) / span[k], 1.0)
-                there = copy.deepcopy(flight)
-                there.predict(span[k : k + 1] * share, dtheta[k : k + 1] * share, dvel[k : k + 1] * share)
-                out[row], out_P[row] = np.concatenate([there.nav, there.rest]), there.P
+        for k in sorted({*range(every - 1, len(steps.t), every), *todo}):
             if k > done:
-                flight.predict(span[done + 1 : k + 1], dtheta[done + 1 : k + 1], dvel[done + 1 : k + 1])
+                part = slice(done + 1, k + 1)
+                flight.predict(steps.span[part], dtheta[part], dvel[part], steps.unknown[part].sum(axis=0))
                 done = k
-            for row in fixes_at.get(k, []):
-                assert fixes is not None
-                w_b = dtheta[k] / span[k]
-                arrived = (fixes.lla[row], fixes.vel_n[row])
-                flight.use_fix(float(t[k]), arrived, fix_r, sensors.antenna_b, w_b)
-            for row in baro_at.get(k, []):
-                assert baro is not None
-                flight.use_baro(float(t[k]), float(baro.alt_baro[row]), baro_r)
-            for row in outputs.get(k, []):
-                if row not in early or sensors.output_t[row] > t[k] - slack:
-                    out[row], out_P[row] = np.concatenate([flight.nav, flight.rest]), flight.P
-        variance = np.einsum("kii->ki", out_P)[:, 9:]
+            for action, kind, row, _ in todo.get(k, []):
+                if action == OUTPUT:
+                    at = next(waiting)
+                    out[at], out_P[at] = np.concatenate([flight.nav, flight.rest]), flight.P
+                elif kind == FIX_ROWS:
+                    w_b = dtheta[k] / steps.span[k]
+                    flight.use_fix(float(steps.t[k]), values[row], variance[row], sensors.antenna_b, w_b)
+                else:
+                    flight.use_baro(float(steps.t[k]), float(values[row, 0]), float(variance[row, 0]))
+        sd2 = np.einsum("kii->ki", out_P)[:, 9:]
         return NavSolution(
             t=sensors.output_t,
             lla=out[:, :3],
@@ -183,9 +164,9 @@ class Unscented:
             cov=out_P[:, :9, :9],
             extra_names=model.layout.labels(),
             extra=out[:, 10:],
-            extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+            extra_sd=np.sqrt(np.where(sd2 >= 0, sd2, np.nan)),
             innovations=Innovations.from_rows(SENSORS, flight.innovations),
-            events=Events.from_rows(events),
+            events=Events.from_rows(agenda.events),
         )
 
     @property
@@ -200,15 +181,6 @@ class Unscented:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _by_sample(found: tuple[Any, Any, Any]) -> tuple[dict[int, list[int]], Any]:
-    """Return rows by the IMU sample they are used at, and the events."""
-    rows, at, events = found
-    by: dict[int, list[int]] = {}
-    for row, k in zip(rows.tolist(), at.tolist(), strict=True):
-        by.setdefault(k, []).append(row)
-    return by, events
 
 
 @dataclass
@@ -254,8 +226,8 @@ class _Flight:
         """Whether there is no estimate any more: a diverged filter says NaN from here on."""
         return not np.isfinite(self.P).all()
 
-    def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray) -> None:
-        """Carry estimate and covariance over some IMU samples."""
+    def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
+        """Carry estimate and covariance over some steps; ``unknown`` (2,) is what a gap adds to P."""
         if self.lost:
             self.nav[:], self.rest[:] = np.nan, np.nan
             return
@@ -279,13 +251,15 @@ class _Flight:
         self.P = (spread.T * points.cov) @ spread + np.diag(
             np.where(model.stationary > 0, model.stationary * (1 - decay**2), model.q * T)
         )
+        self.P[VEL : VEL + 3, VEL : VEL + 3] += unknown[0] * np.eye(3)
+        self.P[PHI : PHI + 3, PHI : PHI + 3] += unknown[1] * np.eye(3)
         self.rest *= decay[9:]
         self._feed_back(mean)
 
     def use_fix(
         self,
         t: float,
-        fix: tuple[FloatArray, FloatArray],
+        fix: FloatArray,
         r: FloatArray,
         antenna_b: FloatArray,
         w_ib_b: FloatArray,
@@ -296,7 +270,7 @@ class _Flight:
 
         def place(x: FloatArray) -> FloatArray:
             truth = _less(self.nav, x)
-            return rotation.rotate(truth[:, 6:], antenna_b) + earth.difference_n(truth[:, :3], fix[0])
+            return rotation.rotate(truth[:, 6:], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
 
         def motion(x: FloatArray) -> FloatArray:
             truth = _less(self.nav, x)
@@ -304,10 +278,10 @@ class _Flight:
             earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
             w_b = w_ib_b - self.rest[:3] + x[:, GYRO : GYRO + 3]
             w_b = w_b - rotation.rotate(rotation.conjugate(truth[:, 6:]), earth_n)
-            return truth[:, 3:6] + rotation.rotate(truth[:, 6:], np.cross(w_b, antenna_b)) - fix[1]
+            return truth[:, 3:6] + rotation.rotate(truth[:, 6:], np.cross(w_b, antenna_b)) - fix[3:]
 
         self._update(t, 0, place, r[:3], slice(POS, POS + 3))
-        if np.isfinite(fix[1]).all():
+        if np.isfinite(fix[3:]).all():
             self._update(t, 1, motion, r[3:], slice(VEL, VEL + 3))
 
     def use_baro(self, t: float, alt_baro: float, r: float) -> None:
