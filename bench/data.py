@@ -347,7 +347,7 @@ class SensorData:
     baro: BaroData | None
     antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
     specs: AssumedSpecs
-    output_t: FloatArray  # (M,) instants at which the solution is wanted [s]
+    output_t: FloatArray  # (M,) instants at which the solution is wanted, each after the one before [s]
     observations: GnssObservations | None = None
     mag: MagData | None = None
     airspeed: AirspeedData | None = None
@@ -356,6 +356,7 @@ class SensorData:
     def __post_init__(self) -> None:
         _freeze(self, finite=True, antenna_b=(3,))
         _freeze(self, finite=True, output_t=(None,))
+        _increasing("SensorData.output_t", self.output_t)
 
     __reduce__ = _rebuild
 

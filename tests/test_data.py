@@ -7,14 +7,22 @@ import pytest
 from synthetic import still
 
 from bench.arrays import as_float, as_kind
-from bench.data import BaroData, Events, NavSolution, Trajectory, no_events
-from bench.specs import stream
+from bench.data import BaroData, Events, ImuData, NavSolution, SensorData, Trajectory, no_events
+from bench.specs import AssumedSpecs, ImuSpec, TriadSpec, stream
 
 
 def trajectory(**change):
     truth = still(1.0, 100.0)
     fields = {name: getattr(truth, name) for name in Trajectory.__slots__} | change
     return Trajectory(**fields)
+
+
+def test_the_instants_of_the_answers_grow():
+    specs = AssumedSpecs(ImuSpec("none", TriadSpec(), TriadSpec()), None, None)
+    none = np.empty(0)
+    imu = ImuData(none, none, none.astype(bool), np.empty((0, 3)), np.empty((0, 3)))
+    with pytest.raises(ValueError, match=r"SensorData.output_t must increase; row 2 has 1 s after 1 s"):
+        SensorData(imu, None, None, np.zeros(3), specs, np.array([0.0, 1.0, 1.0]))
 
 
 def test_columns_are_read_only_and_do_not_freeze_the_callers_array():

@@ -19,6 +19,7 @@ from bench.data import AirspeedData, GnssFixes, ImuData, MagData, Trajectory
 from bench.evaluation import errors as judge
 from bench.navigation import integrity, standstill, timeline
 from bench.navigation.fusion import Loose, Tight
+from bench.navigation.state_model import airspeed_variance
 from bench.signals.magnetic import field_n
 from bench.specs import AirspeedSpec, MagSpec
 
@@ -297,6 +298,17 @@ def test_airspeed_slows_the_drift_without_gnss():
     assert stats.ttest_rel(*error.T, alternative="greater").pvalue < 0.001
 
 
+def test_the_zero_of_a_pitot_tube_counts_as_a_speed(truth):
+    """5 Pa at 25 m/s and at 50 m/s: dV = dp / (rho V), with the density of the height of the start."""
+    spec = AirspeedSpec("pitot", 10.0, pressure_bias_sd=5.0, white_sd=0.3)
+    assumed = replace(units().assumed, airspeed=spec)
+    t, speed = np.array([0.0, 1.0]), np.array([25.0, 50.0])
+    record = AirspeedData(t, t, np.ones(2, bool), speed, np.array([0.3, 0.3]))
+    rho = 1.225 * (1 - 2.25577e-5 * 2000.0) ** 4.2559  # ISA troposphere
+    expected = 0.3**2 + (5.0 / (rho * speed)) ** 2
+    assert_allclose(airspeed_variance(record, assumed, 2000.0)[:, 0], expected, rtol=0.02)
+
+
 def test_a_magnetometer_gives_the_heading():
     """Straight flight, heading known to 10 deg at the start: fixes alone leave it, the field finds it."""
     truth = weaving(30.0, straight_from=0.0)
@@ -387,20 +399,6 @@ def test_what_a_gap_adds_is_the_integral_of_a_wandering_rate():
     assert_allclose(got, wanted, rtol=3.3 * np.sqrt(2 / 4000) + 0.01)
     small = timeline.bridge_variance(np.array([2.9e-3, 3.1e-3]))[:, 1] / np.array([2.9e-3, 3.1e-3]) ** 3
     assert_allclose(small, 2 / 3 * sd**2 / tau, rtol=2e-3)
-
-
-def test_outputs_in_any_order_are_each_answered_and_told(truth):
-    drawn = sensors.sense(truth, units(), 14, 0)
-    whole = Loose(covariance_hz=20.0).run(drawn.data, drawn.initial)
-    t = np.array([10.0, 30.0, 20.0, 20.0, 50.0])
-    solution = Loose(covariance_hz=20.0).run(replace(drawn.data, output_t=t), drawn.initial)
-    assert_array_equal(solution.t, t)
-    for k, instant in enumerate(t):
-        row = int(np.searchsorted(whole.t, instant - 1e-6))
-        assert_allclose(solution.lla[k], whole.lla[row], atol=1e-9)
-    assert [text for *_, text in solution.events.of("timeline")] == [
-        "output: 2 instants repeated or going back in time"
-    ]
 
 
 def test_each_aiding_names_the_record_it_needs():

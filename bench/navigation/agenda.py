@@ -37,10 +37,11 @@ class Agenda:
         self._values: list[FloatArray] = []
         self._variance: list[FloatArray] = []
         self._count = 0
-        out, self._output_t, told = timeline.output_rows(sensors.output_t, start, self._end)
-        self.outputs: IntArray = out
-        """Rows of ``output_t`` that are answered, in the order of time."""
-        self.events += told
+        wanted = sensors.output_t
+        inside = (wanted >= start - TIME_TOLERANCE) & (wanted <= self._end + TIME_TOLERANCE)
+        self.outputs: IntArray = np.flatnonzero(inside)
+        """Rows of ``output_t`` that are answered."""
+        self._output_t = wanted[self.outputs]
 
     def add(
         self, kind: int, name: str, record: timeline.AidingRecord, values: FloatArray, variance: FloatArray

@@ -230,7 +230,7 @@ class Fusion:
             agenda.add(BARO_ROWS, "baro", baro, baro.alt_baro[:, None], variance)
         if wind and sensors.airspeed is not None:
             air = sensors.airspeed
-            variance = airspeed_variance(air, specs)
+            variance = airspeed_variance(air, specs, float(initial.lla[2]))
             agenda.add(AIRSPEED_ROWS, "airspeed", air, air.airspeed_true[:, None], variance)
         field = np.zeros((4, 3))
         if self.magnetometer and sensors.mag is not None:

@@ -5,7 +5,7 @@ Everything comes from the datasheets an estimator is told to assume; nothing fro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import AirspeedData, InitialState, MagData
 from bench.navigation.error_state import CORE, GYRO, StateLayout
+from bench.signals import air
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, TriadSpec
 
@@ -164,11 +165,17 @@ def fix_variance(specs: AssumedSpecs, *, gnss_markov: bool) -> FloatArray:
     return np.array([h, h, v, s, s, s])
 
 
-def airspeed_variance(record: AirspeedData, specs: AssumedSpecs) -> FloatArray:
-    """Return the variance (M, 1) taken as white in an airspeed: with bias and scale factor."""
+def airspeed_variance(record: AirspeedData, specs: AssumedSpecs, height: float) -> FloatArray:
+    """Return the variance (M, 1) taken as white in an airspeed: with bias, zero and scale factor.
+
+    The zero of the pressure counts as a speed in the standard atmosphere at a ``height`` [m]: that of the start.
+    """
     a = known(specs.airspeed, "airspeed")
-    scale = (a.scale_factor_sd * record.airspeed_true) ** 2
-    variance: FloatArray = (record.sd**2 + a.bias_sd**2 + scale)[:, None]
+    zero = replace(a, white_sd=0.0, pressure_white_sd=a.pressure_bias_sd)
+    pressure, temperature, _ = air.standard(height)
+    shifted = air.airspeed_sd(zero, record.airspeed_true, pressure, temperature)
+    scale = a.scale_factor_sd * record.airspeed_true
+    variance: FloatArray = (record.sd**2 + a.bias_sd**2 + shifted**2 + scale**2)[:, None]
     return variance
 
 

@@ -123,20 +123,6 @@ def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
     return instants[apart > TIME_TOLERANCE]
 
 
-def output_rows(output_t: FloatArray, start: float, end: float) -> tuple[IntArray, FloatArray, list[Event]]:
-    """Return the rows of ``output_t`` to serve in the order of time, their instants, and the events."""
-    back = np.flatnonzero(np.diff(output_t) <= TIME_TOLERANCE) + 1
-    events: list[Event] = []
-    if len(back):
-        t = output_t[back]
-        text = f"output: {len(back)} instants repeated or going back in time"
-        events.append((float(t.min()), float(t.max()), "timeline", text))
-    rows = np.argsort(output_t, kind="stable")
-    t = output_t[rows]
-    served = (t >= start - TIME_TOLERANCE) & (t <= end + TIME_TOLERANCE)
-    return rows[served], t[served], events
-
-
 def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Event]]:
     """Return the rows of an IMU record to integrate, the interval each one has to cover, and the events.
 
