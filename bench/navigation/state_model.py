@@ -168,7 +168,7 @@ def fix_variance(specs: AssumedSpecs, *, gnss_markov: bool) -> FloatArray:
 def airspeed_variance(record: AirspeedData, specs: AssumedSpecs, height: float) -> FloatArray:
     """Return the variance (M, 1) taken as white in an airspeed: with bias, zero and scale factor.
 
-    The zero of the pressure counts as a speed in the standard atmosphere at a ``height`` [m]: that of the start.
+    The zero of the pressure counts as a speed in the standard air at a ``height`` [m]: that of the start.
     """
     a = known(specs.airspeed, "airspeed")
     zero = replace(a, white_sd=0.0, pressure_white_sd=a.pressure_bias_sd)
