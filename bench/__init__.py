@@ -61,6 +61,8 @@ _DOOR = {
     "load": "bench.door",
     "load_profile": "bench.door",
     "check_estimator": "bench.navigation.estimator",
+    "fix_steps": "bench.navigation.wrapping",
+    "track_solution": "bench.navigation.wrapping",
 }
 
 __all__ = ["__version__", *_DOOR]

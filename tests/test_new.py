@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,3 +155,22 @@ def test_the_filterpy_filter_of_the_readme_keeps_the_contract(truth, sensed, tmp
     assert not [name for name in judged if "heading" in name]
     rough = load("readme_filter:FixFilter", {"acceleration": 30.0}).run(sensed.data, sensed.initial)
     assert rough.cov[-1, 0, 0] > solution.cov[-1, 0, 0]
+
+
+def test_each_fix_comes_once_at_the_first_answer_after_its_arrival(sensed):
+    """Of fixes that are late, one flagged and one without velocity."""
+    fixes = sensed.data.fixes
+    valid, vel_n = fixes.valid.copy(), fixes.vel_n.copy()
+    valid[3], vel_n[5, 1] = False, np.nan
+    late = replace(fixes, t_arrival=fixes.t + 0.43, valid=valid, vel_n=vel_n)
+    data = replace(sensed.data, fixes=late)
+    now, rows = sensed.initial.t, []
+    for dt, new in bench.fix_steps(data, sensed.initial):
+        now += dt
+        for z, R in new:
+            (row,) = np.flatnonzero((vel_n == z[3:, 0]).all(axis=1))
+            assert 0 <= now - late.t_arrival[row] < np.diff(data.output_t).max() + 1e-6
+            np.testing.assert_array_equal(R[3:, 3:], fixes.cov_vel_n[row])
+            rows.append(int(row))
+    arrived = np.flatnonzero(late.t_arrival <= data.output_t[-1])
+    assert rows == [row for row in arrived if row not in (3, 5)]
