@@ -53,7 +53,8 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
     Parameters
     ----------
     sensors : SensorData
-        The record; only what has arrived by the end of the alignment is used.
+        The record; only what has arrived by the end of the alignment is used. That a standstill is over shows
+        in the window or the fix that follows: its first second is that of a filter that keeps a record so long.
     initial : InitialState
         ``alignment`` says what is to be found; "given" is returned as it is.
 
