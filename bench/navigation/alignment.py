@@ -54,7 +54,7 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
     ----------
     sensors : SensorData
         The record; only what has arrived by the end of the alignment is used. That a standstill is over shows
-        in the window or the fix that follows: its first second is that of a filter that keeps a record so long.
+        in the window or the fix that follows: the first second is that of a filter that waits for them.
     initial : InitialState
         ``alignment`` says what is to be found; "given" is returned as it is.
 
