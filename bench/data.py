@@ -4,7 +4,7 @@ Frames: n is the local level at the current position (north, east, down), b the
 body and IMU axes (forward, right, down), e Earth-fixed, i inertial. Units are SI
 and radians. The truth side is strict at birth (finite, increasing times); sensor
 records and solutions are checked for shape and type only, because NaN, repeated
-times and time going back are data there.
+times and time going back are data there; the instants asked for increase.
 """
 
 from __future__ import annotations
@@ -376,7 +376,8 @@ class InitialState:
     alignment: str  # what is told: "given" all, "level" the position of a standstill, "course" nothing
     align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
-    bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))  # of them with both biases, b
+    bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))
+    """(9, 6) of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
 
     def __post_init__(self) -> None:
         shapes = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9), "bias_cov": (9, 6)}

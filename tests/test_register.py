@@ -16,6 +16,7 @@ from weaving import IMU, units, weaving
 
 from bench import rotation, sensors
 from bench.earth import RATE
+from bench.evaluation.errors import error_series
 from bench.navigation import classic, integrity, square_root
 from bench.navigation.classic import R3, Classic22, Nav
 from bench.navigation.estimator import load
@@ -582,6 +583,30 @@ def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
     assert accepted[t >= 59.5][4:].all()
     assert epochs(solution, "gnss_velocity")[1].all()  # a step of the place alone is no speed
     assert (solution.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
+
+
+@pytest.mark.parametrize("name", ["classic-22", "loose-15", "loose-22", "ukf"])
+def test_41_position_and_velocity_are_taken_back_together(minutes, name):
+    """200 m north and 10 m/s off, as after a stretch flown blind: refused four times, then both believed.
+
+    The attitude pays for neither: it stays within what is claimed of it, and that below a degree of tilt.
+    """
+    truth, sensed = minutes
+    fixes = sensed.data.fixes
+    off = np.where(fixes.t >= 59.5, 200.0 + 10.0 * (fixes.t - 59.5), 0.0)
+    vel_n = fixes.vel_n + np.outer(fixes.t >= 59.5, [10.0, 0.0, 0.0])
+    data = faulted(shifted(sensed.data, off), "fixes", vel_n=vel_n)
+    solution = load(name, {"readmit_after": 4}).run(data, sensed.initial)
+    for sensor in ("gnss_position", "gnss_velocity"):
+        t, accepted = epochs(solution, sensor)
+        assert not accepted[t >= 59.5][:4].any()
+        assert accepted[t >= 59.5][4]
+    assert solution.vel_n[-1, 0] - truth.vel_n[-1, 0] == pytest.approx(10.0, abs=0.5)
+    assert (solution.lla[-1, 0] - truth.lla[-1, 0]) * 6.37e6 == pytest.approx(off[-1], abs=10.0)
+    late = error_series(truth, solution).t >= 65.0
+    phi, sd = error_series(truth, solution).phi_n[late], np.sqrt(np.einsum("kii->ki", solution.cov))
+    assert np.abs(phi[:, :2]).max() < 1.0 * DEG
+    assert (np.abs(phi) < 4.6 * sd[solution.t >= 65.0, 6:]).all()  # 99.9 % of 330 normal deviates
 
 
 def test_42_barometer_and_gnss_watch_each_other(minutes, sound):

@@ -263,3 +263,22 @@ def test_output_beyond_the_imu_is_absent(sensed):
     assert np.isfinite(solution.lla[solution.t <= 10.0]).all()
     assert np.isnan(solution.lla[solution.t > 10.0 + 1e-6]).all()
     assert np.isnan(solution.cov[solution.t > 10.0 + 1e-6]).all()
+
+
+@pytest.mark.parametrize(
+    ("t", "epoch_start", "span"),
+    [
+        ([], [0, 0, 0], (10.0, 20.0)),
+        ([12.0, 12.0, 14.0], [0, 2, 2, 3], (12.0, 14.0)),
+        ([12.0, np.nan], [0, 0, 1, 1, 2], (10.0, 20.0)),
+        ([1.0, 2.0], [0, 1, 1, 2], (10.0, 10.0)),
+        ([12.0, 30.0], [0, 1, 2, 2], (20.0, 20.0)),
+    ],
+    ids=["nothing at all", "a bridge", "at the start, before a NaN", "before the run", "after the run"],
+)
+def test_epochs_without_satellites_lie_between_their_neighbours(t, epoch_start, span):
+    ((first, last, kind, text),) = timeline.empty_epochs(np.array(t), np.array(epoch_start), 10.0, 20.0)
+    assert (first, last) == span
+    assert kind == "timeline"
+    assert text == f"satellites: {np.sum(np.diff(epoch_start) == 0)} epochs without satellites"
+    assert not timeline.empty_epochs(np.array([1.0]), np.array([0, 1]), 10.0, 20.0)

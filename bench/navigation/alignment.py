@@ -14,7 +14,8 @@ with F the mean specific force in n and e the error of the gain over its time,
 
 The covariances hold the datasheet's biases, noise and misalignments, ``bias_cov`` what an attitude has in
 common with the biases that made it: a filter told of both as strangers would halve the variance of the tilt
-as soon as it sees the aircraft stand, and the tilt would not have moved.
+as soon as it sees the aircraft stand, and the tilt would not have moved. Where the heading is unknown the two
+stay strangers all the same: what they have in common along n would not turn with the heading that is found.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 SIGMAS = 5.0  # noise a standstill may show
 SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
 UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the airspeed of airliners [m/s]
+FLICKER_KEPT = (
+    0.5  # of the variance of a flicker bias, in what its mean over a minute has in common with it [1]
+)
 UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # of a heading that may be anything [rad]
 
 Rows = list[tuple[float, float, str, str]]
@@ -116,8 +120,8 @@ def _level(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Ro
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
     C = rotation.matrix(q_nb)
     bias_cov = np.zeros((9, 6))  # of an error of the bias: estimate, zero, less truth
-    bias_cov[6:, 3:] = -(_bias_sd(accel, 0.0) ** 2) * J[:, :2] @ C[:2]
-    bias_cov[6:, :3] = -(_bias_sd(gyro, 0.0) ** 2) * J[:, 2:] @ C[1:2]
+    bias_cov[6:, 3:] = -_common(accel, T) * J[:, :2] @ C[:2]
+    bias_cov[6:, :3] = -_common(gyro, T) * J[:, 2:] @ C[1:2]
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
     text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
     if heading_sd < UNKNOWN_HEADING_SD:
@@ -125,7 +129,7 @@ def _level(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Ro
     else:
         phi_cov[2], phi_cov[:, 2] = 0.0, 0.0
         phi_cov[2, 2] = UNKNOWN_HEADING_SD**2
-        bias_cov[:] = 0.0  # of a tilt in n, it would not turn with the heading that is found
+        bias_cov[:] = 0.0
         text += (
             f"heading is unknown: gyros of {np.rad2deg(rate_sd) * 3600:.2g} deg/h cannot gyrocompass by "
             f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; a course finds it"
@@ -210,6 +214,19 @@ def _bias_sd(triad: TriadSpec, along: float) -> float:
     return float(np.sqrt(triad.turn_on_bias_sd**2 + triad.instability_sd**2 + turned))
 
 
+def _common(triad: TriadSpec, T: float) -> float:
+    """Return the covariance of a bias with its mean over the T seconds before.
+
+    A Gauss-Markov process has what its autocorrelation says. Flicker noise parts from its mean over a minute
+    or more by the variance its state is given: a half is left; over less time more would be.
+    """
+    kept = FLICKER_KEPT
+    if triad.instability_sd > 0.0 and triad.bias_model == "gauss-markov":
+        u = T / triad.bias_correlation
+        kept = -np.expm1(-u) / u
+    return float(triad.turn_on_bias_sd**2 + kept * triad.instability_sd**2)
+
+
 # --- moving --------------------------------------------------------------------------------------------
 
 
@@ -284,8 +301,8 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
     cov[6:, 3:5] = cov[3:5, 6:].T
     C = rotation.matrix(states[:, 6:]).mean(axis=0)  # a bias turned with the aircraft while it was felt
     bias_cov = np.zeros((9, 6))
-    bias_cov[6:, 3:] = -(_bias_sd(specs.imu.accel, 0.0) ** 2) * J[:, 5:7] @ C[:2]
-    bias_cov[6:, :3] = -(_bias_sd(gyro, 0.0) ** 2) * T / 2 * J[:, 7:] @ C[:2]
+    bias_cov[6:, 3:] = -_common(specs.imu.accel, T) * J[:, 5:7] @ C[:2]
+    bias_cov[6:, :3] = -_common(gyro, T) * T / 2 * J[:, 7:] @ C[:2]
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
     sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
     text = (

@@ -870,7 +870,7 @@ class _Flight:
         R = Q @ Q.T
         Y = self._measurements(earth, fix_row, baro_row)
         y = Y - H @ self.kf.x[:, 0]  # A-5.4.6
-        S = H @ self.kf.P @ H.T + R
+        PH, S = self.kf.P @ H.T, H @ self.kf.P @ H.T + R
         metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
         error = H[:, :15] @ self.kf.x[:15, 0]  # of the INS, as far as it is known
         apart = (Y - error) * metres  # corrected INS less aid
@@ -881,7 +881,7 @@ class _Flight:
             vel_row = fix_row if moving else None  # a fix may have no velocity
         for name, given in (("gnss_position", fix_row), ("gnss_velocity", vel_row), ("baro", baro_row)):
             if given is not None and self._is_sound(
-                now, name, apart, y * metres, S * np.outer(metres, metres), H * metres[:, None]
+                now, name, apart, y * metres, S * np.outer(metres, metres), PH * metres
             ):
                 use += _ROWS[name]
         if fix_row is not None and baro_row is not None:
@@ -940,9 +940,12 @@ class _Flight:
         return Y
 
     def _is_sound(
-        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, H: FloatArray
+        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, PH: FloatArray
     ) -> bool:
-        """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals."""
+        """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals.
+
+        S and PH are those before any of an instant is used; the compiled filter uses one after the other.
+        """
         rows, settings = _ROWS[name], self.settings
         y, S = y[rows], S[np.ix_(rows, rows)]
         value = nis(y, S)
@@ -955,7 +958,7 @@ class _Flight:
             earth = ellipsoid(self.nav.lat, self.nav.h)
             unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
             states = _STATES[name]
-            x = self.kf.P @ H[rows].T @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
+            x = PH[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
             self.kf.P += np.outer(x, x)
             self.kf.P[states, states] += np.square(y * unit)
         if failed and not readmitted:

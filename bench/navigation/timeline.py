@@ -232,14 +232,16 @@ def ordered_rows(
 def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[Event]:
     """Return the event that counts the epochs without a row, none when there are none.
 
-    They have no time of their own: it spans the rows ``t`` (K,) next to them, or the record's start or end.
+    They have no time of their own: it spans the rows ``t`` (K,) next to them, within the run.
     """
     empty = np.flatnonzero(np.diff(epoch_start) == 0)
     if not len(empty):
         return []
-    around = np.nan_to_num(np.concatenate([[start], t, [end]]), nan=start)
-    first, last = around[epoch_start[empty[0]]], around[epoch_start[empty[-1]] + 1]
-    return [(float(first), float(last), "timeline", f"satellites: {len(empty)} epochs without satellites")]
+    before, after = t[: epoch_start[empty[0]]], t[epoch_start[empty[-1]] :]
+    first = before[-1] if len(before) and np.isfinite(before[-1]) else start
+    last = after[0] if len(after) and np.isfinite(after[0]) else end
+    first, last = np.clip([first, last], start, end).tolist()
+    return [(first, max(first, last), "timeline", f"satellites: {len(empty)} epochs without satellites")]
 
 
 def as_events(rows: list[Event]) -> Events:

@@ -1,11 +1,12 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
-States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`. Sigma points and their
-weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3),
-2004). An error state x (estimate minus truth) stands for the truth "estimate less x". Each step draws sigma
-points of the error about zero, carries the truth each one stands for through the strapdown with the same
-increments less its own biases, and takes the spread of what they became about the carried estimate; the mean
-is fed back at once. A measurement is predicted from each of the truths the points stand for.
+States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`, but each row is compared with
+the state at its arrival, however late. Sigma points and their weights are filterpy's (R. van der Merwe, PhD
+thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x (estimate minus
+truth) stands for the truth "estimate less x". Each step draws sigma points of the error about zero, carries
+the truth each one stands for through the strapdown with the same increments less its own biases, and takes
+the spread of what they became about the carried estimate; the mean is fed back at once. A measurement is
+predicted from each of the truths the points stand for.
 """
 
 from __future__ import annotations
@@ -136,14 +137,15 @@ class Unscented:
         out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
         waiting = iter(agenda.outputs.tolist())
-        length = float(np.median(steps.span)) if len(steps.span) else 1.0
-        every = max(1, round(1.0 / (self.covariance_hz * length)))
-        done = -1
-        for k in sorted({*range(every - 1, len(steps.t), every), *todo}):
+        interval = (1.0 - 1e-6) / self.covariance_hz
+        done, covered = -1, initial.t
+        for k in range(-1, len(steps.t)):
+            if k not in todo and (k < 0 or steps.t[k] - covered < interval):
+                continue
             if k > done:
                 part = slice(done + 1, k + 1)
                 flight.predict(steps.span[part], dtheta[part], dvel[part], steps.unknown[part].sum(axis=0))
-                done = k
+                done, covered = k, steps.t[k]
             for action, kind, row, _ in todo.get(k, []):
                 if action == OUTPUT:
                     at = next(waiting)

@@ -9,6 +9,7 @@ import numpy as np
 from bench import earth
 from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
+from bench.navigation import timeline
 
 
 def fix_steps(
@@ -17,23 +18,25 @@ def fix_steps(
     """Yield, for each instant of ``sensors.output_t``, the time since the one before [s] and the new fixes.
 
     A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), what its
-    receiver claims. It is that of the antenna, taken at its arrival. What is flagged, not finite or without
-    velocity is left out.
+    receiver claims. It is that of the antenna, in the order of arrival; what is flagged, not finite,
+    repeated, overtaken or without velocity is left out. The start has to be given, not found by an alignment.
     """
-    now, fixes = initial.t, sensors.fixes
-    arrived: FloatArray = np.empty(0) if fixes is None else fixes.t_arrival
-    sound = np.zeros(0, bool)
+    now, fixes, next_fix = initial.t, sensors.fixes, 0
+    rows, at = np.empty((2, 0), np.int64)
     if fixes is not None:
-        sound = fixes.valid & np.isfinite(fixes.lla + fixes.vel_n).all(axis=1)
-        sound &= np.isfinite(fixes.cov_pos_n + fixes.cov_vel_n).all(axis=(1, 2))
-    for instant in sensors.output_t.tolist():
+        rows, at, _ = timeline.fix_rows(fixes, sensors.output_t, initial.t)
+        sound = np.isfinite(fixes.vel_n[rows]).all(axis=1)
+        sound &= np.isfinite(fixes.cov_pos_n[rows] + fixes.cov_vel_n[rows]).all(axis=(1, 2))
+        rows, at = rows[sound], at[sound]
+    for k, instant in enumerate(sensors.output_t.tolist()):
         new = []
-        for row in np.flatnonzero(sound & (arrived > now) & (arrived <= instant)):
-            assert fixes is not None
+        while fixes is not None and next_fix < len(rows) and at[next_fix] <= k:
+            row = rows[next_fix]
             z, R = np.empty((6, 1)), np.zeros((6, 6))
             z[:3, 0], z[3:, 0] = earth.difference_n(fixes.lla[row], initial.lla), fixes.vel_n[row]
             R[:3, :3], R[3:, 3:] = fixes.cov_pos_n[row], fixes.cov_vel_n[row]
             new.append((z, R))
+            next_fix += 1
         yield max(instant - now, 0.0), new
         now = max(instant, now)
 
