@@ -1,0 +1,21 @@
+"""RINEX 2 and 3: observation and navigation files of GPS and GLONASS; other systems are skipped.
+
+What is wrong with a file is one line with its name and line number. A file is read line by line; what is
+kept grows with its number of satellites and epochs only.
+"""
+
+from bench.exchange.rinex.lines import Lines, gps_seconds, leap_seconds, opened
+from bench.exchange.rinex.navigation import NavigationFile, merged, read_navigation
+from bench.exchange.rinex.observations import ObservationFile, read_observations
+
+__all__ = [
+    "Lines",
+    "NavigationFile",
+    "ObservationFile",
+    "gps_seconds",
+    "leap_seconds",
+    "merged",
+    "opened",
+    "read_navigation",
+    "read_observations",
+]

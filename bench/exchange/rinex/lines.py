@@ -1,0 +1,175 @@
+"""The lines of RINEX files, with their numbers, and the times in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from bench.config.tables import ConfigError
+from bench.signals.orbits import DAY
+
+LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
+_EPOCH = date(1980, 1, 6)
+_NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
+
+# First days of UTC with one more leap second against GPS time, IERS Bulletin C.
+_LEAPS = tuple(
+    date(year, month, 1)
+    for year, month in (
+        (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7),
+        (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
+    )
+)  # fmt: skip
+
+
+class Lines:
+    """The lines of a file with their number, and the error that names it."""
+
+    def __init__(self, file: TextIO, shown: str) -> None:
+        self._file, self.shown = file, shown
+        self._again: str | None = None
+        self.number = 0
+        self.size = 0
+
+    def next(self) -> str | None:
+        """Return the next line without its end, None at the end of the file."""
+        if self._again is not None:
+            line, self._again = self._again, None
+            self.number += 1
+            return line
+        line = self._file.readline(LONGEST + 1)
+        if not line:
+            return None
+        self.number += 1
+        self.size += len(line)
+        if len(line) > LONGEST:
+            raise self.wrong(f"is longer than {LONGEST} characters: no RINEX file")
+        if "\0" in line:
+            raise self.wrong("holds a zero byte: no text file (compressed files are unpacked first)")
+        return line.rstrip("\r\n")
+
+    def needed(self, what: str) -> str:
+        """Return the next line, or say that the file ends before ``what``."""
+        line = self.next()
+        if line is None:
+            raise self.wrong(f"the file ends before {what}")
+        return line
+
+    def back(self, line: str) -> None:
+        """Give a line back, to be read again."""
+        self._again = line
+        self.number -= 1
+
+    def wrong(self, message: str) -> ConfigError:
+        """Return the error that names this line."""
+        return ConfigError(f"{self.shown}: line {self.number}: {message}")
+
+    def number_in(self, line: str, start: int, end: int, what: str) -> float:
+        """Return the number in columns start to end (counted from 0, end not included)."""
+        value = _number(line[start:end])
+        if value is None:
+            text = line[start:end].strip()
+            raise self.wrong(f"{what} must be a number; got {text[:30]!r} in columns {start + 1}-{end}")
+        return value
+
+    def whole_in(self, line: str, start: int, end: int, what: str) -> int:
+        """Return the whole number in columns start to end."""
+        text = line[start:end].strip()
+        if not re.fullmatch(r"[+-]?\d+", text):
+            raise self.wrong(f"{what} must be a whole number; got {text[:30]!r} in columns {start + 1}-{end}")
+        return int(text)
+
+
+def _number(text: str) -> float | None:
+    """Read a Fortran number: exponents with D, d, E, e or without a letter."""
+    text = text.strip().replace("D", "E").replace("d", "e")
+    try:
+        value = float(text)
+    except ValueError:
+        split = _NO_LETTER.fullmatch(text)
+        if split is None:
+            return None
+        value = float(f"{split[1]}e{split[2]}")
+    return value if np.isfinite(value) and "_" not in text else None
+
+
+@contextmanager
+def opened(path: Path, shown: str) -> Iterator[Lines]:
+    """Give the lines of a text file; what keeps it from being opened is a ConfigError."""
+    try:
+        with path.open(encoding="latin-1", newline="") as file:
+            yield Lines(file, shown)
+    except FileNotFoundError:
+        raise ConfigError(f"{shown}: no such file") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{shown}: is a folder, not a file") from None
+    except PermissionError as error:
+        raise ConfigError(f"{shown}: {error.strerror}") from None
+
+
+def leap_seconds(day: date) -> int:
+    """Return GPS time minus UTC at the start of a day [s].
+
+    Examples
+    --------
+    >>> leap_seconds(date(2012, 10, 31)), leap_seconds(date(2020, 6, 25))
+    (16, 18)
+    """
+    return sum(day >= first for first in _LEAPS)
+
+
+def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
+    """Return seconds since 1980-01-06 of a calendar day and second of it, no leap seconds."""
+    return (date(year, month, day) - _EPOCH).days * DAY + second
+
+
+def day_of(seconds: float) -> date:
+    """Return the calendar day of seconds since 1980-01-06."""
+    return date.fromordinal(_EPOCH.toordinal() + int(seconds // DAY))
+
+
+def version_of(lines: Lines, wanted: str) -> tuple[int, str]:
+    """Check the first line; return the main version and the kind of file with its system."""
+    first = lines.next()
+    if first is None:
+        raise ConfigError(f"{lines.shown}: is empty")
+    label = first[60:80].strip()
+    if label.startswith("CRINEX"):
+        raise lines.wrong("Hatanaka compression; unpack the file with crx2rnx first")
+    if label != "RINEX VERSION / TYPE":
+        raise lines.wrong("'RINEX VERSION / TYPE' must stand in columns 61-80: no RINEX file")
+    version = lines.number_in(first, 0, 9, "the version")
+    if int(version) not in (2, 3):
+        raise lines.wrong(f"version {version:g} must be 2 or 3")
+    kind = first[20:21].upper()
+    kinds = {"O": "an observation file", "N": "a navigation file", "G": "a navigation file"}
+    if kinds.get(kind) != wanted:
+        raise lines.wrong(f"is {kinds.get(kind, f'of type {kind!r}')}, not {wanted}")
+    return int(version), kind + first[40:41].upper()
+
+
+def calendar(
+    lines: Lines, line: str, columns: Sequence[tuple[int, int]], two_digits: bool
+) -> tuple[float, float]:
+    """Return midnight since 1980-01-06 and the second of the day of the calendar time in a line [s]."""
+    names = ("year", "month", "day", "hour", "minute")
+    numbers = [
+        lines.whole_in(line, *place, f"the {name}") for name, place in zip(names, columns[:5], strict=True)
+    ]
+    second = lines.number_in(line, *columns[5], "the second")
+    year, month, day, hour, minute = numbers
+    if two_digits and year < 100:
+        year += 1900 if year >= 80 else 2000
+    try:
+        midnight = gps_seconds(year, month, day)
+    except ValueError as error:
+        raise lines.wrong(f"{year}-{month}-{day} is no date: {error}") from None
+    if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
+        raise lines.wrong(f"{hour}:{minute}:{second:g} is no time of day")
+    return midnight, 3600.0 * hour + 60.0 * minute + second
