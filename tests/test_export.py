@@ -413,7 +413,7 @@ def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
 
 
 def test_formats_of_the_command_line_are_those_there_are():
-    from bench.cli import export
+    from bench.cli.records import export
 
     (option,) = (p for p in export.params if p.name == "kind")
     assert list(option.type.choices) == list(FORMATS)

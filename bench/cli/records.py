@@ -1,282 +1,16 @@
-"""Arguments in, exit status out; no numbers. Nothing heavy is imported before a verb runs."""
+"""Verbs of what others recorded, made or want: navigate, allan, export, score, stream."""
 
 from __future__ import annotations
 
-import signal
-import sys
-import tomllib
-import traceback
-from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from bench import __version__
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
-"""Exit statuses, as the help of every verb lists them."""
-
-_STATUS = """\b
-Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
-diverged); 2 the command line, a file or the results folder is wrong; 3 the
-aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
-full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
-130 interrupted.
-"""
-
-_HELP = {"max_content_width": 100}
+from bench.cli.group import DONE, NEGATIVE, STATUS, commands, console_for, durations
 
 
-def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
-    """Read KEY=VALUE, the value as in a TOML file; what is not TOML is a text."""
-    values: dict[str, Any] = {}
-    for item in given:
-        key, equals, text = item.partition("=")
-        if not equals or not all(key.split(".")):
-            raise click.BadParameter(
-                f"{item!r} must be KEY=VALUE, for example sensors.imu=stim300", ctx, param
-            )
-        try:
-            values[key] = tomllib.loads(f"value = {text}")["value"]
-        except (tomllib.TOMLDecodeError, RecursionError):
-            values[key] = text
-    return values
-
-
-def _durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
-    """Read durations in seconds, with commas between."""
-    try:
-        values = tuple(float(text) for text in given.split(",")) if given else ()
-    except ValueError:
-        values = (0.0,)
-    if not all(0.0 < value <= 3600.0 for value in values):
-        raise click.BadParameter(f"{given!r} must be seconds up to 3600, such as 10,30,60", ctx, param)
-    return tuple(dict.fromkeys(values))
-
-
-_set = click.option(
-    "--set",
-    "overrides",
-    callback=_overrides,
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="override one value of the profile; wins over the file",
-)
-_seed = click.option("--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence")
-
-
-@click.group(context_settings=_HELP, epilog=_STATUS, invoke_without_command=True)
-@click.version_option(__version__)
-@click.pass_context
-def commands(ctx: click.Context) -> None:
-    """Judge INS/GNSS navigation filters on realistic flights.
-
-    \b
-    Start here:
-      bench run figure-eight      fly, sense, navigate, judge, record
-      bench view                  look at the newest result
-    """
-    if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
-
-
-@commands.command(epilog=_STATUS)
-@click.argument("profile")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="folder for the results  [default: runs/<profile>-<seed>]",
-)
-@click.option(
-    "-e",
-    "--estimator",
-    "estimators",
-    multiple=True,
-    metavar="NAME",
-    help="evaluate only this one, of the profile, 'module:Class', 'file:solution.csv' or "
-    "'command:./program {sensors} {solution}'; repeat for more",
-)
-@_set
-@_seed
-@click.option(
-    "--run",
-    "draw",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    metavar="K",
-    help="the K-th noise draw of this seed",
-)
-@click.option("--view", "then_view", is_flag=True, help="open the recording when done")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print the metrics as JSON on stdout, the rest on stderr"
-)
-@click.option("--no-rrd", is_flag=True, help="write no recording")
-@click.option("--force", is_flag=True, help="replace an existing results folder")
-@click.option(
-    "--allow-commands", is_flag=True, help="let the profile start the programs it names (use = 'command:...')"
-)
-def run(
-    profile: str,
-    out: Path | None,
-    estimators: tuple[str, ...],
-    overrides: dict[str, Any],
-    seed: int | None,
-    draw: int,
-    then_view: bool,
-    as_json: bool,
-    no_rrd: bool,
-    force: bool,
-    allow_commands: bool,
-) -> int:
-    """Fly one profile and evaluate every estimator it names.
-
-    PROFILE is a .toml file, or the name of a shipped profile (bench list).
-
-    \b
-    Examples:
-      bench run figure-eight                   a profile that ships with bench
-      bench run figure-eight -e my_lab:Filter  an estimator of your own, my_lab.py here
-      bench run figure-eight -e loose-15 -e 'command:./myfilter {sensors} {solution}'
-      bench run my_flight.toml -o out/trial-3  a profile of your own
-      bench run figure-eight --seed 7 --set sensors.imu=stim300
-
-    \b
-    Writes to DIR: result.json (metrics, seeds, versions, the profile as flown),
-    truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
-    errors-<estimator>.parquet and flight.rrd (bench view DIR).
-    """
-    if then_view and no_rrd:
-        raise click.UsageError("--view needs the recording that --no-rrd leaves out")
-    from bench.store import to_json
-    from bench.workbench.run import run as run_profile
-    from bench.workbench.view import view as view_folder
-
-    result, folder = run_profile(
-        profile,
-        console=_console(stderr=as_json),
-        out=out,
-        estimators=estimators or None,
-        overrides=overrides,
-        seed=seed,
-        draw=draw,
-        recording=not no_rrd,
-        force=force,
-        allow_commands=allow_commands,
-    )
-    if as_json:
-        click.echo(to_json(result.metrics), nl=False)
-    if then_view:
-        view_folder(folder, web=False, console=_console(stderr=as_json))
-    return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
-
-
-@commands.command(epilog=_STATUS)
-@click.argument("profile")
-@_set
-@_seed
-def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
-    """Fly only the truth of a profile and say what was flown.
-
-    PROFILE is a .toml file, or the name of a shipped profile (bench list). The
-    truth is kept in the cache, where bench run finds it. The last line says how
-    far an error-free strapdown strays from it.
-    """
-    from bench.workbench.run import fly as fly_profile
-
-    fly_profile(profile, console=_console(), overrides=overrides, seed=seed)
-    return DONE
-
-
-@commands.command(name="list", epilog=_STATUS)
-@click.argument(
-    "kind",
-    required=False,
-    type=click.Choice(["profiles", "aircraft", "sensors", "estimators"]),
-    metavar="[KIND]",
-)
-def list_all(kind: str | None) -> int:
-    """List the profiles, aircraft, sensors and estimators there are.
-
-    KIND is one of these words and lists only those; bench list sensors and bench list
-    aircraft also say what is known of each, where from, and what no source states.
-    """
-    from bench.workbench.show import choices
-
-    choices(_console(), kind)
-    return DONE
-
-
-@commands.command(epilog=_STATUS)
-@click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
-@click.argument("name")
-def new(kind: str, name: str) -> int:
-    """Write a starting point that works, to be changed.
-
-    \b
-    estimator NAME writes, in the present folder:
-      NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
-      test_NAME.py   its test: the contract of the bench, and that it finds its way
-
-    \b
-    Example:
-      bench new estimator mine && bench run figure-eight -e mine:Mine
-    """
-    from bench.workbench.new import new_estimator
-
-    new_estimator(name, console=_console())
-    return DONE
-
-
-@commands.command(epilog=_STATUS)
-@click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="[DIR]")
-@click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
-def view(folder: Path | None, web: bool) -> int:
-    """Open the viewer on a results folder.
-
-    DIR is what bench run wrote; the newest one below ./runs when not given.
-    """
-    from bench.workbench.view import view as view_folder
-
-    view_folder(folder, web=web, console=_console())
-    return DONE
-
-
-@commands.command(epilog=_STATUS)
-@click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
-@click.option(
-    "--baselines",
-    type=click.Path(path_type=Path),
-    default=Path("tests/baselines"),
-    show_default=True,
-    metavar="DIR",
-    help="folder of the limits, <profile>.json each",
-)
-@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each profile")
-@click.option("--record", is_flag=True, help="write what is measured as the new limits")
-def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: bool) -> int:
-    """Compare the accuracy of profiles with their limits.
-
-    PROFILE names those to check, all that have limits when none is given; with
-    --record also a profile that has none yet.
-    """
-    from bench.workbench.check import check as check_limits
-    from bench.workbench.check import record as record_limits
-
-    if record:
-        record_limits(baselines, profiles, console=_console(), runs=runs)
-        return DONE
-    return DONE if check_limits(baselines, profiles, console=_console(), runs=runs) else NEGATIVE
-
-
-@commands.command(epilog=_STATUS)
+@commands.command(epilog=STATUS)
 @click.argument("log", required=False, metavar="[LOG.toml]")
 @click.option(
     "-e",
@@ -289,7 +23,7 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
 )
 @click.option(
     "--outages",
-    callback=_durations,
+    callback=durations,
     metavar="S,S,...",
     help="of a log: cut GNSS for so many seconds and judge by the fixes that were cut out",
 )
@@ -404,7 +138,7 @@ def navigate(
     """
     from bench.store import to_json
 
-    console = _console(stderr=as_json)
+    console = console_for(stderr=as_json)
     given = {
         name
         for name in ctx.params
@@ -460,7 +194,7 @@ def _refuse(given: set[str], why: str) -> None:
         raise click.UsageError(f"--{name} {why}")
 
 
-@commands.command(epilog=_STATUS)
+@commands.command(epilog=STATUS)
 @click.argument("unit", required=False, metavar="[UNIT]")
 @click.option(
     "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of a unit at rest"
@@ -496,10 +230,10 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
     from bench.workbench.allan import allan_of
 
-    return DONE if allan_of(unit, log, out=out, seed=seed, console=_console()) else NEGATIVE
+    return DONE if allan_of(unit, log, out=out, seed=seed, console=console_for()) else NEGATIVE
 
 
-@commands.command(epilog=_STATUS)
+@commands.command(epilog=STATUS)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
 @click.option(
     "--to",
@@ -550,11 +284,11 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     """
     from bench.workbench.export import export as export_run
 
-    export_run(folder, kind, console=_console(), out=out, wanted=wanted, force=force)
+    export_run(folder, kind, console=console_for(), out=out, wanted=wanted, force=force)
     return DONE
 
 
-@commands.command(epilog=_STATUS)
+@commands.command(epilog=STATUS)
 @click.argument("solution", type=click.Path(path_type=Path))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
 @click.option("--label", metavar="NAME", help="what it is called  [default: the name of its file]")
@@ -620,7 +354,7 @@ def score(
     measured = score_solution(
         solution,
         folder,
-        console=_console(stderr=as_json),
+        console=console_for(stderr=as_json),
         label=label,
         t_0=t0,
         longest=max_gap,
@@ -632,7 +366,7 @@ def score(
     return DONE if measured["converged"] else NEGATIVE
 
 
-@commands.command(epilog=_STATUS)
+@commands.command(epilog=STATUS)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
 @click.option("--udp", metavar="IP:PORT", help="send there, a datagram per message")
 @click.option("--tcp", metavar="IP:PORT", help="wait there for one connection; port 0 takes a free one")
@@ -674,70 +408,5 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
     from bench.workbench.stream import stream as stream_run
 
     kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
-    stream_run(folder, kind, address, console=_console(), rate=rate, remote=allow_remote)
+    stream_run(folder, kind, address, console=console_for(), rate=rate, remote=allow_remote)
     return DONE
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; a bug keeps its traceback.
-
-    Parameters
-    ----------
-    arguments : sequence of str or None
-        What follows ``bench``; the arguments of this process when None.
-    """
-    before = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
-    except click.UsageError as error:
-        path = error.ctx.command_path if error.ctx else "bench"
-        return _fail(WRONG, f"{error.format_message()} ('{path} --help' says more)")
-    except (click.Abort, KeyboardInterrupt):
-        return _fail(INTERRUPTED, "interrupted")
-    except Exception as error:
-        failure = _failure(error)
-        if failure is None:
-            traceback.print_exc()
-            return BUG
-        return _fail(*failure)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _failure(error: Exception) -> tuple[int, str] | None:
-    """Return the exit status and message of a failure that is no bug, None of one that is."""
-    from bench.config import ConfigError
-    from bench.flight.model import FlightError
-    from bench.navigation.estimator import EstimatorError
-    from bench.workbench.view import ViewerError
-
-    if isinstance(error, ConfigError | EstimatorError):
-        return WRONG, "\nerror: ".join(getattr(error, "messages", None) or [str(error)])
-    if isinstance(error, FlightError):
-        return NOT_FLOWN, str(error)
-    if isinstance(error, ViewerError):
-        return MACHINE, str(error)
-    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
-        place = f"{error.filename}: " if error.filename else ""
-        return MACHINE, f"{place}{error.strerror or error}"
-    return None
-
-
-def _fail(status: int, message: str) -> int:
-    told = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # a stranger's file is quoted
-    click.echo(f"error: {told}", err=True)
-    return status
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
-def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
-    return Console(stderr=stderr, markup=False, highlight=False)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,70 @@
+"""Arguments in, exit status out; no numbers. Nothing heavy is imported before a verb runs."""
+
+from __future__ import annotations
+
+import signal
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+
+import click
+
+from bench.cli import flights, records
+from bench.cli.group import BUG, DONE, INTERRUPTED, MACHINE, NOT_FLOWN, WRONG, commands
+
+__all__ = ["flights", "main", "records"]  # the two are here for their verbs
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit status; a bug keeps its traceback.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        What follows ``bench``; the arguments of this process when None.
+    """
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "bench"
+        return _fail(WRONG, f"{error.format_message()} ('{path} --help' says more)")
+    except (click.Abort, KeyboardInterrupt):
+        return _fail(INTERRUPTED, "interrupted")
+    except Exception as error:
+        failure = _failure(error)
+        if failure is None:
+            traceback.print_exc()
+            return BUG
+        return _fail(*failure)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _failure(error: Exception) -> tuple[int, str] | None:
+    """Return the exit status and message of a failure that is no bug, None of one that is."""
+    from bench.config import ConfigError
+    from bench.flight.model import FlightError
+    from bench.navigation.estimator import EstimatorError
+    from bench.workbench.view import ViewerError
+
+    if isinstance(error, ConfigError | EstimatorError):
+        return WRONG, "\nerror: ".join(getattr(error, "messages", None) or [str(error)])
+    if isinstance(error, FlightError):
+        return NOT_FLOWN, str(error)
+    if isinstance(error, ViewerError):
+        return MACHINE, str(error)
+    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
+        place = f"{error.filename}: " if error.filename else ""
+        return MACHINE, f"{place}{error.strerror or error}"
+    return None
+
+
+def _fail(status: int, message: str) -> int:
+    told = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # a stranger's file is quoted
+    click.echo(f"error: {told}", err=True)
+    return status
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

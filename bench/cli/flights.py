@@ -1,0 +1,201 @@
+"""Verbs of simulated flights: run, fly, list, new, view, check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.cli.group import DONE, NEGATIVE, STATUS, commands, console_for, seed_option, set_option
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profile")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder for the results  [default: runs/<profile>-<seed>]",
+)
+@click.option(
+    "-e",
+    "--estimator",
+    "estimators",
+    multiple=True,
+    metavar="NAME",
+    help="evaluate only this one, of the profile, 'module:Class', 'file:solution.csv' or "
+    "'command:./program {sensors} {solution}'; repeat for more",
+)
+@set_option
+@seed_option
+@click.option(
+    "--run",
+    "draw",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="K",
+    help="the K-th noise draw of this seed",
+)
+@click.option("--view", "then_view", is_flag=True, help="open the recording when done")
+@click.option(
+    "--json", "as_json", is_flag=True, help="print the metrics as JSON on stdout, the rest on stderr"
+)
+@click.option("--no-rrd", is_flag=True, help="write no recording")
+@click.option("--force", is_flag=True, help="replace an existing results folder")
+@click.option(
+    "--allow-commands", is_flag=True, help="let the profile start the programs it names (use = 'command:...')"
+)
+def run(
+    profile: str,
+    out: Path | None,
+    estimators: tuple[str, ...],
+    overrides: dict[str, Any],
+    seed: int | None,
+    draw: int,
+    then_view: bool,
+    as_json: bool,
+    no_rrd: bool,
+    force: bool,
+    allow_commands: bool,
+) -> int:
+    """Fly one profile and evaluate every estimator it names.
+
+    PROFILE is a .toml file, or the name of a shipped profile (bench list).
+
+    \b
+    Examples:
+      bench run figure-eight                   a profile that ships with bench
+      bench run figure-eight -e my_lab:Filter  an estimator of your own, my_lab.py here
+      bench run figure-eight -e loose-15 -e 'command:./myfilter {sensors} {solution}'
+      bench run my_flight.toml -o out/trial-3  a profile of your own
+      bench run figure-eight --seed 7 --set sensors.imu=stim300
+
+    \b
+    Writes to DIR: result.json (metrics, seeds, versions, the profile as flown),
+    truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
+    errors-<estimator>.parquet and flight.rrd (bench view DIR).
+    """
+    if then_view and no_rrd:
+        raise click.UsageError("--view needs the recording that --no-rrd leaves out")
+    from bench.store import to_json
+    from bench.workbench.run import run as run_profile
+    from bench.workbench.view import view as view_folder
+
+    result, folder = run_profile(
+        profile,
+        console=console_for(stderr=as_json),
+        out=out,
+        estimators=estimators or None,
+        overrides=overrides,
+        seed=seed,
+        draw=draw,
+        recording=not no_rrd,
+        force=force,
+        allow_commands=allow_commands,
+    )
+    if as_json:
+        click.echo(to_json(result.metrics), nl=False)
+    if then_view:
+        view_folder(folder, web=False, console=console_for(stderr=as_json))
+    return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profile")
+@set_option
+@seed_option
+def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
+    """Fly only the truth of a profile and say what was flown.
+
+    PROFILE is a .toml file, or the name of a shipped profile (bench list). The
+    truth is kept in the cache, where bench run finds it. The last line says how
+    far an error-free strapdown strays from it.
+    """
+    from bench.workbench.run import fly as fly_profile
+
+    fly_profile(profile, console=console_for(), overrides=overrides, seed=seed)
+    return DONE
+
+
+@commands.command(name="list", epilog=STATUS)
+@click.argument(
+    "kind",
+    required=False,
+    type=click.Choice(["profiles", "aircraft", "sensors", "estimators"]),
+    metavar="[KIND]",
+)
+def list_all(kind: str | None) -> int:
+    """List the profiles, aircraft, sensors and estimators there are.
+
+    KIND is one of these words and lists only those; bench list sensors and bench list
+    aircraft also say what is known of each, where from, and what no source states.
+    """
+    from bench.workbench.show import choices
+
+    choices(console_for(), kind)
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
+@click.argument("name")
+def new(kind: str, name: str) -> int:
+    """Write a starting point that works, to be changed.
+
+    \b
+    estimator NAME writes, in the present folder:
+      NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
+      test_NAME.py   its test: the contract of the bench, and that it finds its way
+
+    \b
+    Example:
+      bench new estimator mine && bench run figure-eight -e mine:Mine
+    """
+    from bench.workbench.new import new_estimator
+
+    new_estimator(name, console=console_for())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="[DIR]")
+@click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
+def view(folder: Path | None, web: bool) -> int:
+    """Open the viewer on a results folder.
+
+    DIR is what bench run wrote; the newest one below ./runs when not given.
+    """
+    from bench.workbench.view import view as view_folder
+
+    view_folder(folder, web=web, console=console_for())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
+@click.option(
+    "--baselines",
+    type=click.Path(path_type=Path),
+    default=Path("tests/baselines"),
+    show_default=True,
+    metavar="DIR",
+    help="folder of the limits, <profile>.json each",
+)
+@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each profile")
+@click.option("--record", is_flag=True, help="write what is measured as the new limits")
+def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: bool) -> int:
+    """Compare the accuracy of profiles with their limits.
+
+    PROFILE names those to check, all that have limits when none is given; with
+    --record also a profile that has none yet.
+    """
+    from bench.workbench.check import check as check_limits
+    from bench.workbench.check import record as record_limits
+
+    if record:
+        record_limits(baselines, profiles, console=console_for(), runs=runs)
+        return DONE
+    return DONE if check_limits(baselines, profiles, console=console_for(), runs=runs) else NEGATIVE

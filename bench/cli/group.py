@@ -1,0 +1,88 @@
+"""What the verbs share: the group they belong to, exit statuses, options of a profile, the console."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bench import __version__
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
+"""Exit statuses, as the help of every verb lists them."""
+
+STATUS = """\b
+Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
+diverged); 2 the command line, a file or the results folder is wrong; 3 the
+aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
+full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
+130 interrupted.
+"""
+
+_HELP = {"max_content_width": 100}
+
+
+def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+    """Read KEY=VALUE, the value as in a TOML file; what is not TOML is a text."""
+    values: dict[str, Any] = {}
+    for item in given:
+        key, equals, text = item.partition("=")
+        if not equals or not all(key.split(".")):
+            raise click.BadParameter(
+                f"{item!r} must be KEY=VALUE, for example sensors.imu=stim300", ctx, param
+            )
+        try:
+            values[key] = tomllib.loads(f"value = {text}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError):
+            values[key] = text
+    return values
+
+
+def durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
+    """Read durations in seconds, with commas between."""
+    try:
+        values = tuple(float(text) for text in given.split(",")) if given else ()
+    except ValueError:
+        values = (0.0,)
+    if not all(0.0 < value <= 3600.0 for value in values):
+        raise click.BadParameter(f"{given!r} must be seconds up to 3600, such as 10,30,60", ctx, param)
+    return tuple(dict.fromkeys(values))
+
+
+set_option = click.option(
+    "--set",
+    "overrides",
+    callback=_overrides,
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="override one value of the profile; wins over the file",
+)
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence"
+)
+
+
+@click.group(context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
+@click.version_option(__version__)
+@click.pass_context
+def commands(ctx: click.Context) -> None:
+    """Judge INS/GNSS navigation filters on realistic flights.
+
+    \b
+    Start here:
+      bench run figure-eight      fly, sense, navigate, judge, record
+      bench view                  look at the newest result
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+def console_for(*, stderr: bool = False) -> Console:
+    """Return what a verb prints tables and progress on."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, markup=False, highlight=False)
