@@ -36,6 +36,7 @@ from bench.earth import RATE, WGS84, gravity_gradient_kernel, gravity_kernel, ra
 from bench.navigation import alignment, square_root, timeline
 from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
+from bench.navigation.options import is_count, is_number
 from bench.navigation.state_model import unmodelled
 from bench.specs import AssumedSpecs, TriadSpec
 
@@ -655,7 +656,7 @@ class Classic22:
             "monitor_sigmas": monitor_sigmas,
             "admissible_deg": admissible_deg,
         }.items():
-            if not (_is_number(value) and 0 < value < np.inf):
+            if not (is_number(value) and 0 < value < np.inf):
                 raise ValueError(f"{name} = {value!r} must be a positive number")
         if discretization not in ("van-loan", "euler"):
             raise ValueError(f"discretization = {discretization!r} must be 'van-loan' or 'euler'")
@@ -665,26 +666,26 @@ class Classic22:
             raise ValueError(f"form = {form!r} must be 'joseph', 'potter' or 'carlson'")
         if form != "joseph" and rows == 8:
             raise ValueError(f"form = {form!r} needs rows = 7: the noise of eight rows is not independent")
-        if not (_is_number(floor) and 0 <= floor < 1):
+        if not (is_number(floor) and 0 <= floor < 1):
             raise ValueError(f"floor = {floor!r} must lie in 0 to 1, a part of the spread at the start")
         unknown = [test for test in integrity if test not in ("nis", "trace", "tolerance")]
         if isinstance(integrity, str) or unknown:
             raise ValueError(f"integrity = {integrity!r} must be a list of 'nis', 'trace', 'tolerance'")
-        if not (_is_number(gate_probability) and 0 < gate_probability < 1):
+        if not (is_number(gate_probability) and 0 < gate_probability < 1):
             raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+        if not is_count(readmit_after):
             raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
         if not isinstance(feedback, bool):
             raise ValueError(f"feedback = {feedback!r} must be true or false")
         if correction_period != "auto" and not (
-            _is_number(correction_period) and 0 <= float(correction_period) < np.inf
+            is_number(correction_period) and 0 <= float(correction_period) < np.inf
         ):
             raise ValueError(f"correction_period = {correction_period!r} must be 0 or more, or 'auto'")
         if not feedback and correction_period != 0:
             raise ValueError("correction_period needs feedback = True: without there is no correction")
         self.jumps = []
         for name, values in (("jump_white_sd", jump_white_sd), ("jump_markov_sd", jump_markov_sd)):
-            if len(values) != 3 or not all(_is_number(v) and 0 <= v < np.inf for v in values):
+            if len(values) != 3 or not all(is_number(v) and 0 <= v < np.inf for v in values):
                 raise ValueError(f"{name} = {values!r} must be three numbers, 0 or more")
             self.jumps.append((float(values[0]), float(values[1]), float(values[2])))
         self.covariance_hz = covariance_hz
@@ -767,10 +768,6 @@ class Classic22:
             if triad.bias_instability > 0 and triad.turn_on_bias_sd == 0 and triad.bias_model != "flicker":
                 found.append(f"{name} bias instability that fades (taken as a random walk)")
         return tuple(found)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 class _Flight:

@@ -40,6 +40,7 @@ from bench.navigation.aiding import (
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import Nodes, forward_run
 from bench.navigation.integrity import nis_limit
+from bench.navigation.options import is_count, is_number
 from bench.navigation.state_model import (
     Blocks,
     StateModel,
@@ -139,15 +140,15 @@ class Fusion:
         ):
             if not isinstance(value, bool):
                 raise ValueError(f"{name} = {value!r} must be true or false")
-        if covariance_hz is not None and not (_is_number(covariance_hz) and 0 < covariance_hz < np.inf):
+        if covariance_hz is not None and not (is_number(covariance_hz) and 0 < covariance_hz < np.inf):
             raise ValueError(
                 f"covariance_hz = {covariance_hz!r} must be positive, or left out for every sample"
             )
-        if not (_is_number(gate_probability) and 0 < gate_probability < 1):
+        if not (is_number(gate_probability) and 0 < gate_probability < 1):
             raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not _is_count(readmit_after):
+        if not is_count(readmit_after):
             raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
-        if adaptive_noise is not None and not _is_count(adaptive_noise):
+        if adaptive_noise is not None and not is_count(adaptive_noise):
             raise ValueError(
                 f"adaptive_noise = {adaptive_noise!r} must be a count of measurements, at least 1"
             )
@@ -156,9 +157,9 @@ class Fusion:
             ("max_acceleration", max_acceleration),
             ("tolerance_sigmas", tolerance_sigmas),
         ):
-            if not (_is_number(number) and 0 < number < np.inf):
+            if not (is_number(number) and 0 < number < np.inf):
                 raise ValueError(f"{name} = {number!r} must be positive")
-        if not (_is_number(lever_arm_sd) and 0 <= lever_arm_sd < np.inf):
+        if not (is_number(lever_arm_sd) and 0 <= lever_arm_sd < np.inf):
             raise ValueError(f"lever_arm_sd = {lever_arm_sd!r} must be a length [m], 0 for a known antenna")
         if isinstance(integrity, str) or not set(integrity) <= {"nis", "trace", "tolerance"}:
             raise ValueError(f"integrity = {integrity!r} must be a list of 'nis', 'trace', 'tolerance'")
@@ -317,16 +318,6 @@ class Tight(Fusion):
     """
 
     tight = True
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_count(value: object) -> bool:
-    return (
-        isinstance(value, int | float) and not isinstance(value, bool) and value >= 1 and value == int(value)
-    )
 
 
 def magnetic_map(lla: FloatArray, date: float) -> FloatArray:

@@ -20,6 +20,7 @@ from bench.data import Events, InitialState, Innovations, NavSolution, SensorDat
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.options import is_count, is_number
 from bench.navigation.state_model import fix_variance, unmodelled
 from bench.specs import AssumedSpecs
 
@@ -55,11 +56,11 @@ class GnssOnly:
         readmit_after: int = 10,
     ) -> None:
         for name, value in (("acceleration", acceleration), ("correlation_s", correlation_s)):
-            if not (_is_number(value) and 0 < value < np.inf):
+            if not (is_number(value) and 0 < value < np.inf):
                 raise ValueError(f"{name} = {value!r} must be a positive number")
-        if not (_is_number(gate_probability) and 0 < gate_probability < 1):
+        if not (is_number(gate_probability) and 0 < gate_probability < 1):
             raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+        if not is_count(readmit_after):
             raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
         self.acceleration, self.correlation_s = acceleration, correlation_s
         self.gate, self.readmit_after = nis_limit(3, gate_probability), readmit_after
@@ -125,10 +126,6 @@ class GnssOnly:
         """Name the errors of the receiver that the state has no room for, in words."""
         named = unmodelled(specs, gnss=True, baro=False, gnss_markov=False)
         return tuple(text for text in named if "GNSS" in text and text != "GNSS latency")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:

@@ -27,6 +27,7 @@ from bench.navigation.aiding import BARO_ROWS, FIX_ROWS
 from bench.navigation.error_state import CORE, GYRO, PHI, POS, VEL
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.mechanization import body_step_kernel, step_kernel
+from bench.navigation.options import is_count, is_number
 from bench.navigation.state_model import Blocks, StateModel, fix_variance, known, state_model, unmodelled
 from bench.specs import AssumedSpecs
 
@@ -93,12 +94,12 @@ class Unscented:
             ("covariance_hz", covariance_hz, np.inf),
             ("gate_probability", gate_probability, 1.0),
         ):
-            if not (_is_number(number) and 0 < number < top):
+            if not (is_number(number) and 0 < number < top):
                 wanted = "positive" if top == np.inf else "between 0 and 1"
                 raise ValueError(f"{name} = {number!r} must be {wanted}")
-        if not (_is_number(readmit_after) and readmit_after >= 1 and readmit_after == int(readmit_after)):
+        if not is_count(readmit_after):
             raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
-        if not (_is_number(spread) and 0 < spread <= 1):
+        if not (is_number(spread) and 0 < spread <= 1):
             raise ValueError(f"spread = {spread!r} must lie above 0 and not above 1")
         self.gnss, self.baro, self.covariance_hz = gnss, baro, covariance_hz
         self.gate_probability, self.readmit_after, self.spread = gate_probability, readmit_after, spread
@@ -179,10 +180,6 @@ class Unscented:
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
         return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=False)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @dataclass
