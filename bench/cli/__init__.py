@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import traceback
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         What follows ``bench``; the arguments of this process when None.
     """
     before = signal.signal(signal.SIGTERM, _interrupt)
+    often = gc.get_threshold()
+    gc.set_threshold(200_000, 50, 50)  # imports and compilers keep what they make: a tenth of a run is looking
     try:
         return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
     except click.UsageError as error:
@@ -38,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return BUG
         return _fail(*failure)
     finally:
+        gc.set_threshold(*often)
         signal.signal(signal.SIGTERM, before)
 
 
