@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     before = signal.signal(signal.SIGTERM, _interrupt)
     often = gc.get_threshold()
-    gc.set_threshold(200_000, 50, 50)  # imports keep what they make; looking through it is a tenth of a run
+    gc.set_threshold(1_000_000, 9, 9)  # imports keep what they make; looking through it is a tenth of a run
     try:
         return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
     except click.UsageError as error:
