@@ -444,6 +444,22 @@ def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path)
         recording.column(alone, plots.entity("comparison", "horizontal", "of", MAIN), SCALARS)
 
 
+@pytest.mark.parametrize(
+    ("sizes", "top"),
+    [((1.0, 2.0, 3.0), 3.0), ((1.0, 2.0, 100.0), 2.0), ((1.0, 100.0), 100.0), ((0.0, 0.0, 5.0), 1.0)],
+    ids=["together", "one runs away", "two are both shown", "nothing to see"],
+)
+def test_a_filter_that_runs_away_does_not_flatten_a_comparison(sizes, top):
+    t = np.arange(3.0)
+    lines = tuple(
+        plots.Series(str(k), t, np.full((3, 1), x), ("",), ((0, 0, 0),), (1.0,)) for k, x in enumerate(sizes)
+    )
+    _, shown = plots.Plot("/p", "p", lines, far=plots.FAR).limits()
+    assert top <= shown <= 1.3 * top
+    _, whole = plots.Plot("/p", "p", lines).limits()
+    assert whole >= max(sizes)
+
+
 def test_a_block_that_is_not_estimated_has_no_plot(flight):
     with pytest.raises(KeyError, match="no column"):
         recording.column(flight, entity_of("free-inertial", "bias", "gyro_bias_x", "estimated"), SCALARS)

@@ -86,6 +86,9 @@ SLOW = 5.0
 HATCH = 1.0 / 600.0
 """Distance of the strokes that mark an outage, as a fraction of the flight."""
 
+FAR = 20.0
+"""A filter whose error is so many times that of the middle one leaves a comparison, and flattens none."""
+
 AXES_N = ("north", "east", "down")
 AXES_B = ("x", "y", "z")
 DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
@@ -120,6 +123,7 @@ class Plot:
     title: str
     series: tuple[Series, ...]
     scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]
+    far: float = np.inf  # nor a series that reaches so many times farther than the middle one
 
     def limits(self) -> tuple[float, float]:
         """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
@@ -127,7 +131,10 @@ class Plot:
         The viewer writes numbers at powers of ten and their multiples as far as there is room.
         """
         shown = [s.values[s.t >= self.scale_from] for s in self.series]
-        values = np.concatenate([v[np.isfinite(v)] for v in shown])
+        shown = [v[np.isfinite(v)] for v in shown]
+        reach = np.array([np.abs(v).max(initial=0.0) for v in shown])
+        near = reach <= self.far * np.median(reach) if np.isfinite(self.far) else np.ones(len(reach), bool)
+        values = np.concatenate([v for v, is_near in zip(shown, near, strict=True) if is_near])
         low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
         if low < 0.0 < high:
             ten = 10.0 ** np.floor(np.log10(max(-low, high)))
@@ -221,7 +228,8 @@ def tabs(
 ) -> Tabs:
     """Return every plot, by tab and estimator (label "": none); a tab may turn out empty.
 
-    Plots of an estimator are scaled to what comes after the alignment window.
+    Plots of an estimator are scaled to what comes after the alignment window, comparisons to the filters that
+    stay near the middle one.
     """
     found: dict[str, dict[str, Rows]] = {
         name: {} for name in ("Position", "Velocity", "Attitude", "Biases", "Innovations")
@@ -274,7 +282,7 @@ def _comparison(
         )
         if len(series) > 1:
             path = entity("comparison", title.partition(" ")[0])
-            rows.append([Plot(path, title, series, evaluation_from)])
+            rows.append([Plot(path, title, series, evaluation_from, FAR)])
     return rows
 
 
