@@ -7,27 +7,23 @@ from typing import Any
 
 import click
 
-from bench.cli.group import DONE, NEGATIVE, STATUS, commands, console_for, seed_option, set_option
+from bench.cli.group import (
+    DONE,
+    NEGATIVE,
+    STATUS,
+    commands,
+    estimator_option,
+    new_console,
+    out_option,
+    seed_option,
+    set_option,
+)
 
 
 @commands.command(epilog=STATUS)
 @click.argument("profile")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="folder for the results  [default: runs/<profile>-<seed>]",
-)
-@click.option(
-    "-e",
-    "--estimator",
-    "estimators",
-    multiple=True,
-    metavar="NAME",
-    help="evaluate only this one, of the profile, 'module:Class', 'file:solution.csv' or "
-    "'command:./program {sensors} {solution}'; repeat for more",
-)
+@out_option("folder for the results  [default: runs/<profile>-<seed>]")
+@estimator_option("evaluate only this one, of the profile")
 @set_option
 @seed_option
 @click.option(
@@ -86,7 +82,7 @@ def run(
 
     result, folder = run_profile(
         profile,
-        console=console_for(stderr=as_json),
+        console=new_console(stderr=as_json),
         out=out,
         estimators=estimators or None,
         overrides=overrides,
@@ -99,7 +95,7 @@ def run(
     if as_json:
         click.echo(to_json(result.metrics), nl=False)
     if then_view:
-        view_folder(folder, web=False, console=console_for(stderr=as_json))
+        view_folder(folder, web=False, console=new_console(stderr=as_json))
     return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
 
 
@@ -116,7 +112,7 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
     """
     from bench.workbench.run import fly as fly_profile
 
-    fly_profile(profile, console=console_for(), overrides=overrides, seed=seed)
+    fly_profile(profile, console=new_console(), overrides=overrides, seed=seed)
     return DONE
 
 
@@ -135,7 +131,7 @@ def list_all(kind: str | None) -> int:
     """
     from bench.workbench.show import choices
 
-    choices(console_for(), kind)
+    choices(new_console(), kind)
     return DONE
 
 
@@ -156,7 +152,7 @@ def new(kind: str, name: str) -> int:
     """
     from bench.workbench.new import new_estimator
 
-    new_estimator(name, console=console_for())
+    new_estimator(name, console=new_console())
     return DONE
 
 
@@ -170,7 +166,7 @@ def view(folder: Path | None, web: bool) -> int:
     """
     from bench.workbench.view import view as view_folder
 
-    view_folder(folder, web=web, console=console_for())
+    view_folder(folder, web=web, console=new_console())
     return DONE
 
 
@@ -196,6 +192,6 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
     from bench.workbench.check import record as record_limits
 
     if record:
-        record_limits(baselines, profiles, console=console_for(), runs=runs)
+        record_limits(baselines, profiles, console=new_console(), runs=runs)
         return DONE
-    return DONE if check_limits(baselines, profiles, console=console_for(), runs=runs) else NEGATIVE
+    return DONE if check_limits(baselines, profiles, console=new_console(), runs=runs) else NEGATIVE

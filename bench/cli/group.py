@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench import __version__
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -66,6 +70,24 @@ seed_option = click.option(
 )
 
 
+def out_option(what: str, metavar: str = "DIR") -> Decorator:
+    """Return the option -o: where a verb writes."""
+    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar=metavar, help=what)
+
+
+def estimator_option(which: str) -> Decorator:
+    """Return the option -e, which may stand more than once: use only these."""
+    return click.option(
+        "-e",
+        "--estimator",
+        "estimators",
+        multiple=True,
+        metavar="NAME",
+        help=f"{which}, 'module:Class', 'file:solution.csv' or 'command:./program {{sensors}} {{solution}}'; "
+        "repeat for more",
+    )
+
+
 @click.group(context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
 @click.version_option(__version__)
 @click.pass_context
@@ -81,7 +103,7 @@ def commands(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-def console_for(*, stderr: bool = False) -> Console:
+def new_console(*, stderr: bool = False) -> Console:
     """Return what a verb prints tables and progress on."""
     from rich.console import Console
 

@@ -7,20 +7,21 @@ from typing import Any
 
 import click
 
-from bench.cli.group import DONE, NEGATIVE, STATUS, commands, console_for, durations
+from bench.cli.group import (
+    DONE,
+    NEGATIVE,
+    STATUS,
+    commands,
+    durations,
+    estimator_option,
+    new_console,
+    out_option,
+)
 
 
 @commands.command(epilog=STATUS)
 @click.argument("log", required=False, metavar="[LOG.toml]")
-@click.option(
-    "-e",
-    "--estimator",
-    "estimators",
-    multiple=True,
-    metavar="NAME",
-    help="of a log: use only this one, of the file, built in, 'module:Class', 'file:solution.csv' or "
-    "'command:./program {sensors} {solution}'; repeat for more",
-)
+@estimator_option("of a log: use only this one, of the file, built in")
 @click.option(
     "--outages",
     callback=durations,
@@ -88,13 +89,7 @@ from bench.cli.group import DONE, NEGATIVE, STATUS, commands, console_for, durat
     show_default=True,
     help="of the positions in --out",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR|FILE.csv",
-    help="folder for the results of a log, or file for the fixes",
-)
+@out_option("folder for the results of a log, or file for the fixes", "DIR|FILE.csv")
 @click.option(
     "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
 )
@@ -138,7 +133,7 @@ def navigate(
     """
     from bench.store import to_json
 
-    console = console_for(stderr=as_json)
+    console = new_console(stderr=as_json)
     given = {
         name
         for name in ctx.params
@@ -199,13 +194,7 @@ def _refuse(given: set[str], why: str) -> None:
 @click.option(
     "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of a unit at rest"
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="the picture, .png, .svg or .pdf  [default: allan-<unit>.png]",
-)
+@out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, metavar="N", help="seed of the noise"
 )
@@ -230,7 +219,7 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
     from bench.workbench.allan import allan_of
 
-    return DONE if allan_of(unit, log, out=out, seed=seed, console=console_for()) else NEGATIVE
+    return DONE if allan_of(unit, log, out=out, seed=seed, console=new_console()) else NEGATIVE
 
 
 @commands.command(epilog=STATUS)
@@ -244,13 +233,7 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     ),
     help="the format",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="folder for the files  [default: RUN-FORMAT beside RUN]",
-)
+@out_option("folder for the files  [default: RUN-FORMAT beside RUN]")
 @click.option(
     "--with",
     "wanted",
@@ -284,7 +267,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     """
     from bench.workbench.export import export as export_run
 
-    export_run(folder, kind, console=console_for(), out=out, wanted=wanted, force=force)
+    export_run(folder, kind, console=new_console(), out=out, wanted=wanted, force=force)
     return DONE
 
 
@@ -306,13 +289,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     metavar="S",
     help="longest interval between rows that is interpolated  [default: twice the usual one, 2 s at most]",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="write the results folder with the solution added, without the recording",
-)
+@out_option("write the results folder with the solution added, without the recording")
 @click.option(
     "--json", "as_json", is_flag=True, help="print its metrics as JSON on stdout, the rest on stderr"
 )
@@ -354,7 +331,7 @@ def score(
     measured = score_solution(
         solution,
         folder,
-        console=console_for(stderr=as_json),
+        console=new_console(stderr=as_json),
         label=label,
         t_0=t0,
         longest=max_gap,
@@ -408,5 +385,5 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
     from bench.workbench.stream import stream as stream_run
 
     kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
-    stream_run(folder, kind, address, console=console_for(), rate=rate, remote=allow_remote)
+    stream_run(folder, kind, address, console=new_console(), rate=rate, remote=allow_remote)
     return DONE

@@ -43,9 +43,7 @@ LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 SIGMAS = 5.0  # noise a standstill may show
 SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
 UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the airspeed of airliners [m/s]
-FLICKER_KEPT = (
-    0.5  # of the variance of a flicker bias, in what its mean over a minute has in common with it [1]
-)
+FLICKER_KEPT = 0.5  # share of the variance of a flicker bias that it has in common with its mean [1]
 UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # of a heading that may be anything [rad]
 
 Rows = list[tuple[float, float, str, str]]
@@ -217,8 +215,9 @@ def _bias_sd(triad: TriadSpec, along: float) -> float:
 def _common(triad: TriadSpec, T: float) -> float:
     """Return the covariance of a bias with its mean over the T seconds before.
 
-    A Gauss-Markov process has what its autocorrelation says. Flicker noise parts from its mean over a minute
-    or more by the variance its state is given: a half is left; over less time more would be.
+    A Gauss-Markov process has what its autocorrelation says. Flicker noise, as `bench.sensors.processes` makes
+    it, parts from its mean over a minute or two by 2.4 to 2.8 times the square of its instability, about the
+    variance its state is given: a half is left. Over less time more would be.
     """
     kept = FLICKER_KEPT
     if triad.instability_sd > 0.0 and triad.bias_model == "gauss-markov":
