@@ -760,9 +760,9 @@ def test_71_the_covariance_table(grade):
 def test_71_the_mems_row_is_of_two_models(heading, monkeypatch):
     """Its accelerometer, 206 ug, and its outage, 227 m after 300 s, exclude each other on three courses.
 
-    Biases that stay, as section 7.1 lists them, leave less than 0.85 of that accelerometer; the outage fits on
-    one course. Biases that walk by 1e-3 of their sd per root second give its gyro and its accelerometer within
-    5 %, and then the outage is more than 1.15 of what it says.
+    Biases that stay, as section 7.1 lists them, leave less than 0.85 of that accelerometer; the outage fits
+    on one course. Biases that walk by 1e-3 of their sd per root second give its gyro and its accelerometer
+    within 5 %, and then the outage is more than 1.15 of what it says.
     """
     monkeypatch.setattr(course, "COURSE", heading * DEG)
     _, _, _, _, _, gyro, accel, outage, _, _ = TABLE["MEMS"]

@@ -215,9 +215,9 @@ def _bias_sd(triad: TriadSpec, along: float) -> float:
 def _common(triad: TriadSpec, T: float) -> float:
     """Return the covariance of a bias with its mean over the T seconds before.
 
-    A Gauss-Markov process has what its autocorrelation says. Flicker noise, as `bench.sensors.processes` makes
-    it, parts from its mean over a minute or two by 2.4 to 2.8 times the square of its instability, about the
-    variance its state is given: a half is left. Over less time more would be.
+    A Gauss-Markov process has what its autocorrelation says. Flicker noise, as `bench.sensors.processes`
+    makes it, parts from its mean over a minute or two by 2.4 to 2.8 times the square of its instability,
+    about the variance its state is given: a half is left. Over less time more would be.
     """
     kept = FLICKER_KEPT
     if triad.instability_sd > 0.0 and triad.bias_model == "gauss-markov":
