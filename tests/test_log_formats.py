@@ -443,7 +443,7 @@ def test_a_chunk_that_unpacks_to_more_than_the_limit_is_one_line(tmp_path, monke
     before = resource.getrlimit(resource.RLIMIT_AS)
     assert "cannot be read: Expecting value" in refused(tmp_path, "x.mcap")
     monkeypatch.setattr(bags, "_MOST_UNPACKED", 50_000_000)
-    said = "x.mcap: unpacks to more than the 0.05 GB that a file may take in memory"
+    said = "x.mcap: unpacks to more than the 0.05 GB a file may take in memory"
     assert refused(tmp_path, "x.mcap") == said
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 

@@ -47,9 +47,8 @@ def export(
     ConfigError
         When it cannot be done; nothing is left behind.
     """
-    beside = (
-        folder if folder.name not in ("", "..") else folder.resolve()
-    )  # "." has no name to put another for
+    # "." and ".." have no name of their own
+    beside = folder.resolve() if folder.name in ("", "..") else folder
     out = out or beside.with_name(f"{folder.resolve().name}-{kind}")
     readme = out / README
     ours = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())

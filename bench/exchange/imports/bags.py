@@ -60,9 +60,8 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
     except ModuleNotFoundError:
         raise
     except MemoryError:
-        raise ConfigError(
-            f"{path.name}: unpacks to more than the {_MOST_UNPACKED / 1e9:g} GB that a file may take in memory"
-        ) from None
+        most = f"{_MOST_UNPACKED / 1e9:g} GB"
+        raise ConfigError(f"{path.name}: unpacks to more than the {most} a file may take in memory") from None
     except Exception as error:  # whatever a broken file makes the library raise
         raise broken(path, error) from None
     t = numbers[:, 0]
