@@ -10,7 +10,7 @@ import pytest
 from bench.data import Trajectory
 from bench.flight import fly
 from bench.specs import stream
-from tests.plans import FIGURE_EIGHT, short_plan
+from tests.flight.plans import FIGURE_EIGHT, short_plan
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -4,11 +4,11 @@ import pickle
 
 import numpy as np
 import pytest
-from synthetic import still
 
 from bench.arrays import as_float, as_kind
 from bench.data import BaroData, Events, ImuData, NavSolution, SensorData, Trajectory, no_events
 from bench.specs import AssumedSpecs, ImuSpec, TriadSpec, stream
+from tests.synthetic import still
 
 
 def trajectory(**change):

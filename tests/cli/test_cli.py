@@ -1,0 +1,573 @@
+"""Every way a command can end has its exit status, one line that says why, and nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import numba
+import pytest
+
+from bench import pipeline, recording, store
+from bench.cli import main
+from bench.flight import FlightError
+from bench.store import parquet
+from bench.workbench import view
+
+PROFILE = """
+title = "Half a minute"
+aircraft = "aerosonde"
+rate_hz = 100
+seed = 5
+duration_s = 30.0
+[start]
+lat_deg = 47.0
+lon_deg = 11.0
+alt_m = 1000.0
+heading_deg = 10.0
+speed_mps = 25.0
+[[leg]]
+kind = "turn"
+by_deg = 90.0
+bank_deg = 25.0
+[sensors]
+imu = "matched-mems"
+gnss = "matched-white"
+[evaluation]
+from_s = 10.0
+[[estimator]]
+use = "loose-15"
+"""
+
+LOST = """
+import dataclasses
+import numpy as np
+from bench.navigation.fusion import Loose
+
+class Lost(Loose):
+    def run(self, sensors, initial):
+        found = super().run(sensors, initial)
+        return dataclasses.replace(found, lla=np.full_like(found.lla, np.nan))
+"""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory) -> str:
+    return str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, cache) -> Path:
+    """An empty folder to stand in, with a short profile and a cache of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BENCH_CACHE", cache)
+    (tmp_path / "short.toml").write_text(PROFILE)
+    return tmp_path
+
+
+def left(here: Path) -> list[str]:
+    """What stands in the folder besides the profile, hidden files too."""
+    return sorted(path.name for path in here.iterdir() if path.name != "short.toml")
+
+
+def say(capsys, *arguments: str) -> tuple[int, str, str]:
+    status = main(arguments)
+    return status, *capsys.readouterr()
+
+
+# --- what goes well -----------------------------------------------------------------------------------
+
+
+def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
+    status, out, err = say(capsys, "run", "short.toml")
+    assert (status, err) == (0, "")
+    folder = here / "runs" / "short-5"
+    names = {path.name for path in folder.iterdir()}
+    assert {"result.json", "truth.parquet", "sensors-imu.parquet", "sensors-gnss.parquet"} <= names
+    assert {"solution-loose-15.parquet", "errors-loose-15.parquet", "flight.rrd"} <= names
+    assert "pos_rmse_h_m" in out
+    assert out.endswith("Next: bench view runs/short-5\n")
+    assert left(here / "runs") == ["short-5"]
+    result = store.load(folder)
+    assert result.profile["sensors"]["assumed"]["imu"] == "matched-mems"
+    assert result.metrics["loose-15"]["converged"] is True
+
+    status, out, err = say(capsys, "run", "short.toml")
+    assert (status, out) == (2, "")
+    assert err == "error: runs/short-5: the results folder exists; --force replaces it, -o names another\n"
+    assert say(capsys, "run", "short.toml", "--force", "--no-rrd")[0] == 0
+    assert not (folder / "flight.rrd").exists()
+
+
+def test_five_estimators_stand_in_one_table_of_80_columns(here, capsys):
+    """Names of metrics whole, each mean NIS with its band; what they have in common is said once."""
+    names = ("loose-15", "loose-22", "smoother", "baro-inertial", "gnss-only")
+    chosen = [part for name in names for part in ("-e", name)]
+    status, out, _ = say(capsys, "run", "short.toml", "--no-rrd", "--set", 'sensors.baro="bmp388"', *chosen)
+    assert status == 0
+    assert max(len(line) for line in out.splitlines()) <= 80
+    for name in ("heading_convergence_s", "coverage_3sigma_phi_d", "nis_mean_gnss_velocity"):
+        assert len([line for line in out.splitlines() if line.split()[:1] == [name]]) == 1
+    (row,) = [k for k, line in enumerate(out.splitlines()) if line.split()[:1] == ["nis_mean_baro"]]
+    assert len(re.findall(r"\d\.\d\d-\d\.\d\d", out.splitlines()[row + 1])) == 4
+    assert "loose-15, loose-22, smoother, baro-inertial: not modelled: " in out.replace("\n", " ")
+
+
+def test_json_is_all_there_is_on_stdout(here, capsys):
+    status, out, err = say(capsys, "run", "short.toml", "--json", "--no-rrd", "-o", "a/b", "--seed", "8")
+    assert status == 0
+    metrics = json.loads(out)
+    assert metrics["loose-15"]["pos_rmse_h_m"] > 0
+    assert "Wrote a/b" in err
+    assert store.load("a/b").seed == 8
+
+
+def test_every_option_has_an_effect(here, capsys):
+    def metrics(*options: str):
+        status, out, _ = say(capsys, "run", "short.toml", "--json", "--no-rrd", "--force", *options)
+        assert status == 0
+        return json.loads(out)
+
+    plain = metrics()
+    assert metrics() == plain
+    for options in (("--seed", "6"), ("--run", "1"), ("--set", "sensors.imu=stim300")):
+        assert metrics(*options)["loose-15"] != plain["loose-15"]
+    two = "[[estimator]]\nuse = 'free-inertial'\n"
+    (here / "short.toml").write_text(PROFILE + two)
+    assert list(metrics()) == ["loose-15", "free-inertial"]
+    assert list(metrics("-e", "free-inertial")) == ["free-inertial"]
+    assert left(here / "runs") == ["short-5", "short-5-run1", "short-6"]
+
+
+def test_fly_sums_the_flight_up_and_run_finds_it_in_the_cache(here, capsys, monkeypatch):
+    status, out, _ = say(capsys, "fly", "short.toml", "--set", "start.alt_m=1010")
+    assert status == 0
+    assert "1 turn: 90 deg right, bank 25 deg" in out
+    assert "30 s, 3001 samples at 100 Hz" in out
+    assert re.search(r"replay +0\.0\d+ mm, \S+ microradian", out)
+    assert left(here) == []
+    monkeypatch.setattr("bench.flight.fly_pieces", None)
+    assert say(capsys, "run", "short.toml", "--set", "start.alt_m=1010", "--no-rrd")[0] == 0
+
+
+def test_list_names_everything_there_is(capsys):
+    status, out, _ = say(capsys, "list")
+    assert status == 0
+    for name in ("figure-eight", "aerosonde", "adis16475", "l1-code", "bmp388", "loose-15", "free-inertial"):
+        assert name in out
+
+
+def test_check_holds_what_record_wrote_and_names_what_got_worse(here, capsys):
+    status, out, _ = say(capsys, "check", "short.toml", "--record", "--baselines", "limits", "--runs", "2")
+    assert (status, out) == (0, "Wrote limits/short.json.\n")
+    status, out, _ = say(capsys, "check", "--baselines", "limits")
+    assert status == 0
+    held, limits = re.fullmatch(r"(\d+) of (\d+) limits hold\.\n", out).groups()
+    assert int(held) == int(limits) > 10
+    baseline = json.loads((here / "limits/short.json").read_text())
+    limit = baseline["estimators"]["loose-15"]["cep50_m"]
+    limit |= {"mean": 0.5 * limit["mean"], "tolerance": 0.1 * limit["mean"]}
+    store.write_json(here / "limits/short.json", baseline)
+    status, out, _ = say(capsys, "check", "short", "--baselines", "limits")
+    assert status == 1
+    assert re.search(r"short .*loose-15 .*cep50_m .*worse", out)
+    assert out.endswith(f"{int(held) - 1} of {limits} limits hold.\n")
+    assert left(here) == ["limits"]
+
+
+# --- what goes wrong ----------------------------------------------------------------------------------
+
+WRONG = [
+    (["run"], "error: Missing argument 'PROFILE'. ('bench run --help' says more)"),
+    (["rum"], "error: No such command 'rum'"),
+    (["run", "short.toml", "--bogus"], "error: No such option"),
+    (["run", "short.toml", "--set", "x"], "error: Invalid value for '--set': 'x' must be KEY=VALUE"),
+    (["run", "short.toml", "--view", "--no-rrd"], "error: --view needs the recording"),
+    (["run", "nowhere.toml"], "error: nowhere.toml: no such file"),
+    (["run", "figure-nine"], "error: no shipped profile 'figure-nine'"),
+    (
+        ["run", "short.toml", "--set", "start.lat_deg=95"],
+        "error: short.toml: [start] lat_deg = 95 deg is outside",
+    ),
+    (
+        ["run", "short.toml", "--set", "leg.0.bank_deg=nan"],
+        "error: short.toml: [[leg]] 1 (turn): bank_deg = nan",
+    ),
+    (["run", "short.toml", "--set", "aircraft=kite"], "error: short.toml: aircraft = 'kite' is not found"),
+    (["run", "short.toml", "-e", "x"], "error: short.toml: no estimator 'x' in this profile"),
+    (
+        ["run", "short.toml", "--set", "estimator.0.use=x"],
+        "error: short.toml: [[estimator]] 1: use = 'x' is no",
+    ),
+    (
+        ["run", "short.toml", "-o", "short.toml"],
+        "error: short.toml: the results folder cannot be there, it is",
+    ),
+    (["run", "short.toml", "-o", "short.toml/a"], "error: short.toml/a: no folder can be made in "),
+    (
+        ["run", "short.toml", "-o", "a" * 300],
+        f"error: {'a' * 300}: no folder can be made there: File name too long",
+    ),
+    (["run", "short.toml", "-o", ".", "--force"], "error: .: not replaced, it is no results folder"),
+    (["view"], "error: runs: no recording in any folder; 'bench run figure-eight' makes one"),
+    (["view", "x"], "error: x: no flight.rrd in it"),
+    (["check", "--baselines", "x"], "error: x: no baseline"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "line"), WRONG)
+def test_a_wrong_command_or_file_is_status_2(here, capsys, arguments, line, monkeypatch):
+    monkeypatch.setattr(pipeline, "fly", None)  # it fails before anything flies
+    status, out, err = say(capsys, *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith(line)
+    assert err.count("error:") == 1
+    assert left(here) == []
+
+
+def test_all_errors_are_said_at_once(here, capsys):
+    status, _, err = say(capsys, "run", "short.toml", "--set", "start.lat_deg=95", "--set", "wnd=1")
+    assert status == 2
+    assert [line[:17] for line in err.splitlines()] == [
+        "error: short.toml",
+        "error: short.toml",
+        "  known keys: air",
+    ]
+
+
+@pytest.mark.parametrize("text", ["<output name='x'/>", "no XML", "<fdm_config/>"])
+def test_an_aircraft_that_does_not_load_is_status_3(here, capsys, text):
+    from bench.config.library import aircraft_folder
+
+    own = here / "aircraft" / "kite"
+    own.mkdir(parents=True)
+    toml = aircraft_folder("aerosonde", here) / "aircraft.toml"
+    (own / "aircraft.toml").write_text(toml.read_text())
+    (own / "kite.xml").write_text(text)
+    status, out, err = say(capsys, "run", "short.toml", "--set", "aircraft=kite")
+    assert (status, out) == (3, "")
+    assert re.fullmatch(r"error: .*kite.*\n", err)
+    assert left(here) == ["aircraft"]
+
+
+def test_a_flight_that_does_not_fit_its_duration_is_status_3(here, capsys):
+    status, _, err = say(
+        capsys, "run", "short.toml", "--set", "leg.0.by_deg=360", "--set", "leg.0.bank_deg=5"
+    )
+    assert status == 3
+    assert re.fullmatch(r"error: the legs need .*; duration is 30 s\n", err)
+    assert left(here) == []
+
+
+def test_an_aircraft_lost_in_the_air_is_status_3(here, capsys, monkeypatch):
+    def crash(*args, **keywords):
+        raise FlightError("leg 1 turn: at 3.2 s: into the ground")
+
+    monkeypatch.setattr("bench.flight.fly_pieces", crash)
+    status, _, err = say(capsys, "run", "short.toml", "--seed", "77")
+    assert (status, err) == (3, "error: leg 1 turn: at 3.2 s: into the ground\n")
+    assert left(here) == []
+
+
+def test_a_filter_that_diverges_is_a_result_and_status_1(here, capsys, monkeypatch):
+    (here / "my_lab.py").write_text(LOST)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    status, out, _ = say(capsys, "run", "short.toml", "-o", "a", "-e", "loose-15", "-e", "my_lab:Lost")
+    assert status == 1
+    assert "Lost diverged: " in out
+    metrics = store.load("a").metrics
+    assert (metrics["loose-15"]["converged"], metrics["Lost"]["converged"]) == (True, False)
+    assert metrics["Lost"]["pos_rmse_h_m"] is None
+
+
+@pytest.mark.parametrize("name", ["truth.parquet", "errors-loose-15.parquet", "flight.rrd"])
+def test_a_full_disk_is_status_4(here, capsys, monkeypatch, name):
+    def until(path, *args, **keywords):
+        if path.name == name:
+            path.write_text("half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return genuine[path.suffix](path, *args, **keywords)
+
+    genuine = {".parquet": parquet.write, ".rrd": recording.write}
+    monkeypatch.setattr(parquet, "write", until)
+    monkeypatch.setattr(recording, "write", until)
+    status, out, err = say(capsys, "run", "short.toml", "-o", "a")
+    assert (status, out) == (4, "")
+    assert err == "error: a: No space left on device; nothing was written\n"
+    assert left(here) == []
+
+
+@pytest.mark.parametrize("step", ["fly", "sense", "answer", "judge"])
+def test_an_interrupted_run_is_status_130(here, capsys, monkeypatch, step):
+    def interrupt(*args, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline.estimator if step == "answer" else pipeline, step, interrupt)
+    status, out, err = say(capsys, "run", "short.toml")
+    assert (status, out, err.strip()) == (130, "", "error: interrupted")
+    assert left(here) == []
+
+
+def test_interrupted_while_writing_leaves_the_old_results(here, capsys, monkeypatch):
+    assert say(capsys, "run", "short.toml", "--no-rrd")[0] == 0
+    before = (here / "runs/short-5/result.json").read_text()
+
+    def interrupt(path, *args, **keywords):
+        path.write_text("half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recording, "write", interrupt)
+    assert say(capsys, "run", "short.toml", "--force", "--run", "0")[0] == 130
+    assert (here / "runs/short-5/result.json").read_text() == before
+    assert left(here / "runs") == ["short-5"]
+
+
+def test_a_bug_is_status_70_and_keeps_its_traceback(here, capsys, monkeypatch):
+    for bug in (ZeroDivisionError("a bug"), FileNotFoundError("a bug"), KeyError("a bug")):
+
+        def fail(*args, bug=bug, **keywords):
+            raise bug
+
+        monkeypatch.setattr(pipeline, "sense", fail)
+        status, _, err = say(capsys, "run", "short.toml")
+        assert status == 70
+        assert "Traceback" in err
+        assert "a bug" in err
+        assert left(here) == []
+
+
+MY_LAB = """
+from dataclasses import replace
+from bench.navigation.fusion import Loose
+
+class Raises:
+    def run(self, sensors, initial):
+        raise PermissionError(13, "no right to it", "model.bin")
+
+class Nothing:
+    def run(self, sensors, initial):
+        return None
+
+class Short:
+    def run(self, sensors, initial):
+        short = replace(sensors, output_t=sensors.output_t[:-3])
+        return Loose().run(short, initial)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "message"),
+    [
+        ("Raises", 70, "estimator 'Raises': run() raised PermissionError"),
+        ("Nothing", 2, "error: estimator 'Nothing': run() must return a NavSolution; got NoneType"),
+        ("Short", 2, "error: estimator 'Short': its t must be sensors.output_t, "),
+    ],
+)
+def test_what_is_wrong_with_an_estimator_of_ones_own_is_said(
+    here, capsys, monkeypatch, name, status, message
+):
+    (here / f"lab_{name.lower()}.py").write_text(MY_LAB)
+    got, _, err = say(capsys, "run", "short.toml", "-e", f"lab_{name.lower()}:{name}")
+    assert got == status
+    assert message in err
+    assert not (here / "runs").exists()
+
+
+def test_two_estimators_of_one_label_are_refused(here, capsys):
+    status, _, err = say(capsys, "run", "short.toml", "-e", "loose-15", "-e", "loose-15")
+    assert status == 2
+    assert "two of the estimators asked for are labelled 'loose-15'" in err
+
+
+def test_an_outage_after_a_flight_of_open_length_is_refused(here, capsys):
+    outage = "--set=gnss_outage=[{start_s=5000.0,duration_s=5.0}]"
+    text = (here / "short.toml").read_text()
+    (here / "open.toml").write_text(
+        "\n".join(x for x in text.splitlines() if not x.startswith("duration_s ="))
+    )
+    status, _, err = say(capsys, "run", "open.toml", outage)
+    assert status == 2
+    assert "[[gnss_outage]] 1: its end at 5005 s is outside the flight" in err
+    fault = "--set=fault=[{kind='frozen',sensor='gnss',start_s=5000.0,duration_s=5.0}]"
+    status, _, err = say(capsys, "run", "open.toml", fault)
+    assert status == 2
+    assert "[[fault]] 1 (frozen): its end at 5005 s is outside the flight" in err
+
+
+def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, capsys, monkeypatch):
+    def flown(*_, **__):
+        raise AssertionError("it was flown")
+
+    monkeypatch.setattr("bench.pipeline.fly", flown)
+    text = (here / "short.toml").read_text()
+    lines = [x for x in text.splitlines() if not x.startswith("gnss")]
+    (here / "blind.toml").write_text("\n".join(lines))
+    status, _, err = say(capsys, "run", "blind.toml", "-e", "loose-15")
+    assert status == 2
+    assert err.strip() == "error: estimator 'loose-15' needs a gnss; there is none in [sensors]"
+    assert not (here / "runs").exists()
+
+
+# --- the process as a whole ---------------------------------------------------------------------------
+
+
+def python(code: str, *, cwd: Path) -> subprocess.Popen:
+    paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
+    kernels = {"NUMBA_CACHE_DIR": numba.config.CACHE_DIR}  # those of this process, not of BENCH_CACHE
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **kernels}
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env=env,
+    )
+
+
+def modules(arguments: list[str], cwd: Path) -> set[str]:
+    """The modules loaded after a command, each with its parents."""
+    code = f"import sys; from bench.cli import main; status = main({arguments}); print(); print(*sys.modules)"
+    code += "; sys.exit(status)"
+    process = python(code, cwd=cwd)
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return set(out.splitlines()[-1].split())
+
+
+def test_help_imports_nothing_heavy(tmp_path):
+    for arguments in (["--help"], ["run", "--help"], []):
+        loaded = modules(arguments, tmp_path)
+        assert "bench.cli" in loaded
+        assert not loaded & {"numpy", "pydantic", "rich", "numba", "pyarrow", "bench.data"}
+
+
+def test_a_cached_run_imports_only_what_it_uses(here, capsys):
+    assert say(capsys, "fly", "short.toml")[0] == 0
+    loaded = modules(["run", "short.toml", "--no-rrd"], here)
+    assert "bench.navigation.fusion" in loaded
+    assert not loaded & {"jsbsim", "rerun", "matplotlib", "filterpy", "scipy.stats", "scipy.optimize"}
+
+
+def test_a_terminated_run_ends_like_an_interrupted_one(here):
+    code = (
+        "import sys, time; from bench import pipeline; from bench.cli import main\n"
+        "def fly(*a, **k):\n    print('flying', flush=True); time.sleep(60)\n"
+        "pipeline.fly = fly; sys.exit(main(['run', 'short.toml']))"
+    )
+    process = python(code, cwd=here)
+    assert process.stdout.readline() == "flying\n"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err.strip()) == (130, "error: interrupted")
+    assert left(here) == []
+
+
+# --- the viewer ---------------------------------------------------------------------------------------
+
+
+def test_view_takes_the_newest_recording(here):
+    for age, name in enumerate(("b", "c", "a")):
+        folder = here / "runs" / name
+        folder.mkdir(parents=True)
+        (folder / "result.json").touch()
+        os.utime(folder / "result.json", (1e9 - age, 1e9 - age))
+        if name != "b":
+            (folder / "flight.rrd").touch()
+    assert view.find_recording(None) == Path("runs/c/flight.rrd")
+    assert view.find_recording(Path("runs/a")) == Path("runs/a/flight.rrd")
+
+
+def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    status, _, err = say(capsys, "run", "short.toml", "--view")
+    assert (status, err) == (
+        4,
+        "error: no display to open a window on; 'bench view --web' serves it to a browser\n",
+    )
+    assert (here / "runs/short-5/flight.rrd").is_file()
+    monkeypatch.setattr(view, "find_spec", lambda name: None)
+    status, _, err = say(capsys, "view")
+    assert status == 4
+    assert err.startswith("error: no viewer here: ")
+
+
+def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
+    (here / "runs/a").mkdir(parents=True)
+    (here / "runs/a/flight.rrd").touch()
+    monkeypatch.setattr(view, "_binary", lambda: Path("/bin/false"))
+    status, _, err = say(capsys, "view", "runs/a", "--web")
+    assert status == 4
+    assert err.startswith(
+        "error: the viewer ended with status 1: /bin/false runs/a/flight.rrd --bind 127.0.0.1"
+    )
+
+
+def test_the_viewer_ends_with_its_children(here):
+    """Ctrl-C on bench ends the whole process group of the viewer, a child that ignores it included."""
+    child = (
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "print('up', flush=True); time.sleep(60)"
+    )
+    viewer = (
+        f"import subprocess, sys; child = subprocess.Popen([sys.executable, '-c', {child!r}])\n"
+        "print(child.pid, flush=True); child.wait()"
+    )
+    code = (
+        "import sys; from bench.workbench import view; view._PATIENCE = 0.2\n"
+        f"view.wait_for([sys.executable, '-c', {viewer!r}])"
+    )
+    process = python(code, cwd=here)
+    lines = [process.stdout.readline().strip() for _ in range(2)]
+    assert "up" in lines
+    (child,) = (int(line) for line in lines if line != "up")
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    for _ in range(50):
+        if not _runs(child):
+            return
+        time.sleep(0.1)
+    pytest.fail("the child of the viewer is still there")
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{pid}/stat")  # a zombie nobody waits for has ended too
+    return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+def test_web_serves_on_this_machine_only_and_ends(here, capsys):
+    assert say(capsys, "run", "short.toml")[0] == 0
+    process = python("import sys; from bench.cli import main; sys.exit(main(['view', '--web']))", cwd=here)
+    line = process.stdout.readline()
+    page, port = (int(text) for text in re.findall(r"127\.0\.0\.1(?::|%3A)(\d+)", line))
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    for _ in range(100):
+        try:
+            with opener.open(f"http://127.0.0.1:{page}/", timeout=5) as answer:
+                assert answer.status == 200
+            break
+        except OSError:
+            time.sleep(0.1)
+    else:
+        pytest.fail("nothing is served")
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+    for number in (page, port):
+        with socket.socket() as probe:
+            assert probe.connect_ex(("127.0.0.1", number)) != 0

@@ -1,0 +1,89 @@
+"""The covariance of loose-15 describes its errors where its model is the truth: 50 matched runs.
+
+NEES at 1 Hz after the update and NIS of every sensor, by the three claims of `bench.evaluation.consistency`.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench import baselines, pipeline
+from bench.config import load_profile
+from bench.evaluation.consistency import consistency, nis_by_sensor
+from bench.navigation.fusion import Loose
+
+RUNS = 50
+DIRECTORY = Path(__file__).parents[1] / "baselines"
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def profile():
+    return load_profile("figure-eight-matched")
+
+
+def ensemble(profile, truth, assumed):
+    nees, nis = [], {}
+    for run in range(RUNS):
+        sensed = pipeline.sense(profile, truth, run)
+        data = replace(sensed.data, specs=assumed)
+        solution = Loose().run(data, sensed.initial)
+        errors, _ = pipeline.judge(profile, truth, solution)
+        whole = np.abs(errors.t - np.round(errors.t)) < 1e-6
+        nees.append(errors.nees[whole & (errors.t >= profile.evaluation_from)])
+        for sensor, series in nis_by_sensor(solution.innovations, profile.evaluation_from).items():
+            nis.setdefault(sensor, []).append(series)
+    return consistency(np.array(nees), 9, nis)
+
+
+def test_the_matched_filter_knows_its_errors(profile, figure_eight_truth):
+    result = ensemble(profile, figure_eight_truth, profile.sensors.assumed)
+    assert result.verdict, result.reasons
+    assert set(result.nis) == {"gnss_position", "gnss_velocity", "baro"}
+
+
+def test_R_a_fifth_too_small_breaks_every_claim(profile, figure_eight_truth):  # noqa: N802
+    assumed, factor = profile.sensors.assumed, np.sqrt(0.8)
+    gnss, baro = assumed.gnss, assumed.baro
+    small = replace(
+        assumed,
+        gnss=replace(
+            gnss,
+            pos_h_white_sd=gnss.pos_h_white_sd * factor,
+            pos_v_white_sd=gnss.pos_v_white_sd * factor,
+            vel_white_sd=gnss.vel_white_sd * factor,
+        ),
+        baro=replace(baro, white_sd=baro.white_sd * factor),
+    )
+    result = ensemble(profile, figure_eight_truth, small)
+    text = " ".join(result.reasons)
+    assert "standard errors" in text
+    assert "of the epochs" in text
+    for sensor in ("gnss_position", "gnss_velocity", "baro"):
+        assert f"mean NIS of {sensor}" in text
+
+
+def test_both_profiles_fly_the_same_flight(profile):
+    """figure-eight-matched differs in its sensors only, so one truth serves both."""
+    assert load_profile("figure-eight").flight == profile.flight
+
+
+def test_a_lever_arm_left_out_breaks_limits_of_both_profiles(figure_eight_truth, monkeypatch):
+    """What ``bench check`` is for: a defect of decimetres shows beside an error of metres, draw for draw."""
+    run = Loose.run
+    monkeypatch.setattr(
+        Loose, "run", lambda self, data, initial: run(self, replace(data, antenna_b=np.zeros(3)), initial)
+    )
+    monkeypatch.setattr(pipeline, "fly", lambda profile: figure_eight_truth)
+    both = {"figure-eight", "figure-eight-matched"}
+    assert {row.profile for row in baselines.check(DIRECTORY, sorted(both)) if row.regressed} == both
+
+
+def test_the_limits_hold(figure_eight_truth, monkeypatch):
+    fly, flown = pipeline.fly, {"figure-eight", "figure-eight-matched"}
+    monkeypatch.setattr(
+        pipeline, "fly", lambda profile: figure_eight_truth if profile.name in flown else fly(profile)
+    )
+    assert not [row for row in baselines.check(DIRECTORY) if row.regressed]

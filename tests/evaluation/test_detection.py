@@ -1,0 +1,166 @@
+"""Detection against the script: what was refused in the interval of a fault, how soon, and what else was.
+
+The filter is loose-15 on a flight whose sensors it models exactly; its gate refuses a sound fix with 1e-5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.data import Events, Innovations, NavSolution
+from bench.evaluation import metrics
+from bench.evaluation.detection import _unexplained, alarms, delay
+from bench.navigation.fusion import Loose
+from bench.sensors import sense
+from bench.specs import Fault
+from tests.weaving import units, weaving
+
+STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))
+RAMP = Fault("spoofing", "gnss", 60.0, 110.0, "ramp", step=(0.0,) * 3, ramp=(0.0, 1.0, 0.0), coherent=False)
+CREEP = replace(RAMP, ramp=(0.0, 0.02, 0.0))
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return weaving(120.0, 50.0)
+
+
+def judged(flight, *faults, run=0, estimator=None):
+    """Metrics of the filter, and its solution."""
+    sensed = sense(flight, replace(units(), faults=faults), 3, run)
+    solution = (estimator or Loose()).run(sensed.data, sensed.initial)
+    _, found = metrics.judge(flight, solution, evaluation_from=30.0, outages=(), faults=faults)
+    return found, solution
+
+
+def test_a_step_of_100_m_is_refused_at_the_first_epoch(flight):
+    """The first fix of the interval is at its first instant; nothing is refused without cause."""
+    found, solution = judged(flight, STEP)
+    assert found["fault_1_detected"] == 1.0
+    assert found["fault_1_delay_s"] == pytest.approx(0.0, abs=1e-6)
+    table = solution.innovations
+    rows = (table.code == table.sensor.index("gnss_position")) & (np.abs(table.t - 60.0) < 0.01)
+    assert not table.accepted[rows].any()
+    assert found["false_alarms_gnss_position"] == found["false_alarms_baro"] == 0.0
+    assert found["fault_1_max_h_m"] < 3.0  # the filter is not pulled away
+
+
+def test_a_step_between_epochs_is_noticed_at_the_next(flight):
+    found, _ = judged(flight, replace(STEP, start=60.3))
+    assert found["fault_1_delay_s"] == pytest.approx(0.7, abs=1e-6)
+
+
+def test_a_ramp_of_1_mps_is_reported_with_its_delay(flight):
+    """Five runs: after the fix is gone by several sigma (1.5 m and the filter's own), before it is by 30."""
+    for run in range(5):
+        found, solution = judged(flight, RAMP, run=run)
+        assert found["fault_1_detected"] == 1.0
+        assert 2.0 <= found["fault_1_delay_s"] <= 20.0
+        table = solution.innovations
+        refused = table.t[~table.accepted & (table.t >= 60.0 - 1e-6)]
+        assert found["fault_1_delay_s"] == pytest.approx(refused.min() - 60.0)
+
+
+def test_a_ramp_that_creeps_is_reported_as_undetected(flight):
+    found, _ = judged(flight, CREEP)
+    assert found["fault_1_detected"] == 0.0
+    assert found["fault_1_delay_s"] is None
+
+
+def test_a_fault_of_a_sensor_that_is_not_used_is_not_detected(flight):
+    found, _ = judged(flight, STEP, estimator=Loose(gnss=False))
+    assert found["fault_1_detected"] == 0.0
+    assert "false_alarms_gnss_position" not in found
+
+
+def test_faults_of_the_imu_show_in_any_update(flight):
+    """A yaw gyro that is off by 3 deg/s tears the velocity away within seconds."""
+    step = Fault("gyro-step", "gyro", 60.0, 75.0, "step", step=(0.0, 0.0, 0.05), ramp=(0.0, 0.0, 0.0))
+    found, _ = judged(flight, step)
+    assert found["fault_1_detected"] == 1.0
+    assert found["fault_1_delay_s"] < 15.0
+
+
+def test_without_faults_there_is_nothing_to_score(flight):
+    found, _ = judged(flight)
+    assert not [name for name in found if name.startswith(("fault_", "false_alarms"))]
+
+
+def by_hand(refused, events=()):
+    """A solution that refused gnss_position and baro at given times."""
+    t = np.arange(1.0, 101.0)
+    code = np.repeat([0, 1], len(t))
+    accepted = np.concatenate([~np.isin(t, refused.get(name, ())) for name in ("gnss_position", "baro")])
+    one = np.ones(2 * len(t))
+    table = Innovations(np.tile(t, 2), ("gnss_position", "baro"), code, 0 * code, one, one, one, accepted)
+    told = Events.from_rows(list(events))
+    empty = np.empty((0, 3))
+    return NavSolution(
+        np.empty(0), empty, empty, np.empty((0, 4)), empty, empty, np.empty((0, 9, 9)), (),
+        np.empty((0, 0)), np.empty((0, 0)), table, told,
+    )  # fmt: skip
+
+
+def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
+    from bench.evaluation.consistency import nis_by_sensor
+
+    solution = by_hand({"gnss_position": [10.0, 20.0, 23.0, 30.0], "baro": [22.0]})
+    raised = alarms(nis_by_sensor(solution.innovations), solution.events)
+    gnss, baro = Fault("spoofing", "gnss", 20.0, 30.0, ""), Fault("baro-step", "baro", 21.5, 30.0, "")
+    assert delay(gnss, raised) == 0.0
+    assert delay(baro, raised) == 0.5
+    assert delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
+    assert _unexplained([gnss, baro], raised, "gnss_position", 0.0) == 2
+    assert _unexplained([gnss], raised, "gnss_position", 15.0) == 1
+    assert _unexplained([gnss], raised, "baro", 0.0) == 1
+    assert _unexplained([gnss, baro], raised, "baro", 0.0) == 0
+
+
+def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
+    rows = [
+        (25.0, 25.0, "integrity", "barometer and GNSS height differ by 5 sigma"),
+        (50.0, 55.0, "integrity", "baro refused by nis"),
+        (5.0, 5.0, "timeline", "gnss"),
+    ]
+    solution = by_hand({}, rows)
+    raised = alarms({}, solution.events)
+    gnss, baro = Fault("spoofing", "gnss", 20.0, 60.0, ""), Fault("baro-step", "baro", 40.0, 60.0, "")
+    assert delay(gnss, raised) == 5.0
+    assert delay(baro, raised) == 10.0
+    assert _unexplained([baro], raised, "integrity", 0.0) == 1
+
+
+EVERY = [
+    STEP,
+    Fault("baro-step", "baro", 60.0, 65.0, "", step=(50.0,), ramp=(0.0,)),
+    Fault("accel-step", "accel", 60.0, 65.0, "", step=(0.1, 0.0, 0.0), ramp=(0.0,) * 3),
+    *(Fault("frozen", s, 60.0, 62.0, "") for s in ("gnss", "baro", "gyro", "accel")),
+    *(Fault("noise-burst", s, 60.0, 65.0, "", times=20.0) for s in ("gnss", "baro", "gyro", "accel")),
+    *(Fault("latency", s, 60.0, 65.0, "", delay=3.0) for s in ("gnss", "baro")),
+    *(Fault(k, s, 60.0, 65.0, "") for k in ("dropped", "repeated") for s in ("gnss", "baro", "imu")),
+]
+
+NOTICED = {("baro-step", "baro"), ("noise-burst", "gnss"), ("noise-burst", "baro")}
+"""By 50 m, and twenty times the noise, no gate can be taken in."""
+
+
+@pytest.mark.parametrize("fault", EVERY, ids=lambda f: f"{f.kind}-{f.sensor}")
+def test_a_filter_lives_with_every_fault_and_the_timeline_counts_its_rows(flight, fault):
+    """Five seconds of anything: a solution at every instant, and what came twice or late is reported."""
+    found, solution = judged(flight, fault)
+    assert np.isfinite(solution.lla).all()
+    if fault is STEP or (fault.kind, fault.sensor) in NOTICED:
+        assert found["fault_1_detected"] == 1.0
+    if fault.kind in ("dropped", "repeated"):  # what is left of the record is sound
+        assert found["fault_1_detected"] == 0.0
+    told = " ".join(solution.events.text)
+    if fault.kind == "repeated":
+        assert f"{'gnss' if fault.sensor == 'gnss' else fault.sensor}: " in told
+        assert "repeated" in told
+    if (fault.kind, fault.sensor) == ("dropped", "imu"):
+        assert "gap of" in told
+    if fault.kind == "latency":
+        assert "going back in time" in told  # fixes from before the end arrive after later ones

@@ -1,0 +1,492 @@
+"""An export holds the run's own numbers: each format is read back by its own reader, or by the rules of the
+tool it is for, and compared with the record; units and frames by what they mean, not by the code that wrote
+them."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import datetime
+from types import SimpleNamespace
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bench import earth, rotation, store
+from bench.cli import main
+from bench.exchange.exports import FORMATS, local
+from tests.exchange.exported import ERROR, make_run, text_rows
+
+SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "circle"
+    truth, sensed = make_run(folder)
+    return folder, truth, sensed
+
+
+@pytest.fixture
+def export(run, tmp_path, capsys):
+    def go(kind: str, *options: str):
+        out = tmp_path / kind
+        status = main(["export", str(run[0]), "--to", kind, "-o", str(out), *options])
+        said, complaint = capsys.readouterr()
+        assert (status, complaint) == (0, ""), complaint
+        assert said.startswith(f"{out}: ") or str(out) in said.replace("\n", "")
+        assert (out / "README.md").read_text().startswith(f"# Export of circle to {kind}\n")
+        return out
+
+    return go
+
+
+def complaint(capsys, *arguments: str) -> str:
+    status = main(arguments)
+    out, err = capsys.readouterr()
+    assert (status, out) == (2, ""), err
+    assert err.count("\n") == 1
+    return err
+
+
+# --- tables -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_hold_every_bit_of_the_records(run, export, kind):
+    _, truth, sensed = run
+    out = export(kind, "--with", "truth", "--with", "solution:made")
+    read = {"csv": pa_csv.read_csv, "parquet": pq.read_table}[kind]
+    imu = read(out / f"imu.{kind}")
+    assert imu.num_rows == len(sensed.data.imu)
+    assert_array_equal(imu["t_s"].to_numpy(), sensed.data.imu.t)
+    for k, axis in enumerate("xyz"):
+        assert_array_equal(imu[f"dtheta_{axis}_rad"].to_numpy(), sensed.data.imu.dtheta_b[:, k])
+        assert_array_equal(imu[f"dvel_{axis}_mps"].to_numpy(), sensed.data.imu.dvel_b[:, k])
+    gnss = read(out / f"gnss.{kind}")
+    assert_array_equal(gnss["lat_rad"].to_numpy(), sensed.data.fixes.lla[:, 0])
+    assert_array_equal(gnss["cov_pos_d_pos_d"].to_numpy(), sensed.data.fixes.cov_pos_n[:, 2, 2])
+    assert_array_equal(gnss["valid"].to_numpy().astype(bool), sensed.data.fixes.valid)
+    assert_array_equal(read(out / f"truth.{kind}")["q_nb_z"].to_numpy(), truth.q_nb[:, 3])
+    assert read(out / f"solution-made.{kind}").num_rows == 202
+    start = json.loads((out / "start.json").read_text())
+    assert_array_equal(start["initial"]["q_nb"], sensed.initial.q_nb)
+    assert_array_equal(start["antenna_b_m"], sensed.data.antenna_b)
+    assert start["assumed"]["imu"]["gyro"]["random_walk"] == sensed.data.specs.imu.gyro.random_walk
+
+
+def test_truth_and_solutions_go_out_only_when_asked_for(export):
+    names = {path.name for path in export("csv").iterdir()}
+    assert names == {"README.md", "start.json", "imu.csv", "gnss.csv", "baro.csv"}
+
+
+def test_matlab_structures(run, export):
+    from scipy.io import loadmat
+
+    _, truth, sensed = run
+    out = export("mat", "--with", "truth")
+    read = loadmat(out / "run.mat", squeeze_me=True, struct_as_record=False)
+    assert_array_equal(read["imu"].dvel_z_mps, sensed.data.imu.dvel_b[:, 2])
+    assert_array_equal(read["truth"].alt_m, truth.lla[:, 2])
+    assert_array_equal(read["start"].initial.cov, sensed.initial.cov)
+    assert read["start"].assumed.baro.rate == sensed.data.specs.baro.rate
+
+
+# --- filters ------------------------------------------------------------------------------------------
+
+
+def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export):
+    _, truth, sensed = run
+    data, initial = sensed.data, sensed.initial
+    out = export("kf-gins", "--with", "truth")
+    imu, gnss, nav = (text_rows(out / name) for name in ("imu.txt", "gnss.txt", "truth.nav"))
+    assert imu.shape == (len(data.imu), 7)
+    assert_allclose(np.diff(imu[:, 0]), 0.01, atol=1e-9)
+    for row in (0, -1):
+        assert_allclose(imu[row, 0] - SECOND, data.imu.t[row], atol=1e-9)
+        assert_array_equal(imu[row, 1:], [*data.imu.dtheta_b[row], *data.imu.dvel_b[row]])
+    good = data.fixes.valid
+    assert gnss.shape == (good.sum(), 7)
+    assert good.sum() == 17  # 20 fixes, two of them in the outage, one invalid
+    for row in (0, -1):
+        lla = data.fixes.lla[good][row]
+        assert_allclose(gnss[row, 1:4], [np.rad2deg(lla[0]), np.rad2deg(lla[1]), lla[2]], rtol=1e-15)
+        assert_allclose(gnss[row, 4:] ** 2, np.diag(data.fixes.cov_pos_n[good][row]), rtol=1e-12)
+    assert nav.shape == (len(truth), 11)
+    assert_array_equal(nav[:, 0], 2399)
+    assert_array_equal(nav[:, 5:8], truth.vel_n)
+    assert_allclose(nav[:, 8], np.rad2deg(0.65), atol=1e-9)  # the bank of the circle
+    keys = configuration(out / "kf-gins.yaml")
+    assert keys["imudatarate"] == 100
+    assert keys["starttime"] == imu[0, 0]
+    assert_allclose(keys["initposstd"], np.sqrt(np.diag(initial.cov))[:3], rtol=1e-9)
+    assert_allclose(keys["antlever"], data.antenna_b)
+    assert_allclose(keys["arw"], np.rad2deg(data.specs.imu.gyro.random_walk) * 60, rtol=1e-9)  # deg/sqrt(h)
+    assert_allclose(keys["vrw"], data.specs.imu.accel.random_walk * 60, rtol=1e-9)  # m/s/sqrt(h)
+    place = [np.deg2rad(keys["initpos"][0]), np.deg2rad(keys["initpos"][1]), keys["initpos"][2]]
+    moved = earth.difference_n(np.array(place), truth.lla[1])  # the start is off by what it was told wrong
+    told = earth.difference_n(initial.lla, truth.lla[0])
+    assert_allclose(moved, told + 0.01 * (initial.vel_n - truth.vel_n[0]), atol=1e-4)
+    q_nb = rotation.from_euler(*np.deg2rad(keys["initatt"]))
+    turned = rotation.to_rotvec(rotation.multiply(q_nb, rotation.conjugate(truth.q_nb[1])))
+    before = rotation.to_rotvec(rotation.multiply(initial.q_nb, rotation.conjugate(truth.q_nb[0])))
+    assert_allclose(turned, before, atol=2e-4)
+    assert (
+        np.linalg.norm(
+            rotation.to_rotvec(rotation.multiply(truth.q_nb[1], rotation.conjugate(truth.q_nb[0])))
+        )
+        > 2e-3
+    )
+
+
+def test_the_date_is_that_of_the_flight_and_of_its_receiver(run, tmp_path):
+    from bench.exchange.exports import gather
+
+    whole = gather(run[0])
+    assert str(whole.calendar) == "t = 0 is 2026-01-01 00:00:00 UTC, second 345618 of GPS week 2399"
+    year = dict(whole.start) | {"date": 2012 + 60 / 366}  # 1 March, a leap year; 15 leap seconds
+    old = replace(whole, start=year).calendar
+    assert (old.utc, old.week, old.second) == (datetime(2012, 3, 1), 1677, 4 * 86400 + 15.0)
+    sky = SimpleNamespace(gps_t0=43200.5)
+    noon = replace(whole, start=year, observations=sky).calendar
+    assert (noon.utc, noon.second) == (datetime(2012, 3, 1, 11, 59, 45, 500000), 4 * 86400 + 43200.5)
+
+
+def configuration(path):
+    """The keys of a kf-gins.yaml; those of its table imunoise stand beside the others."""
+    keys = {}
+    for line in path.read_text().splitlines():
+        key, _, value = line.partition(":")
+        if value.strip():
+            keys[key.strip()] = ast.literal_eval(value.strip())
+    return keys
+
+
+def test_navego_structures_have_the_rows_rates_units_and_values_of_the_run(run, export):
+    from scipy.io import loadmat
+
+    _, truth, sensed = run
+    data = sensed.data
+    read = loadmat(export("navego", "--with", "truth") / "navego.mat", struct_as_record=False)
+    imu, gnss, ref = (read[name][0, 0] for name in ("imu", "gnss", "ref"))
+    n = len(data.imu)
+    assert (imu.t.shape, imu.wb.shape, imu.fb.shape) == ((n, 1), (n, 3), (n, 3))
+    assert_allclose([imu.freq[0, 0], gnss.freq[0, 0]], [100, 1])
+    for row in (0, -1):
+        assert imu.t[row, 0] == data.imu.t[row]
+        assert_allclose(imu.wb[row], data.imu.dtheta_b[row] / 0.01, rtol=1e-9)
+        assert_allclose(imu.fb[row], data.imu.dvel_b[row] / 0.01, rtol=1e-9)
+    assert_allclose(np.linalg.norm(imu.fb, axis=1).mean(), np.hypot(9.80, 25 * 0.3), rtol=0.01)  # m/s^2
+    good = data.fixes.valid
+    assert gnss.t.shape == (good.sum(), 1)
+    for row in (0, -1):
+        lla = data.fixes.lla[good][row]
+        assert_array_equal([gnss.lat[row, 0], gnss.lon[row, 0], gnss.h[row, 0]], lla)
+        assert_array_equal(gnss.vel[row], data.fixes.vel_n[good][row])
+    assert_array_equal(gnss.larm, data.antenna_b[:, None])
+    assert_allclose(gnss.std[0, 0] * 6.37e6, gnss.stdm[0, 0], rtol=0.01)
+    assert_allclose(gnss.std[0, 1] * 6.39e6 * np.cos(0.82), gnss.stdm[0, 1], rtol=0.01)
+    assert gnss.std[0, 2] == pytest.approx(gnss.stdm[0, 2])
+    assert gnss.eps[0, 0] == pytest.approx(0.005)
+    figures = data.specs.imu.gyro
+    assert_allclose(imu.arw, np.full((1, 3), figures.random_walk))
+    assert_allclose(imu.g_std, np.full((1, 3), figures.random_walk * 10))
+    assert_allclose(imu.gb_psd * np.sqrt(imu.gb_corr), imu.gb_dyn)
+    assert_allclose(ref.roll, 0.65, atol=1e-12)
+    assert ref.yaw.shape == (len(truth), 1)
+    assert_allclose(imu.ini_align[0], rotation.to_euler(sensed.initial.q_nb), atol=0.005)
+
+
+def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_the_start(run, export):
+    _, truth, sensed = run
+    data, out = sensed.data, export("python-ins", "--with", "truth")
+    imu, place, speed, track = (
+        pq.read_table(out / f"{name}.parquet") for name in ("imu", "position", "velocity", "truth")
+    )
+    assert imu.column_names == ["time", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
+    assert_array_equal(imu["time"].to_numpy(), [0.0, *data.imu.t])
+    assert_array_equal(imu["accel_z"].to_numpy()[1:], data.imu.dvel_b[:, 2])
+    assert imu["gyro_y"][0] == imu["gyro_y"][1]
+    good = data.fixes.valid
+    assert_array_equal(place["time"].to_numpy(), data.fixes.t[good])
+    assert_allclose(place["lon"].to_numpy(), np.rad2deg(data.fixes.lla[good, 1]), rtol=1e-15)
+    assert_array_equal(place["alt"].to_numpy(), data.fixes.lla[good, 2])
+    assert_array_equal(speed["VD"].to_numpy(), data.fixes.vel_n[good, 2])
+    assert_allclose(track["roll"].to_numpy(), np.rad2deg(0.65))
+    assert_allclose(track["heading"].to_numpy()[:100], np.rad2deg(0.7 + 0.3 * truth.t[:100]))
+    (start,) = pq.read_table(out / "initial.parquet").to_pylist()
+    assert start["VN"] == sensed.initial.vel_n[0]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins under pandas 3
+def test_python_ins_runs_on_what_its_readme_says(run, export, monkeypatch):
+    pytest.importorskip("pyins")
+    _, truth, sensed = run
+    out = export("python-ins", "--with", "truth")
+    code = (out / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(out)
+    found: dict = {}
+    exec(code, found)
+    result = found["result"]
+    used = sensed.data.fixes.valid & (sensed.data.fixes.t < truth.t[-1])  # it takes none at the last instant
+    assert len(result.innovations["Position"]) == used.sum() == 16
+    end = result.trajectory.iloc[-1]
+    lla = np.array([np.deg2rad(end["lat"]), np.deg2rad(end["lon"]), end["alt"]])
+    # a receiver that wanders by metres and 20 s of it: a wrong unit, sign or frame is off by far more
+    assert np.linalg.norm(earth.difference_n(lla, truth.lla[-1])) < 30
+    assert abs(end["roll"] - np.rad2deg(0.65)) < 2
+    frame = found["read"]("truth")
+    assert_array_equal(frame["VN"].to_numpy(), truth.vel_n[:, 0])
+
+
+# --- tracks -------------------------------------------------------------------------------------------
+
+
+def test_nmea_sentences_check_and_say_where_the_fixes_are(run, export):
+    _, _, sensed = run
+    fixes = sensed.data.fixes
+    out = export("nmea", "--with", "truth")
+    lines = (out / "gnss.nmea").read_bytes().decode("ascii").split("\r\n")
+    assert lines.pop() == ""
+    assert len(lines) == 2 * len(fixes)
+    for k, (gga, rmc) in enumerate(zip(lines[::2], lines[1::2], strict=True)):
+        assert max(len(gga), len(rmc)) <= 80  # and the line end: 82, the longest of NMEA 0183
+        place, motion = sentence(gga, "GPGGA", 15), sentence(rmc, "GPRMC", 13)
+        t = fixes.t[k]
+        assert place[1] == motion[1] == f"0000{int(t):02d}.{round(1000 * (t % 1)):03d}"
+        assert motion[9] == "010126"
+        if not fixes.valid[k]:
+            assert (place[6], motion[2], place[2]) == ("0", "V", "")
+            continue
+        assert (place[6], motion[2], place[2:6]) == ("1", "A", motion[3:7])
+        lla = np.array(
+            [degrees(place[2], place[3]), degrees(place[4], place[5]), float(place[9]) + float(place[11])]
+        )
+        off = earth.difference_n(lla * [np.pi / 180, np.pi / 180, 1], fixes.lla[k])
+        assert np.abs(off).max() < 1e-3
+        course = np.deg2rad(float(motion[8]))
+        north, east = float(motion[7]) * 1852 / 3600 * np.array([np.cos(course), np.sin(course)])
+        assert_allclose([north, east], fixes.vel_n[k, :2], atol=1e-3)
+    assert len((out / "truth.nmea").read_text().splitlines()) == 2 * 201
+
+
+def sentence(line: str, kind: str, fields: int) -> list[str]:
+    body, _, check = line.removeprefix("$").partition("*")
+    total = 0
+    for byte in body.encode():
+        total ^= byte
+    assert f"{total:02X}" == check
+    parts = body.split(",")
+    assert (parts[0], len(parts)) == (kind, fields)
+    return parts
+
+
+def degrees(angle: str, side: str) -> float:
+    whole, minutes = angle[: angle.index(".") - 2], angle[angle.index(".") - 2 :]
+    return (int(whole) + float(minutes) / 60) * (-1 if side in "SW" else 1)
+
+
+def test_nmea_of_the_south_west_and_of_a_full_minute():
+    from bench.exchange.exports.nmea import sentences
+
+    lla = np.array([np.deg2rad(-33.9999999999), np.deg2rad(-0.5), 10.0])
+    from bench.exchange.exports.outgoing import Calendar
+
+    calendar = Calendar(2399, 18.0, datetime(2026, 1, 4))
+    gga, rmc = sentences(calendar, 86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
+    assert gga.startswith("$GPGGA,000000.000,3400.0000000,S,00030.0000000,W,1,07,,10.000,M,0.0,M,,*")
+    assert rmc.startswith("$GPRMC,000000.000,A,3400.0000000,S,00030.0000000,W,1.944,180.000,050126,,,A*")
+
+
+def test_kml_is_xml_with_a_point_for_each_fix(run, export):
+    _, _, sensed = run
+    root = Xml.parse(export("kml", "--with", "solution:made") / "tracks.kml").getroot()
+    names = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
+    marks = root.findall(".//k:Placemark", names)
+    assert [mark.findtext("k:name", namespaces=names) for mark in marks] == ["GNSS fixes", "solution-made"]
+    points = [list(map(float, e.text.split())) for e in marks[0].findall(".//gx:coord", names)]
+    when = [e.text for e in marks[0].findall(".//k:when", names)]
+    good = sensed.data.fixes.valid
+    assert len(points) == len(when) == good.sum()
+    lat, lon, alt = sensed.data.fixes.lla[good].T
+    assert_allclose(points, np.column_stack([np.rad2deg(lon), np.rad2deg(lat), alt]), atol=6e-4)
+    assert_allclose(np.array(points)[:, 0], np.rad2deg(lon), atol=1e-9)
+    assert when[0] == "2026-01-01T00:00:01.000Z"
+
+
+def test_tum_poses_are_east_north_up_and_forward_left_up(run, export):
+    _, truth, _ = run
+    out = export("tum", "--with", "truth", "--with", "solution:made")
+    t, x, y, z, *q = text_rows(out / "truth.tum").T
+    assert_array_equal(t, truth.t)
+    C = rotation.matrix(np.column_stack([q[3], q[0], q[1], q[2]]))  # to scalar first
+    heading, bank = 0.7 + 0.3 * truth.t, 0.65
+    forward = np.column_stack([np.sin(heading), np.cos(heading), np.zeros_like(t)])  # east, north, up
+    assert_allclose(C[:, :, 0], forward, atol=2e-4)  # the plane of the origin, 80 m away: 1.3e-5 rad
+    assert_allclose(C[:, 2, 1], np.sin(bank), atol=2e-4)  # in a right bank the left wing points up
+    radius = 25.0 / 0.3
+    assert_allclose(x, radius * (np.cos(0.7) - np.cos(heading)), atol=0.01)
+    assert_allclose(y, radius * (np.sin(heading) - np.sin(0.7)), atol=0.01)
+    assert_allclose(z, -(x**2 + y**2) / (2 * 6.38e6), atol=2e-5)  # the Earth falls off under the plane
+    wrong = text_rows(out / "solution-made.tum")
+    true = np.column_stack([x, y, z])[np.round(wrong[:, 0] * 100).astype(int)]
+    assert_allclose(wrong[:, 1:4] - true, [[-2.0, 3.0, -1.0]] * 202, atol=2e-4)
+    assert ERROR["pos_n"] == [3.0, -2.0, 1.0]
+
+
+def test_local_axes():
+    """East, north, up of a pose that looks north, wings level: forward is y, left is minus x, up is z."""
+    origin = np.array([0.5, 1.0, 100.0])
+    position, q = local.poses(origin[None], np.array([[1.0, 0.0, 0.0, 0.0]]), origin)
+    assert_allclose(position, 0.0, atol=1e-9)
+    assert_allclose(rotation.matrix(q)[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    assert_array_equal(local.enu(np.array([1.0, 2.0, 3.0])), [2.0, 1.0, -3.0])
+
+
+def test_rosbag2_is_read_back_by_rosbags(run, export):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    _, truth, sensed = run
+    data = sensed.data
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    messages: dict[str, list] = {}
+    with Reader(export("rosbag2", "--with", "truth") / "bag") as bag:
+        for connection, stamp, raw in bag.messages():
+            message = types.deserialize_cdr(raw, connection.msgtype)
+            assert stamp == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            messages.setdefault(connection.topic, []).append((stamp, message))
+    counts = {topic: len(rows) for topic, rows in messages.items()}
+    fixes = len(data.fixes)
+    assert counts == {
+        "/imu/data_raw": len(data.imu), "/gnss/fix": fixes, "/gnss/vel": fixes,
+        "/baro/pressure": len(data.baro), "/truth": len(truth),
+    }  # fmt: skip
+    stamp, imu = messages["/imu/data_raw"][-1]
+    assert stamp == 1767225600 * 10**9 + round(data.imu.t[-1] * 1e9)
+    rate = imu.angular_velocity
+    assert_allclose([rate.x, -rate.y, -rate.z], data.imu.dtheta_b[-1] / 0.01, rtol=1e-9)
+    force = imu.linear_acceleration
+    assert force.z > 9  # at rest an accelerometer of ROS reads +g along up
+    assert_allclose([force.x, -force.y, -force.z], data.imu.dvel_b[-1] / 0.01, rtol=1e-9)
+    assert imu.orientation_covariance[0] == -1
+    _, fix = messages["/gnss/fix"][0]
+    assert_allclose([fix.latitude, fix.longitude], np.rad2deg(data.fixes.lla[0, :2]), rtol=1e-15)
+    assert_allclose(fix.position_covariance[8], data.fixes.cov_pos_n[0, 2, 2])
+    assert [m.status.status for _, m in messages["/gnss/fix"]] == [0 if v else -1 for v in data.fixes.valid]
+    _, velocity = messages["/gnss/vel"][0]
+    linear = velocity.twist.twist.linear
+    assert_allclose([linear.y, linear.x, -linear.z], data.fixes.vel_n[0])
+    pressure = np.array([m.fluid_pressure for _, m in messages["/baro/pressure"]])
+    altitude = 288.15 / 0.0065 * (1 - (pressure / 101325) ** (1 / 5.25588))
+    assert_allclose(altitude, data.baro.alt_baro, atol=1e-6)
+    assert_allclose(pressure[0], 87700, rtol=0.01)  # at 1200 m, the tables of the standard atmosphere
+    _, pose = messages["/truth"][0]
+    ahead = pose.twist.twist.linear
+    assert_allclose([ahead.x, ahead.y, ahead.z], [25, 0, 0], atol=1e-9)
+
+
+def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
+    code = (
+        "import sys; sys.modules['rosbags'] = None\n"
+        "import importlib.util as u; real = u.find_spec\n"
+        "u.find_spec = lambda name, *a: None if name == 'rosbags' else real(name, *a)\n"
+        f"from bench.cli import main; sys.exit(main(['export', {str(run[0])!r}, '--to', 'rosbag2', '-o', "
+        f"{str(tmp_path / 'bag')!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "error: rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the folder ---------------------------------------------------------------------------------------
+
+
+def test_formats_of_the_command_line_are_those_there_are():
+    from bench.cli.records import export
+
+    (option,) = (p for p in export.params if p.name == "kind")
+    assert list(option.type.choices) == list(FORMATS)
+
+
+def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_path, capsys):
+    out, to = str(tmp_path / "out"), ["export", str(run[0]), "--to", "nmea"]
+    assert main([*to, "-o", out]) == 0
+    capsys.readouterr()
+    assert (
+        complaint(capsys, *to, "-o", out)
+        == f"error: {out}: the folder exists; --force replaces it, -o names another\n"
+    )
+    assert main([*to, "-o", out, "--force"]) == 0
+    capsys.readouterr()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "README.md").write_text("# Mine\n")
+    err = complaint(capsys, *to, "-o", str(tmp_path / "mine"), "--force")
+    assert err == f"error: {tmp_path / 'mine'}: not replaced, it is no export\n"
+    assert "the folder cannot be" not in err
+    err = complaint(capsys, *to, "-o", str(run[0]), "--force")
+    assert "not replaced" in err
+    assert store.load(run[0]).seed == 4
+
+
+def test_the_default_folder_stands_beside_the_run(run, capsys):
+    assert main(["export", str(run[0]), "--to", "nmea"]) == 0
+    assert (run[0].parent / "circle-nmea" / "gnss.nmea").is_file()
+
+
+def test_the_present_folder_is_a_run_like_another(run, monkeypatch):
+    monkeypatch.chdir(run[0])
+    assert main(["export", ".", "--to", "kml"]) == 0
+    assert (run[0].parent / "circle-kml" / "tracks.kml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--to", "tum"), "tum holds poses, no sensors: ask for --with truth or --with solution:NAME"),
+        (
+            ("--to", "csv", "--with", "solution:../made"),
+            "--with solution:../made: no such solution; there are made",
+        ),
+        (("--to", "csv", "--with", "thruth"), "--with thruth: must be truth or solution:NAME"),
+    ],
+)
+def test_what_cannot_go_out_is_said_in_one_line(run, tmp_path, capsys, options, said):
+    err = complaint(capsys, "export", str(run[0]), "-o", str(tmp_path / "out"), *options)
+    assert err == f"error: {said}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
+    err = complaint(capsys, "export", str(tmp_path), "--to", "csv", "-o", str(tmp_path / "out"))
+    assert (
+        err
+        == f"error: {tmp_path}: no results folder, there is no result.json in it; 'bench run' writes one\n"
+    )
+    folder = tmp_path / "run"
+    make_run(folder)
+    (folder / "sensors-imu.parquet").write_bytes(b"PAR1" + bytes(100))
+    err = complaint(capsys, "export", str(folder), "--to", "csv", "-o", str(tmp_path / "out"))
+    assert err.startswith(f"error: {folder}: cannot be read: ")
+    (folder / "sensors-imu.parquet").unlink()
+    err = complaint(capsys, "export", str(folder), "--to", "csv", "-o", str(tmp_path / "out"))
+    assert err == f"error: {folder}: no sensors-imu.parquet in it; 'bench run' writes a whole folder\n"
+    other = tmp_path / "other"
+    make_run(other)
+    for start in ("[" * 100_000, "[]", "{}", '{"initial": 3, "date": Infinity}', "{"):
+        (other / "sensors-start.json").write_text(start)
+        err = complaint(capsys, "export", str(other), "--to", "csv")
+        assert "cannot be read" in err
+    (other / "sensors-start.json").write_text("{}")
+    assert "there is no '" in complaint(capsys, "export", str(other), "--to", "csv")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,422 @@
+"""RINEX and YUMA files: real ones solve to the medians of an independent computation, broken ones one line.
+
+Real data: stations ESBC (EUREF, via nav-solutions/data) and 0759 (GSI, via RTKLIB), broadcast ephemerides of
+CDDIS (via RTKLIB); read from beside the repository, skipped without them.
+"""
+
+from __future__ import annotations
+
+import tracemalloc
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from rich.console import Console
+
+from bench import earth
+from bench.cli import main
+from bench.config import ConfigError
+from bench.exchange import almanac, rinex
+from bench.signals import receiver
+from bench.workbench import fixes
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real GNSS files are not beside the repository")
+ESBC = ("ESBC00DNK_2020177_GR_120s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
+JAPAN = ("07590920.05o", "07590920.05n")
+
+OBS_3 = """\
+     3.05           OBSERVATION DATA    M                   RINEX VERSION / TYPE
+HERE                                                        MARKER NAME
+  4186000.0000   835000.0000  4723000.0000                  APPROX POSITION XYZ
+G    4 C1C C2W D1C S1C                                      SYS / # / OBS TYPES
+R    2 C1C S1C                                              SYS / # / OBS TYPES
+  2020     6    25     0     0    0.0000000     GPS         TIME OF FIRST OBS
+                                                            END OF HEADER
+> 2020 06 25 00 00 00.0000000  0  3
+G05  20947300.931 8  20947300.413 9     -1037.205 8        50.500
+E11  23947300.931 8
+R24  21947300.931 8        41.000
+> 2020 06 25 00 00 30.5000000  4  1
+A NEW COMMENT                                               COMMENT
+> 2020 06 25 00 01 00.0010000  0  1
+G05  20947301.931                     -1037.205
+"""
+
+OBS_2 = (
+    """\
+     2.10           OBSERVATION DATA    M                   RINEX VERSION / TYPE
+     6    L1    C1    L2    P2    D1    S1                  # / TYPES OF OBSERV
+                                                            END OF HEADER
+ 05  4  2  0  0  0.0000000  0 13G 3G 7G 8G11G19G20G24G28G 1G 2G 4G 5
+                                R 6
+"""
+    + 13 * ("  55923622.160    24767686.375    43647388.2424   24767684.8224     -1037.205\n        45.000\n")
+)
+
+NAV_2 = """\
+     2              NAVIGATION DATA                         RINEX VERSION / TYPE
+                                                            END OF HEADER
+ 1 12 10 31  0  0  0.0 0.280183739960D-03 0.170530256582D-11 0.000000000000D+00
+    0.160000000000D+02-0.343750000000D+02 0.477555606394D-08-0.712852183121D+00
+   -0.175461173058D-05 0.135910103563D-02 0.710599124432D-05 0.515370994186D+04
+    0.259200000000D+06 0.204890966415D-07 0.229351786584D+01 0.149011611938D-07
+    0.960012929923D+00 0.242218750000D+03 0.504015801138D+00-0.808212236712D-08
+   -0.432160858377D-09 0.000000000000D+00 0.171200000000D+04 0.000000000000D+00
+    0.200000000000D+01 0.000000000000D+00 0.838190317154D-08 0.160000000000D+02
+    0.252000000000D+06 0.400000000000D+01 0.499063314480-269 0.000000000000D+00
+"""
+
+NAV_R = """\
+     2.10           G: GLONASS NAV DATA                     RINEX VERSION / TYPE
+                                                            END OF HEADER
+ 3 12 10 31  0 15  0.0-1.236097887158D-04 0.000000000000D+00 1.077000000000D+04
+   -2.380982128906D+04 2.289457321167D-01-3.725290298462D-09 0.000000000000D+00
+   -8.908935546875D+03 2.536134719849D-01 9.313225746155D-10 5.000000000000D+00
+    2.209434082031D+03 3.556049346924D+00-1.862645149231D-09 0.000000000000D+00
+"""
+
+YUMA = """\
+******** Week 149 almanac for PRN-01 ********
+ID:                         01
+Health:                     000
+Eccentricity:               0.1139211655E-001
+Time of Applicability(s):  405504.0000
+Orbital Inclination(rad):   0.9867355387
+Rate of Right Ascen(r/s):  -0.7886042771E-008
+SQRT(A)  (m 1/2):           5153.623047
+Right Ascen at Week(rad):  -0.1912602899E+001
+Argument of Perigee(rad):   0.881498914
+Mean Anom(rad):            -0.2769097477E+001
+Af0(s):                     0.4291534424E-003
+Af1(s/s):                  -0.1091393642E-010
+week:                        149
+"""
+
+
+def written(folder, text, name="file"):
+    path = folder / name
+    path.write_text(text, encoding="latin-1")
+    return path
+
+
+# --- what real files give ----------------------------------------------------------------------------------
+
+
+@cache
+def solved(files, **options):
+    without = frozenset(filter(None, [options.pop("without", None)]))
+    processing = receiver.Processing(**options, without=without)
+    raw, solution, dop = fixes.solve_files(DATA / files[0], [DATA / files[1]], processing)
+    return raw, solution, fixes.summary(raw, solution, dop)
+
+
+@needs_data
+def test_esbc_and_0759_reach_the_medians():
+    gps = solved(ESBC, systems="gps")[2]
+    assert gps["fixes"] == gps["epochs"] == 720
+    assert gps["horizontal_median_m"] < 1.5
+    assert gps["vertical_median_m"] < 1.2
+    both = solved(ESBC)[2]
+    assert both["horizontal_median_m"] <= gps["horizontal_median_m"]
+    assert both["vertical_95_m"] <= gps["vertical_95_m"]
+    assert both["vertical_median_m"] < 1.2
+    assert both["speed_median_mps"] < 0.020
+    assert abs(both["glonass_minus_gps_clock_m"] - 6.2) < 0.1
+    japan = solved(JAPAN)[2]
+    assert japan["horizontal_median_m"] < 0.6
+    assert japan["vertical_median_m"] < 0.6
+
+
+@pytest.mark.parametrize(
+    ("options", "horizontal", "vertical"),
+    [
+        ({"systems": "gps"}, 1.17, 0.75),
+        ({"systems": "gps", "ionosphere": "free"}, 1.26, 1.14),
+        ({"systems": "glonass"}, 2.06, 1.84),
+        ({}, 1.06, 0.84),
+    ],
+)
+@needs_data
+def test_esbc_as_an_independent_computation(options, horizontal, vertical):
+    """Its weights and its every third epoch differ: 0.2 m."""
+    figures = solved(ESBC, **options)[2]
+    assert abs(figures["horizontal_median_m"] - horizontal) < 0.2
+    assert abs(figures["vertical_median_m"] - vertical) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("left_out", "figure", "expected", "within"),
+    [
+        ("sagnac", "horizontal_median_m", 19.9, 0.5),
+        ("relativity", "horizontal_median_m", 5.0, 0.6),
+        ("relativity", "vertical_median_m", 6.2, 0.9),
+        ("group-delay", "horizontal_median_m", 2.3, 0.3),
+        ("group-delay", "vertical_median_m", 3.0, 0.7),
+        ("troposphere", "vertical_median_m", 7.0, 1.0),
+        ("ionosphere", "vertical_median_m", 2.5, 0.5),
+    ],
+)
+@needs_data
+def test_each_correction_left_out_costs_what_it_is_worth(left_out, figure, expected, within):
+    """Figures of the independent computation; its weights differ."""
+    worse = solved(ESBC, systems="gps", without=left_out)[2][figure]
+    assert abs(worse - expected) < within
+    assert worse > 1.5 * solved(ESBC, systems="gps")[2][figure]
+
+
+@needs_data
+def test_one_clock_for_both_systems_costs_a_third():
+    """1.4 m and 1.75 m against 1.06 and 0.84 of the independent computation."""
+    right, wrong = solved(ESBC)[2], solved(ESBC, without="clocks")[2]
+    assert wrong["horizontal_median_m"] > 1.2 * right["horizontal_median_m"]
+    assert wrong["vertical_median_m"] > 1.2 * right["vertical_median_m"]
+
+
+@needs_data
+def test_claimed_covariance_covers_the_real_errors():
+    """95 % containment of the horizontal error by the claimed ellipse: the budget is no optimist."""
+    raw, solution, _ = solved(ESBC)
+    error, cov = fixes.errors(raw, solution)[:, :2], solution.fixes.cov_pos_n[:, :2, :2]
+    d2 = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cov), error)
+    assert np.mean(d2 < 5.991) > 0.93
+
+
+@needs_data
+def test_the_real_files_are_read_whole():
+    raw = rinex.read_observations(DATA / ESBC[0])
+    assert len(raw.t) == 720
+    assert raw.t[1] - raw.t[0] == 120.0
+    assert raw.marker == "ESBC00DNK"
+    assert_allclose(raw.antenna_hen, [0.216, 0.0, 0.0])
+    japan = rinex.read_observations(DATA / JAPAN[0])
+    assert len(japan.t) == 120
+    assert japan.t[-1] == 3570.005  # the receiver's clock is 5 ms ahead by then
+    assert np.isnan(japan.doppler).all()
+    day = rinex.read_navigation(DATA / "brdc3050.12n")
+    assert len(np.unique(day.kepler.sat)) == 32
+    assert len(np.unique(rinex.read_navigation(DATA / "brdc3050.12g").glonass.sat)) == 24
+
+
+@needs_data
+def test_memory_grows_with_what_is_kept():
+    """A repeated file needs in proportion; per satellite and epoch no more than 300 bytes."""
+    tracemalloc.start()
+    raw = rinex.read_observations(DATA / ESBC[0])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 300 * len(raw.sat) + 2e6
+
+
+@needs_data
+def test_bench_navigate(tmp_path, capsys):
+    out = tmp_path / "fixes.csv"
+    asked = ["navigate", "--observations", str(DATA / JAPAN[0]), "--navigation", str(DATA / JAPAN[1])]
+    assert main([*asked, "-o", str(out), "--datum", "SK-42", "--json"]) == 0
+    assert '"fixes": 120' in capsys.readouterr().out
+    rows = out.read_text().splitlines()
+    assert len(rows) == 121
+    assert rows[1].startswith("2005-04-02T00:00:00,1,")
+    _, solution, _ = solved(JAPAN)
+    lat = float(rows[1].split(",")[2])
+    assert_allclose(lat, np.rad2deg(earth.to_datum(solution.fixes.lla[0], "SK-42")[0]), atol=1e-8)
+    assert abs(lat - np.rad2deg(solution.fixes.lla[0, 0])) > 5e-5
+    wrong_day = [
+        "navigate",
+        "--observations",
+        str(DATA / JAPAN[0]),
+        "--navigation",
+        str(DATA / "brdc3050.12n"),
+    ]
+    assert main(wrong_day) == 2
+    said = capsys.readouterr().err
+    assert "its ephemerides, 2012-10-31 to 2012-10-31, serve no satellite of" in said
+    assert said.strip().count("\n") == 0
+
+
+@needs_data
+def test_no_ionosphere_in_the_navigation_file_is_said():
+    processing = receiver.Processing()
+    with pytest.raises(ConfigError, match="gives no ionosphere parameters"):
+        fixes.navigate(
+            Console(quiet=True), DATA / ESBC[0], [DATA / "brdc3050.12g"], processing, "WGS-84", None
+        )
+
+
+# --- small files -------------------------------------------------------------------------------------------
+
+
+def test_rinex_3_observations(tmp_path):
+    raw = rinex.read_observations(written(tmp_path, OBS_3))
+    assert raw.t.tolist() == [0.0, 60.001]
+    assert raw.sat.tolist() == [5, 24, 5]  # Galileo is skipped
+    assert raw.system.tolist() == [0, 1, 0]
+    assert raw.epoch_start.tolist() == [0, 2, 3]
+    assert_allclose(
+        raw.pseudorange, [[20947300.931, 20947300.413], [21947300.931, np.nan], [20947301.931, np.nan]]
+    )
+    assert_allclose(raw.doppler[:, 0], [-1037.205, np.nan, -1037.205])
+    assert_allclose(raw.cn0[:, 0], [50.5, 41.0, np.nan])
+
+
+def test_rinex_2_observations_with_more_than_twelve_satellites(tmp_path):
+    raw = rinex.read_observations(written(tmp_path, OBS_2))
+    assert raw.sat.tolist() == [3, 7, 8, 11, 19, 20, 24, 28, 1, 2, 4, 5, 6]
+    assert raw.system.tolist() == [0] * 12 + [1]
+    assert_allclose(raw.pseudorange, np.tile([24767686.375, 24767684.822], (13, 1)))
+    assert_allclose(raw.doppler[:, 0], -1037.205)
+    assert_allclose(raw.cn0[:, 0], 45.0)
+
+
+def test_glonass_time_in_the_header_is_utc(tmp_path):
+    shifted = OBS_3.replace("GPS         TIME OF", "GLO         TIME OF")
+    assert rinex.read_observations(written(tmp_path, shifted)).t[0] == 18.0
+
+
+def test_numbers_without_an_exponent_letter_and_weeks(tmp_path):
+    nav = rinex.read_navigation(written(tmp_path, NAV_2))
+    assert nav.kepler.t[0] == rinex.gps_seconds(2012, 10, 31)
+    assert rinex.lines._number("0.499063314480-269") == 0.499063314480e-269
+    assert rinex.lines._number("-1.5+02") == -150.0
+    assert rinex.lines._number("1_000.0") is None
+    assert rinex.lines._number("nan") is None
+
+
+def test_glonass_times_are_utc_with_or_without_leap_seconds_in_the_header(tmp_path):
+    """16 s on that day by IERS Bulletin C; the header's own number wins."""
+    noon = rinex.gps_seconds(2012, 10, 31, 900.0)
+    assert rinex.read_navigation(written(tmp_path, NAV_R)).glonass.t[0] == noon + 16
+    said = NAV_R.replace(
+        "                                                            END",
+        "    17                                                      LEAP SECONDS\n" + 60 * " " + "END",
+    )
+    assert rinex.read_navigation(written(tmp_path, said)).glonass.t[0] == noon + 17
+    found = rinex.read_navigation(written(tmp_path, NAV_R)).glonass
+    assert_allclose(found.state[0, 1:4], [-23809821.28906, -8908935.546875, 2209434.082031], rtol=1e-12)
+    assert found.channel.tolist() == [5]
+
+
+def test_yuma_week_follows_the_date(tmp_path):
+    path = written(tmp_path, YUMA)
+    for year, week in ((2003, 1173), (2022, 2197)):
+        assert almanac.read_yuma(path, rinex.gps_seconds(year, 2, 17)).t[0] // 604800 == week
+
+
+def broken(text, line, old, new):
+    lines = text.splitlines(keepends=True)
+    assert old in lines[line - 1]
+    lines[line - 1] = lines[line - 1].replace(old, new)
+    return "".join(lines)
+
+
+def first_lines(text, count):
+    return "".join(text.splitlines(keepends=True)[:count])
+
+
+OBSERVATIONS = {
+    "empty": ("", "file: is empty"),
+    "no rinex": ("lat,lon\n1,2\n", "line 1: 'RINEX VERSION / TYPE' must stand in columns 61-80"),
+    "compact": (
+        OBS_3.replace("RINEX VERSION / TYPE", "CRINEX VERS   / TYPE"),
+        "line 1: Hatanaka compression",
+    ),
+    "version": (broken(OBS_3, 1, "3.05", "4.00"), "line 1: version 4 must be 2 or 3"),
+    "kind": (NAV_2, "line 1: is a navigation file, not an observation file"),
+    "binary": (OBS_3[:200] + "\0" + OBS_3[200:], "holds a zero byte"),
+    "long": (OBS_3 + "G" * 5000, "line 16: is longer than 4096 characters"),
+    "header": (first_lines(OBS_3, 5), "line 5: the file ends before END OF HEADER"),
+    "types": (broken(OBS_3, 4, "G    4", "G    5"), "lists 4 of 5 observables"),
+    "too many types": (
+        broken(OBS_3, 4, "G    4", "G    3"),
+        "line 4: lists 4 observables where 3 are announced",
+    ),
+    "no epoch": (first_lines(OBS_3, 7), "file: holds no epoch"),
+    "value": (
+        broken(OBS_3, 9, "20947300.931", "2O947300.931"),
+        "line 9: an observation must be a number; got '2O947300.931'",
+    ),
+    "satellite": (broken(OBS_3, 9, "G05", "Gxx"), "line 9: the satellite must be a whole number; got 'xx'"),
+    "cut": (first_lines(OBS_3, 10), "line 10: the file ends before satellite 3 of 3 of the epoch"),
+    "too few": (broken(OBS_3, 8, "0  3", "0  4"), "line 12: the epoch above has 3 of 4 satellites"),
+    "count": (broken(OBS_3, 8, "0  3", "0999"), "line 8: 999 satellites in one epoch are outside 0 to 200"),
+    "date": (broken(OBS_3, 8, "2020 06 25", "2020 06 35"), "line 8: 2020-6-35 is no date"),
+    "hour": (broken(OBS_3, 8, "25 00 00", "25 25 00"), "line 8: 25:0:0 is no time of day"),
+    "back": (
+        broken(OBS_3, 14, "00 01 00.0010000", "00 00 00.0000000"),
+        "line 14: the epoch is 0 s after the one above it",
+    ),
+    "no marker": (broken(OBS_3, 8, ">", "!"), "line 8: an epoch must begin with '>'"),
+    "scale": (OBS_3.replace("MARKER NAME", "SYS / SCALE FACTOR"), "line 2: observations with a scale factor"),
+}
+
+
+@pytest.mark.parametrize("case", OBSERVATIONS)
+def test_a_broken_observation_file_gets_one_line(tmp_path, case):
+    text, said = OBSERVATIONS[case]
+    with pytest.raises(ConfigError) as caught:
+        rinex.read_observations(written(tmp_path, text))
+    assert len(caught.value.messages) == 1
+    assert said in caught.value.messages[0]
+    assert caught.value.messages[0].startswith("file: ")
+    assert "\n" not in caught.value.messages[0]
+
+
+NAVIGATION = {
+    "empty": ("", "file: is empty"),
+    "nothing": (first_lines(NAV_2, 2), "file: holds no GPS and no GLONASS ephemeris"),
+    "cut": (first_lines(NAV_2, 7), "line 7: the record of G1 from line 3 ends after 5 of 8 lines"),
+    "number": (
+        broken(NAV_2, 5, "0.135910103563D-02", "0.13591O103563D-02"),
+        "line 5: a value must be a number; got '0.13591O103563D-02'",
+    ),
+    "missing": (broken(NAV_2, 5, "0.135910103563D-02", "                  "), "line 5: e is missing"),
+    "orbit": (
+        broken(NAV_2, 5, "0.515370994186D+04", "0.715370994186D+04"),
+        "line 5: sqrt_a = 7153.71 is outside 4900 to 5400: no GPS orbit",
+    ),
+    "date": (broken(NAV_2, 3, "12 10 31", "12 13 31"), "line 3: 2012-13-31 is no date"),
+    "satellite": (broken(NAV_2, 3, " 1 12", "99 12"), "line 3: satellite 99 is outside 1 to 63"),
+    "glonass radius": (
+        broken(NAV_R, 4, "-2.380982128906D+04", "-2.380982128906D+03"),
+        "line 4: a radius of 9483 km is outside 24000 to 27000 km",
+    ),
+    "glonass cut": (first_lines(NAV_R, 5), "line 5: the record of R3 from line 3 ends after 3 of 4 lines"),
+    "kind": (OBS_3, "line 1: is an observation file, not a navigation file"),
+}
+
+
+@pytest.mark.parametrize("case", NAVIGATION)
+def test_a_broken_navigation_file_gets_one_line(tmp_path, case):
+    text, said = NAVIGATION[case]
+    with pytest.raises(ConfigError) as caught:
+        rinex.read_navigation(written(tmp_path, text))
+    assert len(caught.value.messages) == 1
+    assert said in caught.value.messages[0]
+
+
+ALMANACS = {
+    "empty": ("", "file: holds no almanac"),
+    "cut": (first_lines(YUMA, 9), "line 9: the almanac from line 2 has 8 of 13 entries"),
+    "next": (first_lines(YUMA, 9) + YUMA, "line 10: the almanac from line 2 has 8 of 13 entries"),
+    "number": (broken(YUMA, 4, "0.1139", "O.1139"), "line 4: Eccentricity must be a number"),
+    "value": (broken(YUMA, 4, "E-001", "E+001"), "line 4: Eccentricity = 1.13921"),
+    "twice": (YUMA.replace("Health", "Eccentricity"), "line 4: gives 'Eccentricity' twice"),
+    "other": ("lat,lon\n", "line 1: 'lat,lon' is no entry of a YUMA almanac"),
+}
+
+
+@pytest.mark.parametrize("case", ALMANACS)
+def test_a_broken_almanac_gets_one_line(tmp_path, case):
+    text, said = ALMANACS[case]
+    with pytest.raises(ConfigError) as caught:
+        almanac.read_yuma(written(tmp_path, text), 0.0)
+    assert len(caught.value.messages) == 1
+    assert said in caught.value.messages[0]
+
+
+def test_what_is_no_file_gets_one_line(tmp_path):
+    for path, said in ((tmp_path / "none", "none: no such file"), (tmp_path, ": is a folder, not a file")):
+        with pytest.raises(ConfigError, match=said):
+            rinex.read_observations(path)

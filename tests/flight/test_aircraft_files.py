@@ -1,0 +1,61 @@
+"""What aircraft.toml of every shipped aircraft says is what its model does; found by glob."""
+
+from __future__ import annotations
+
+from math import radians
+from pathlib import Path
+
+import pytest
+
+from bench.config.library import list_aircraft, read_aircraft, read_jsbsim_aircraft
+from bench.flight import wheel
+from bench.flight.model import Condition, load, trim
+from bench.specs import AircraftSpec
+
+AIRCRAFT = Path(__file__).parents[2] / "aircraft"
+OWN = {path.parent.name: read_aircraft(path.parent, AIRCRAFT) for path in AIRCRAFT.glob("*/aircraft.toml")}
+FOREIGN = {
+    path.stem: read_jsbsim_aircraft(path.stem, None, AIRCRAFT) for path in AIRCRAFT.glob("jsbsim/*.toml")
+}
+
+
+def flights(spec: AircraftSpec) -> list[Condition]:
+    """The trimmed flights of a file, in the middle latitudes."""
+    return [Condition(radians(47.0), radians(11.0), alt, 1.0, speed) for alt, speed in spec.trims]
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_an_own_aircraft_is_trimmed_where_its_file_says(name):
+    """Nothing is left of six accelerations, with a tenth of the travel of every control to spare."""
+    spec = OWN[name]
+    assert len(spec.trims) > 1
+    fdm = load(spec, 1 / 400)
+    for condition in flights(spec):
+        found = trim(fdm, condition)
+        assert found.residual < 1e-9
+        assert 0.02 < found.throttle < 0.9
+        assert max(abs(found.elevator), abs(found.aileron)) < 0.9
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_an_aircraft_of_the_wheel_is_trimmed_where_its_file_says(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    spec = FOREIGN[name]
+    assert spec.foreign is not None
+    assert spec.trims
+    fdm = wheel.load(spec, spec.foreign, 1 / 400)
+    for condition in flights(spec):
+        found = wheel.trim(fdm, condition)
+        assert found.residual < 1e-3
+        assert 0.02 < found.throttle < 0.95
+
+
+def test_every_file_names_its_sources_and_one_imu_is_off_the_centre_of_gravity():
+    listed = {name: figures for name, _, figures in list_aircraft()}
+    for name, spec in OWN.items():
+        assert "source: " in listed[name]
+        assert "assumed: " in listed[name]
+        assert (spec.folder / "README.md").is_file()
+        assert ("IMU off" in listed[name]) == any(spec.imu_b)
+        assert (spec.runway is not None) == ("takes off and lands" in listed[name])
+    assert any(any(spec.imu_b) for spec in OWN.values())

@@ -1,0 +1,253 @@
+"""Laws of mechanics on every shipped profile, found by glob: what is flown is one motion of one body.
+
+Profiles of more than 15 minutes, and those of other aircraft than the Aerosonde, fly with the slow tests; of
+those of more than an hour, the straights are cut to five minutes.
+The laws share rotations, normal gravity and the figure of the Earth with the bench, nothing of the flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.config import load_profile
+from bench.data import Trajectory
+from bench.flight.recorder import to_trajectory
+from bench.legs import (
+    AileronRoll,
+    Approach,
+    Doublet,
+    Flare,
+    LandingRoll,
+    Static,
+    Straight,
+    TakeOff,
+    Turn,
+    WindUpTurn,
+)
+from bench.specs import FlightSpec
+from tests.flight.plans import plan
+from tests.flight.test_recorder import record_whole, same_form_error, two_sample_error
+
+_FLIGHTS = {
+    path.stem: load_profile(path.stem).flight
+    for path in sorted((Path(bench.__file__).parent / "profiles").glob("*.toml"))
+}
+PROFILES = [name for k, (name, spec) in enumerate(_FLIGHTS.items()) if spec not in [*_FLIGHTS.values()][:k]]
+"""Of profiles that differ in sensors only, the first."""
+
+ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
+MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
+
+
+class Flight(NamedTuple):
+    name: str
+    spec: FlightSpec
+    truth: Trajectory
+    same_form: tuple[float, float]  # error of the replay [m, rad]
+
+    @property
+    def smooth(self) -> bool:
+        """Calm air, wheels at rest or in the air, guidance on: no corner in the motion."""
+        calm = self.spec.severity == 0 and not self.spec.gusts
+        return calm and not any(isinstance(leg, ROUGH) for leg in self.spec.legs)
+
+
+def _planned(spec: FlightSpec) -> float:
+    return spec.duration or sum(leg.duration for leg in spec.legs if isinstance(leg, Straight | Static))
+
+
+def _marked(name: str):
+    spec = _FLIGHTS[name]
+    slow = spec.aircraft.name != "aerosonde" or _planned(spec) > 900
+    return pytest.param(name, marks=pytest.mark.slow) if slow else name
+
+
+@pytest.fixture(scope="module", params=[_marked(name) for name in PROFILES])
+def flight(request) -> Flight:
+    spec = _FLIGHTS[request.param]
+    if _planned(spec) > 3600:
+        short = (replace(leg, duration=300.0) if isinstance(leg, Straight) else leg for leg in spec.legs)
+        spec = replace(spec, legs=tuple(short), duration=None)
+    recording = record_whole(spec)
+    return Flight(request.param, spec, to_trajectory(recording), same_form_error(recording))
+
+
+def over_ten_minutes(flight: Flight) -> float:
+    """How often ten minutes fit into a flight, 1 at least: errors are allowed per ten minutes."""
+    return max(1.0, float(flight.truth.t[-1]) / 600.0)
+
+
+def turned(truth: Trajectory) -> FloatArray:
+    """Rotation vector of each step relative to n, (N-1, 3) [rad], b."""
+    return rotation.to_rotvec(rotation.multiply(rotation.conjugate(truth.q_nb[:-1]), truth.q_nb[1:]))
+
+
+def forces_n(truth: Trajectory) -> FloatArray:
+    """Velocity that specific force and gravity add over each interval, (N-1, 3) [m/s], n at its middle.
+
+    The increment is turned by the attitude half way, which leaves out sculling within one sample.
+    """
+    dt = np.diff(truth.t)[:, None]
+    q_mid = rotation.multiply(truth.q_nb[:-1], rotation.from_rotvec(0.5 * turned(truth)))
+    middle = 0.5 * (truth.lla[:-1] + truth.lla[1:])
+    return rotation.rotate(q_mid, truth.dvel_b) + dt * earth.gravity_n(middle[:, 0], middle[:, 2])
+
+
+def rates_n(truth: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Rate of the Earth and transport rate of n at the middle of each interval, (N-1, 3) [rad/s], n."""
+    middle = 0.5 * (truth.lla[:-1] + truth.lla[1:])
+    lat, alt = middle[:, 0], middle[:, 2]
+    north, east, _ = (0.5 * (truth.vel_n[:-1] + truth.vel_n[1:])).T
+    R_M, R_P = earth.radii(lat)
+    w_ie = earth.RATE * np.stack([np.cos(lat), 0 * lat, -np.sin(lat)], axis=-1)
+    w_en = np.stack([east / (R_P + alt), -north / (R_M + alt), -east * np.tan(lat) / (R_P + alt)], axis=-1)
+    return w_ie, w_en
+
+
+def speed_error(truth: Trajectory) -> float:
+    vel = 0.5 * (truth.vel_n[:-1] + truth.vel_n[1:])
+    work = np.cumsum(np.sum(vel * forces_n(truth), axis=1))
+    kinetic = 0.5 * np.sum(truth.vel_n**2, axis=1)
+    speed = np.linalg.norm(truth.vel_n, axis=1)
+    return float(np.abs((kinetic[1:] - kinetic[0] - work) / np.maximum(speed[1:], 1.0)).max())
+
+
+def velocity_error(truth: Trajectory) -> float:
+    dt = np.diff(truth.t)[:, None]
+    w_ie, w_en = rates_n(truth)
+    vel = 0.5 * (truth.vel_n[:-1] + truth.vel_n[1:])
+    left = np.diff(truth.vel_n, axis=0) - forces_n(truth) + dt * np.cross(2 * w_ie + w_en, vel)
+    return float(np.linalg.norm(np.cumsum(left, axis=0), axis=1).max())
+
+
+def attitude_error(truth: Trajectory) -> tuple[float, float]:
+    """Largest angle a step turns, and largest difference to the increment of it [rad]."""
+    dt = np.diff(truth.t)[:, None]
+    w_ie, w_en = rates_n(truth)
+    steps = turned(truth)
+    half = rotation.multiply(truth.q_nb[:-1], rotation.from_rotvec(0.5 * steps))
+    inertial = steps + dt * rotation.rotate(rotation.conjugate(half), w_ie + w_en)
+    largest = np.linalg.norm(steps, axis=1).max(), np.linalg.norm(inertial - truth.dtheta_b, axis=1).max()
+    return float(largest[0]), float(largest[1])
+
+
+def test_kinetic_energy_changes_only_by_the_work_of_f_and_g(flight):
+    """d(v^2/2)/dt = v . (f + g): the Coriolis and transport terms do no work.
+
+    Error as a speed. In smooth flight 1.3e-5 m/s at most was measured, from turning each increment by one
+    attitude; standard for normal gravity is 1.2e-2 m/s in figure-eight, which climbs 100 m. In rough air
+    and at touch-down the force changes within a sample: 4.2e-3 m/s. Blind to a shift of one sample.
+    """
+    assert speed_error(flight.truth) < (5e-5 if flight.smooth else 1e-2)
+
+
+def test_specific_force_and_gravity_integrate_to_velocity(flight):
+    """The sum over the flight of what f, g, Coriolis and transport leave of the velocity, [m/s], n.
+
+    2.1e-4 at most in smooth flight, 1.2e-3 in rough air, both from sculling within a sample. The rate of the
+    Earth left out of Coriolis is 1.2 in figure-eight. At rest, where no increment turns, it is rounding.
+    """
+    error = velocity_error(flight.truth)
+    assert error < (4e-4 if flight.smooth else 3e-3)
+    if flight.name == "static":
+        assert error < 1e-6
+
+
+def test_velocity_integrates_to_position(flight):
+    """Trapezoids of 5 ms, summed in frame e: blind to what the increments hold.
+
+    Errors are the curvature of the path within a sample, v'' dt^2 / 12, and corners of the velocity.
+    """
+    truth = flight.truth
+    vel_e = np.einsum("kij,kj->ki", earth.matrix_en(truth.lla[:, 0], truth.lla[:, 1]), truth.vel_n)
+    moved = np.cumsum(0.5 * np.diff(truth.t)[:, None] * (vel_e[1:] + vel_e[:-1]), axis=0)
+    error = np.linalg.norm(earth.to_ecef(truth.lla[1:]) - earth.to_ecef(truth.lla[0]) - moved, axis=1).max()
+    assert error < 1 * MM * over_ten_minutes(flight)
+
+
+def test_attitude_is_continuous_and_turns_by_its_increments(flight):
+    """Quaternions of unit length and one sign; what they turn by is the increment but for coning.
+
+    Coning within a sample is 1.2e-9 rad in smooth flight, 1.5e-7 rad in the aileron rolls.
+    """
+    q = flight.truth.q_nb
+    assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=0, atol=1e-12)
+    assert np.sum(q[1:] * q[:-1], axis=1).min() > 0.99
+    turned_by, difference = attitude_error(flight.truth)
+    assert turned_by < 0.05  # 10 rad/s; a jump would be more
+    assert difference < (5e-9 if flight.smooth else 5e-7)
+
+
+def test_increments_replay_the_flight_in_the_form_they_were_made(flight):
+    """Below 0.1 mm and 0.1 microradian per ten minutes, touch-down included.
+
+    What is left of smooth flight, 5e-6 m, is rounding; at touch-down JSBSim extrapolates the velocity past
+    the corner when it moves the aircraft, which is 4e-5 m.
+    """
+    distance, angle = flight.same_form
+    assert distance < 0.1 * MM * over_ten_minutes(flight)
+    assert angle < 0.1 * UM * over_ten_minutes(flight)
+
+
+def test_two_samples_are_enough_for_a_navigator_in_smooth_flight(flight):
+    """Coning and sculling corrections of two samples bring smooth flight home within 1 mm, 1 microradian.
+
+    Rough flights, where motion is not a parabola between samples, leave more: 0.1 m by the corners of a
+    landing, 30 mm by ten minutes of moderate turbulence, 11 mm by rolls; never a metre, nor a microradian.
+    """
+    distance, angle = two_sample_error(flight.truth)
+    assert distance < (1 * MM if flight.smooth else 1.0) * over_ten_minutes(flight)
+    assert angle < 1 * UM * over_ten_minutes(flight)
+
+
+def test_legs_follow_each_other_on_instants_of_the_sequencer(flight):
+    rows = flight.truth.events.of("leg")
+    assert [int(text.split()[0]) for _, _, text in rows] == [k + 1 for k in range(len(flight.spec.legs))]
+    assert rows[0][0] == 0.0
+    assert rows[-1][1] == flight.truth.t[-1]
+    for (_, end, _), (start, _, _) in pairwise(rows):
+        assert start == end
+        assert_allclose(end * 20, round(end * 20), rtol=0, atol=1e-9)
+
+
+def test_the_laws_are_broken_by_a_truth_that_is_wrong(figure_eight_truth):
+    """Each defect is one that a change of units, frames or signs would make."""
+    truth = figure_eight_truth
+    milli_g = (
+        truth.dvel_b + 9.81e-6 * np.diff(truth.t)[:, None]
+    )  # a thousandth of what the limit of a MEMS is
+    assert speed_error(replace(truth, dvel_b=milli_g)) > 5e-5
+    assert velocity_error(replace(truth, dvel_b=milli_g)) > 4e-4
+    assert velocity_error(replace(truth, vel_n=truth.vel_n * [1, -1, 1])) > 1.0
+    late = np.roll(truth.dtheta_b, 1, axis=0)
+    assert attitude_error(replace(truth, dtheta_b=late))[1] > 5e-9
+
+
+@pytest.mark.slow
+def test_the_flight_converges_with_the_step_of_jsbsim():
+    """First order in the step: the truth is one motion at any step, and nearly the same one.
+
+    Two turns in a minute, flown at 400, 800 and 1600 Hz: each halving halves what is left, and 400 Hz is
+    within a decimetre of the limit. The truth of a run is the flight at its own step, exact by the replay.
+    """
+    ends = []
+    for rate in (400.0, 800.0, 1600.0):
+        legs = Turn(by=1.0, bank=0.5), Turn(by=-1.0, bank=0.5), Straight(20.0)
+        ends.append(record_end(plan(*legs, rate=rate, duration=60.0)))
+    coarse, fine = (float(np.linalg.norm(b - a)) for a, b in pairwise(ends))
+    assert 0.3 < fine / coarse < 0.7
+    assert 2 * coarse < 0.1  # [m]
+
+
+def record_end(spec: FlightSpec) -> FloatArray:
+    return earth.to_ecef(to_trajectory(record_whole(spec)).lla[-1])

@@ -1,0 +1,200 @@
+"""On the ground the aircraft stands still; it takes off and lands softly, along the middle of its runway."""
+
+from dataclasses import replace
+from math import cos, radians, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import earth, rotation
+from bench.config import load_profile
+from bench.flight import FlightError, fly
+from bench.legs import Approach, Flare, LandingRoll, Static, Straight, TakeOff
+from bench.specs import AircraftSpec, Runway
+from tests.flight.plans import AEROSONDE, plan
+
+LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)
+RUNWAY = Runway(LAT, LON, GROUND, ALONG)
+
+
+def standing(*legs, **changes):
+    return plan(*legs, on_ground=True, runway=RUNWAY, alt=GROUND, **{"speed": 24.0, **changes})
+
+
+def runway_frame(truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Way along the runway, distance off its centreline to the right, height above the ground [m]."""
+    ned = earth.local_ned(truth.lla, [LAT, LON, GROUND])[:, :2]
+    c, s = cos(ALONG), sin(ALONG)
+    return ned @ [c, s], ned @ [-s, c], truth.lla[:, 2] - GROUND
+
+
+class Kind(NamedTuple):
+    """What one aircraft does on a runway."""
+
+    aircraft: AircraftSpec
+    climb: tuple[float, float]  # rate and airspeed [m/s]
+    run: float  # longest take-off run [m]
+    touch: float  # furthest touch-down beyond the threshold [m]
+    before: tuple[float, float]  # an approach begins so far before the threshold, so high above it [m]
+    sink: float  # most at touch-down [m/s]
+    wheels: float  # a wheel touches below: the gear stretched and the nose up [m]
+
+
+NAVION = load_profile("circuit-navion").flight.aircraft
+KINDS = {
+    "aerosonde": Kind(AEROSONDE, (2.5, 24.0), 200.0, 250.0, (1800.0, 80.0), 1.5, 0.35),
+    "navion": Kind(NAVION, (3.0, 46.0), 400.0, 300.0, (2700.0, 120.0), 1.0, 1.36),
+}
+
+
+def height_of_cg(truth, aircraft) -> np.ndarray:
+    """Height of the centre of gravity above the ground [m]; truth is of the IMU."""
+    return truth.lla[:, 2] - GROUND + rotation.rotate(truth.q_nb, np.array(aircraft.imu_b))[:, 2]
+
+
+def final(kind: Kind) -> dict[str, Any]:
+    """Start of an approach, on the extended centreline."""
+    before, above = kind.before
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + above, "heading": ALONG}
+    return {**start, "speed": kind.climb[1], "aircraft": kind.aircraft, "runway": RUNWAY}
+
+
+@pytest.mark.parametrize("wind_speed", [0.0, 5.0])
+@pytest.mark.parametrize("name", KINDS)
+def test_what_stands_does_not_move(name, wind_speed):
+    """In wind across too: brakes hold, the gear has given way before the first instant."""
+    kind = KINDS[name]
+    wind = {"wind_from": radians(175.0), "wind_speed": wind_speed}
+    truth = fly(standing(Static(20.0), aircraft=kind.aircraft, speed=kind.climb[1], **wind))
+    moved = np.linalg.norm(earth.difference_n(truth.lla, truth.lla[0]), axis=1)
+    assert moved.max() < 1e-6
+    assert np.abs(truth.vel_n).max() < 1e-6
+    turned = rotation.to_rotvec(rotation.multiply(rotation.conjugate(truth.q_nb[0]), truth.q_nb))
+    assert np.abs(turned).max() < 1e-6
+
+
+def test_a_resting_imu_reads_minus_gravity_and_the_rate_of_the_earth():
+    truth = fly(standing(Static(5.0)))
+    f_n = rotation.rotate(truth.q_nb[:-1], truth.dvel_b) / truth.t[1]
+    assert_allclose(f_n, -np.broadcast_to(earth.gravity_n(LAT, GROUND), f_n.shape), atol=2e-5)
+    w_n = rotation.rotate(truth.q_nb[:-1], truth.dtheta_b) / truth.t[1]
+    expected = earth.RATE * np.array([cos(LAT), 0.0, -sin(LAT)])
+    assert_allclose(w_n, np.broadcast_to(expected, w_n.shape), atol=5e-8)  # 0.01 deg/h
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_height_on_its_wheels_is_the_one_of_the_aircraft_file(name):
+    aircraft = KINDS[name].aircraft
+    truth = fly(standing(Static(1.0), aircraft=aircraft, speed=KINDS[name].climb[1]))
+    assert_allclose(height_of_cg(truth, aircraft), aircraft.runway.height, atol=2e-3)
+
+
+def test_it_stands_where_and_as_the_plan_says():
+    truth = fly(standing(Static(1.0)))
+    assert_allclose(truth.lla[0, :2], [LAT, LON], atol=1e-8)
+    assert_allclose(rotation.to_euler(truth.q_nb)[2], ALONG, atol=1e-4)
+
+
+@pytest.mark.parametrize("across", [0.0, -4.0, 4.0])
+@pytest.mark.parametrize("name", KINDS)
+def test_take_off_and_landing_keep_to_the_runway(name, across):
+    """Soft at touch-down, less than 5 m off the centreline, in up to 4 m/s across it."""
+    kind = KINDS[name]
+    on_wheels = kind.wheels
+    wind = {"wind_from": ALONG + radians(90.0), "wind_speed": abs(across)}
+    if across < 0:
+        wind["wind_from"] = ALONG - radians(90.0)
+    rate, speed = kind.climb
+    start = {**wind, "aircraft": kind.aircraft, "speed": speed}
+    up = fly(standing(Static(2.0), TakeOff(40.0, rate, speed), Straight(2.0), **start))
+    along, off, _ = runway_frame(up)
+    height = height_of_cg(up, kind.aircraft)
+    assert np.abs(off[height < on_wheels]).max() < 5.0
+    assert along[height < on_wheels].max() < kind.run
+    assert_allclose(height[-1], 40.0, atol=2.5)
+    assert np.diff(height)[height[1:] > on_wheels].min() > -0.02  # it does not come down again
+
+    down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0), **final(kind), **wind))
+    along, off, _ = runway_frame(down)
+    touch = round(down.events.of("leg")[1][1] / down.t[1])
+    sink = down.vel_n[touch - 30 : touch, 2]  # the last 0.3 s; wheels may touch 0.05 s before the leg ends
+    assert height_of_cg(down, kind.aircraft)[touch] < on_wheels
+    assert 0.1 < sink.max() < kind.sink
+    assert np.abs(off[touch:]).max() < 5.0
+    assert 0.0 < along[touch] < kind.touch
+    assert np.linalg.norm(down.vel_n[-1]) < 1e-4
+    assert "touch-down at" in down.events.of("leg")[1][2]
+
+
+@pytest.mark.parametrize(("severity", "across", "seed"), [(3, 4.0, 5), (4, 0.0, 5), (4, 4.0, 2)])
+def test_gusts_do_not_tip_a_landing(severity, across, seed):
+    """Wings are held level until it is slow; a moderately turbulent landing is hard, but on the runway."""
+    air = {"severity": severity, "turbulence_seed": seed, "wind_from": ALONG + 1.57, "wind_speed": across}
+    start = final(KINDS["aerosonde"])
+    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(5.0), **start, **air))
+    _, off, height = runway_frame(truth)
+    assert np.abs(off[height < 0.35]).max() < 10.0
+    last = truth.t > truth.t[-1] - 3.0
+    assert np.abs(truth.vel_n[last]).max() < 0.1
+
+
+def test_the_glide_path_is_flown():
+    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), **final(KINDS["aerosonde"])))
+    along, _, height = runway_frame(truth)
+    steady = (along > -900) & (along < -150)
+    path = AEROSONDE.runway.height + (60.0 - along) * np.tan(radians(3.5))
+    assert_allclose(height[steady], path[steady], atol=1.5)
+
+
+def test_an_approach_rolls_in_without_a_step():
+    """From 300 m beside the centreline: no further than the bank of an approach, at the rate of a turn."""
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [300.0, -2500.0, 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
+    truth = fly(plan(Approach(radians(3.5), 60.0), runway=RUNWAY, **start))
+    assert np.abs(rotation.to_euler(truth.q_nb)[0]).max() < radians(32.0)
+    assert np.abs(truth.dtheta_b[:, 0]).max() / truth.t[1] < radians(25.0)
+
+
+@pytest.mark.parametrize("profile", ["circuit", "circuit-navion"])
+def test_a_shipped_circuit_lands_as_it_should(profile):
+    spec = load_profile(profile).flight
+    kind = KINDS[spec.aircraft.name]
+    truth = fly(spec)
+    _, off, _ = runway_frame(truth)
+    height = height_of_cg(truth, spec.aircraft)
+    assert np.abs(off[height < kind.wheels]).max() < 5.0
+    assert height.max() > 75.0
+    assert np.linalg.norm(truth.vel_n[[0, -1]], axis=1).max() < 1e-4
+    texts = [text for _, _, text in truth.events.of("leg")]
+    assert float(texts[6].split("touch-down at ")[1].split()[0]) < kind.sink
+
+
+# --- what cannot be flown -----------------------------------------------------------------------------
+
+
+def approach_from(north: float, alt: float, heading: float):
+    lat, lon, _ = earth.displace([LAT, LON, GROUND], [north, -1500.0, 0.0])
+    start = {"lat": float(lat), "lon": float(lon), "alt": alt, "heading": heading, "speed": 24.0}
+    return plan(Approach(radians(3.5), 60.0), Flare(), runway=RUNWAY, **start)
+
+
+def test_an_approach_that_begins_wrong_says_how():
+    with pytest.raises(FlightError, match=r"leg 1 approach: .* this is \d+ m above it"):
+        fly(approach_from(-130.0, GROUND + 300.0, ALONG))
+    with pytest.raises(FlightError, match=r"leg 1 approach: .* within 60 deg of its heading; .* \d+ deg off"):
+        fly(approach_from(-130.0, GROUND + 60.0, radians(200.0)))
+
+
+def test_an_aircraft_too_weak_to_take_off_is_named():
+    heavy = replace(AEROSONDE, runway=replace(AEROSONDE.runway, rotate_speed=60.0))
+    with pytest.raises(FlightError, match=r"leg 1 take-off: .* outside the envelope|60 m/s not reached"):
+        fly(standing(TakeOff(40.0, 2.5, 24.0), aircraft=heavy))
+
+
+def test_steering_that_turns_the_wrong_way_leaves_the_runway():
+    wrong = replace(AEROSONDE, gains={**AEROSONDE.gains, "steer-gain": -0.8, "steer-rudder-gain": -3.0})
+    with pytest.raises(FlightError, match=r"leg 1 take-off: .* (ran off the runway|a wing hit the ground)"):
+        fly(standing(TakeOff(40.0, 2.5, 24.0), aircraft=wrong, wind_from=ALONG + 1.5, wind_speed=3.0))

@@ -1,0 +1,330 @@
+"""classic-22, the readable filter, against the compiled loose-22 and against its own equations.
+
+The two are the same estimator in other axes, coordinates and code; they share the datasheets, the Earth and
+the choice of rows of a record. tests/register/test_register.py holds it against the register.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import earth, pipeline, rotation, sensors
+from bench.config import load_profile
+from bench.navigation import aiding, classic, error_state, kalman
+from bench.navigation.classic import FRD_OF_FUR, NED_OF_ENU, R3, Classic22, Nav
+from bench.navigation.estimator import EstimatorError, load
+from bench.navigation.fusion import Loose
+from tests.weaving import BARO, GNSS, IMU, units, weaving
+
+WANDERING = replace(
+    GNSS,
+    pos_h_markov_sd=6.0,
+    pos_v_markov_sd=8.5,
+    vel_markov_sd=0.08,
+    pos_decay_distance=4e-6,
+    pos_decay_time=5e-4,
+    vel_decay_time=0.01,
+)
+
+
+def rms(a, b):
+    """RMS difference of position [m], velocity [m/s] and attitude [rad]."""
+    turned = rotation.to_rotvec(rotation.multiply(a.q_nb, rotation.conjugate(b.q_nb)))
+    return [
+        math.sqrt(np.mean(np.sum(d * d, axis=1)))
+        for d in (earth.difference_n(a.lla, b.lla), a.vel_n - b.vel_n, turned)
+    ]
+
+
+def assert_close(a, b, tolerance):
+    assert (np.array(rms(a, b)) < tolerance).all(), rms(a, b)
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    return sensors.sense(weaving(60.0), units(gnss=WANDERING), 1, 0)
+
+
+@pytest.fixture(scope="module")
+def solution(sensed):
+    return Classic22().run(sensed.data, sensed.initial)
+
+
+# --- the same estimator as loose-22 -----------------------------------------------------------------------
+
+
+def test_it_says_what_loose_22_says(sensed, solution):
+    """A minute of weaving flight: 1 mm, 0.02 mm/s, 1 microradian; sigmas, biases and Markov states too."""
+    loose = Loose(gnss_markov=True).run(sensed.data, sensed.initial)
+    assert_close(solution, loose, [1e-3, 2e-5, 1e-6])
+    assert solution.extra_names == loose.extra_names
+    assert np.abs((solution.extra - loose.extra) / loose.extra_sd).max() < 1e-2
+    assert_allclose(solution.extra_sd, loose.extra_sd, rtol=2e-3)
+    sd = np.sqrt(np.einsum("kii->ki", loose.cov))
+    assert_allclose(solution.cov / sd[:, :, None] / sd[:, None, :], loose.cov / sd[:, :, None] / sd[:, None,
+    :],
+                    atol=2e-3)  # fmt: skip
+    for name in ("t", "code", "component", "accepted"):
+        order = [np.lexsort((v.component, v.code, v.t)) for v in (solution.innovations, loose.innovations)]
+        both = (solution.innovations, loose.innovations)
+        mine, theirs = (getattr(v, name)[o] for v, o in zip(both, order, strict=True))
+        np.testing.assert_array_equal(mine, theirs)
+    first = [v.z[v.code == 0][0] for v in both]
+    assert first[0] == pytest.approx(first[1], abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["figure-eight", "circuit", "gnss-denied-leg", "gnss-faults"])
+def test_it_says_what_loose_22_says_on_whole_flights(name):
+    """4 to 10 minutes, GNSS lost, spoofed and frozen: 5 mm, 0.05 mm/s, 1.5 microradian RMS."""
+    profile = load_profile(name)
+    flown = pipeline.sense(profile, pipeline.fly(profile))
+    mine = Classic22().run(flown.data, flown.initial)
+    assert_close(mine, Loose(gnss_markov=True).run(flown.data, flown.initial), [5e-3, 5e-5, 1.5e-6])
+
+
+def test_the_comparison_sees_small_defects(sensed, solution):
+    """R of the barometer a fifth too large; the antenna a centimetre to the side."""
+    data = sensed.data
+    louder = replace(data, specs=replace(data.specs, baro=replace(BARO, white_sd=0.55)))
+    aside = replace(data, antenna_b=data.antenna_b + np.array([0.0, 0.01, 0.0]))
+    for changed in (louder, aside):
+        other = Loose(gnss_markov=True).run(changed, sensed.initial)
+        assert max(np.array(rms(solution, other)) / [1e-3, 2e-5, 1e-6]) > 1
+
+
+NAV = Nav(0.83, 0.3, 2500.0, np.array([41.0, -55.0, 3.0]), classic.body_to_enu(2.1, 0.15, -0.4))
+NAV_N = np.concatenate([[0.83, 0.3, 2500.0], NED_OF_ENU @ NAV.V, rotation.from_euler(-0.4, 0.15, 2.1)])
+A_ENU = np.array([1.5, -2.5, 9.6])
+
+
+def to_ned(nav):
+    """The linear map T (22, 22) from the source's errors to those of loose-22 (equations 1.3)."""
+    figure = classic.ellipsoid(nav.lat, nav.h)
+    T = np.zeros((22, 22))
+    T[:9, :9] = classic.ned_matrix(nav, figure)
+    T[9:12, 9:12] = T[12:15, 12:15] = -FRD_OF_FUR  # estimate less truth, against measured less true
+    T[15, 15] = -1.0
+    T[16:19, 16:19] = -T[0:3, 0:3]
+    T[19:22, 19:22] = -NED_OF_ENU
+    return T
+
+
+def test_the_axes_are_those_of_the_bench():
+    C_nb = rotation.matrix(NAV_N[6:])
+    assert_allclose(NED_OF_ENU @ NAV.B @ FRD_OF_FUR.T, C_nb, atol=1e-15)
+    assert np.linalg.det(FRD_OF_FUR) == pytest.approx(1.0)
+
+
+def test_f_of_both_filters_is_one_matrix():
+    """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced metres stretch on the way."""
+    F = classic.dynamics_matrix(NAV, A_ENU, classic.ellipsoid(NAV.lat, NAV.h))
+    (lat_rate, lon_rate, h_rate), _, _ = classic.rates(
+        NAV, np.zeros(3), np.zeros(3), classic.ellipsoid(NAV.lat, NAV.h)
+    )
+    step = 1.0
+    ends = [
+        to_ned(replace(NAV, lat=NAV.lat + s * lat_rate, h=NAV.h + s * h_rate))[:15, :15]
+        for s in (-step, step)
+    ]
+    T = to_ned(NAV)[:15, :15]
+    mapped = (T @ F + (ends[1] - ends[0]) / (2 * step)) @ np.linalg.inv(T)
+    loose = error_state.dynamics(NAV_N, rotation.matrix(NAV_N[6:]), NED_OF_ENU @ A_ENU)
+    effect = np.abs(loose * np.repeat([1.0, 1e-3, 1e-6, 1e-7, 1e-4], 3)).max(axis=1, keepdims=True)
+    assert (np.abs(mapped[:9] - loose) * np.repeat([1.0, 1e-3, 1e-6, 1e-7, 1e-4], 3) < 1e-7 * effect).all()
+    assert lon_rate != 0
+
+
+def test_h_gain_and_update_of_both_filters_are_one():
+    """From one P, mapped: H, z, x and P after seven rows agree to 1e-9 (common linear model)."""
+    rng = np.random.default_rng(8)
+    antenna, w_b = np.array([0.8, 0.3, -0.4]), np.array([0.05, -0.2, 0.1])
+    fix_lla, fix_vel = NAV_N[:3] + np.array([2e-7, -3e-7, 2.0]), NAV_N[3:6] + np.array([0.1, -0.2, 0.05])
+    C = rotation.matrix(NAV_N[6:])
+    H_n, z_n = np.zeros((7, 22)), np.zeros(7)
+    aiding.antenna_kernel(NAV_N, C, antenna, w_b, fix_lla, fix_vel, H_n, z_n)
+    H_n[:6, 16:22] += np.eye(6)
+    H_n[6, 2], H_n[6, 15], z_n[6] = -1.0, 1.0, NAV_N[2] - 2504.0
+
+    figure = classic.ellipsoid(NAV.lat, NAV.h)
+    H = classic.measurement_matrix()
+    arm = FRD_OF_FUR.T @ antenna
+    classic.antenna_matrix(H, NAV, figure, arm, FRD_OF_FUR.T @ w_b)
+    east, north = classic.reduced(NAV, figure)
+    D = np.zeros((7, 7))  # rows of Y to rows of z
+    D[6, 0] = 1.0
+    D[0:3, 1:4] = NED_OF_ENU @ np.diag([1 / east, 1 / north, 1.0])
+    D[3:6, 4:7] = NED_OF_ENU
+    T = to_ned(NAV)
+    assert_allclose(H_n @ T, D @ H[:7], rtol=1e-12, atol=1e-12)
+
+    Y = np.zeros(7)
+    offset, swept = NAV.B @ arm, NAV.B @ classic.antenna_sweep(NAV, arm, FRD_OF_FUR.T @ w_b)
+    Y[0] = NAV.h - 2504.0
+    Y[1] = (NAV.lon - fix_lla[1]) * R3 + offset[0] * east
+    Y[2] = (NAV.lat - fix_lla[0]) * R3 + offset[1] * north
+    Y[3] = NAV.h - fix_lla[2] + offset[2]
+    Y[4:7] = NAV.V + swept - NED_OF_ENU @ fix_vel
+    assert_allclose(D @ Y, z_n, rtol=1e-9, atol=1e-9)
+
+    root = rng.normal(size=(22, 22)) * np.repeat(
+        [2.0, 0.1, 1e-3, 1e-5, 1e-3, 1, 3.0, 0.1], [3, 3, 3, 3, 3, 1, 3, 3]
+    )
+    P_n = np.ascontiguousarray(root.T @ root)
+    r = np.array([4.0, 4.0, 7.0, 1e-3, 1e-3, 1e-3, 0.25])
+    inverse = np.linalg.inv(T)
+    from filterpy.kalman import KalmanFilter
+
+    kf = KalmanFilter(22, 7)
+    kf.P = inverse @ P_n @ inverse.T
+    back = np.linalg.inv(D)
+    kf.update(Y[:, None], R=back @ np.diag(r) @ back.T, H=H[:7])
+    dx, vectors = np.zeros(22), np.zeros((2, 22))
+    for i in range(7):
+        kalman.update_kernel(P_n, dx, H_n[i], z_n[i], r[i], vectors[0], vectors[1])
+    sd = np.sqrt(np.diag(P_n))
+    assert_allclose((T @ kf.x[:, 0]) / sd, dx / sd, atol=1e-9)
+    assert_allclose(T @ kf.P @ T.T / np.outer(sd, sd), P_n / np.outer(sd, sd), atol=1e-9)
+
+
+# --- its own equations -------------------------------------------------------------------------------------
+
+
+def test_the_step_integrates_the_equations():
+    """20 s of a turn by `mechanize` at 200 Hz against Runge-Kutta on `rates`: 1e-4 m, 1e-5 m/s, 1e-7 rad."""
+    from scipy.integrate import solve_ivp
+
+    def motion(t):
+        w = np.array([0.2 * np.cos(0.5 * t), -0.1, 0.05 * np.sin(0.3 * t)])
+        return w, np.array([0.4 * np.sin(t), 9.9, 0.8 * np.cos(0.7 * t)])
+
+    def slope(t, y):
+        nav = Nav(y[0], y[1], y[2], y[3:6], y[6:15].reshape(3, 3))
+        w, a = motion(t)
+        parts = classic.rates(nav, w, a, classic.ellipsoid(nav.lat, nav.h))
+        return np.concatenate([parts[0], parts[1], parts[2].ravel(), w, a])
+
+    y0 = np.concatenate([[NAV.lat, NAV.lon, NAV.h], NAV.V, NAV.B.ravel(), np.zeros(6)])
+    dt, n = 0.005, 4000
+    grid = dt * np.arange(n + 1)
+    found = solve_ivp(slope, (0, dt * n), y0, t_eval=grid, rtol=1e-11, atol=1e-12, method="DOP853").y
+    increments = np.diff(found[15:21], axis=1).T
+    nav, before = NAV, None
+    for row in increments.tolist():
+        dtheta, dvel = tuple(row[:3]), tuple(row[3:])
+        nav, _ = classic.mechanize(nav, dt, *classic.body_increments(dt, dtheta, dvel, before))
+        before = (dt, dtheta, dvel)
+    end = found[:, -1]
+    assert np.abs(np.array([nav.lat, nav.lon, nav.h]) - end[:3]).max() < 1e-4
+    assert abs(nav.lat - end[0]) * R3 < 1e-4
+    assert abs(nav.lon - end[1]) * R3 < 1e-4
+    assert np.abs(nav.V - end[3:6]).max() < 1e-5
+    assert np.abs(nav.B - end[6:15].reshape(3, 3)).max() < 1e-7
+    assert np.abs(nav.B @ nav.B.T - np.eye(3)).max() < 1e-12
+
+
+def test_the_sweep_of_the_antenna_is_left_out_of_nothing(sensed, solution):
+    """A filter that is told of no lever arm says something else: position by a part of a metre."""
+    blind = Classic22().run(replace(sensed.data, antenna_b=np.zeros(3)), sensed.initial)
+    assert rms(solution, blind)[0] > 0.2
+
+
+def test_van_loan_is_that_of_filterpy():
+    """Phi and Q of the inertial block for steps of 5 ms to 1 s, to 1e-12 of filterpy's matrix exponential."""
+    from filterpy.common import van_loan_discretization
+
+    figure, sig = classic.ellipsoid(NAV.lat, NAV.h), classic.sigmas(units(gnss=WANDERING).assumed)
+    for T in (0.005, 0.05, 1.0):
+        Phi, Q = classic.model_van_loan(NAV, figure, A_ENU, sig, T)
+        _, G = classic.model(NAV, figure, A_ENU, sig, 1.0)
+        F = classic.dynamics_matrix(NAV, A_ENU, figure)
+        theirs = van_loan_discretization(F, G[:15, :21], T)
+        sd = np.sqrt(np.diag(Q)[:15])
+        assert_allclose(Phi[:15, :15], theirs[0], rtol=1e-10, atol=1e-16)
+        assert_allclose(Q[:15, :15] / np.outer(sd, sd), theirs[1] / np.outer(sd, sd), atol=1e-9)
+
+
+# --- options have their effect ------------------------------------------------------------------------------
+
+
+def test_eight_rows_are_seven(sensed, solution):
+    """The published vector with its pseudo-inverse, in flight."""
+    found = Classic22(rows=8).run(sensed.data, sensed.initial)
+    assert_close(found, solution, [1e-6, 1e-8, 1e-9])
+    assert rms(found, solution)[0] > 0  # by other arithmetic
+
+
+def test_discretization_and_rate_move_the_answer_a_little():
+    sensed = sensors.sense(weaving(30.0, rate=100.0), units(gnss=WANDERING, baro=None), 1, 0)
+    data = replace(sensed.data, output_t=sensed.data.output_t[::10])  # none of them forces a step
+    full = Classic22(covariance_hz=100.0).run(data, sensed.initial)
+    distance = [
+        rms(full, Classic22(**options).run(data, sensed.initial))[1]
+        for options in ({}, {"discretization": "euler"}, {"covariance_hz": 4.0})
+    ]
+    assert 0 < distance[0] < distance[1] < 0.01
+    assert distance[0] < distance[2] < 0.01
+
+
+def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
+    """Jump variances count from the epoch the number of satellites changes, and only there."""
+    fixes = sensed.data.fixes
+    satellites = np.where(fixes.t < 29.5, 8, 7)
+    columns = {name: getattr(fixes, name) for name in type(fixes).__slots__}
+    data = replace(sensed.data, fixes=type(fixes)(**{**columns, "satellites": satellites}))
+    jumps = {"jump_white_sd": [2.5, 3.75, 0.11], "jump_markov_sd": [3.5, 5.0, 0.015]}
+    found = Classic22(**jumps).run(data, sensed.initial)
+    k = solution.t < 29.9
+    np.testing.assert_array_equal(found.lla[k], solution.lla[k])
+    markov = solution.extra_names.index("gnss_pos_x_m")
+    after = np.searchsorted(solution.t, 30.0 - 1e-6)
+    grown = found.extra_sd[after, markov] ** 2 - solution.extra_sd[after, markov] ** 2
+    assert 5.0 < grown < 3.5**2 + 0.1
+    assert rms(found, solution)[0] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"covariance_hz": 0.0}, "covariance_hz = 0.0 must be a positive number"),
+        ({"discretization": "exact"}, "discretization = 'exact' must be 'van-loan' or 'euler'"),
+        ({"rows": 6}, "rows = 6 must be 7 or 8"),
+        ({"form": "qr"}, "form = 'qr' must be 'joseph', 'potter' or 'carlson'"),
+        (
+            {"form": "potter", "rows": 8},
+            "form = 'potter' needs rows = 7: the noise of eight rows is not indep",
+        ),
+        ({"floor": 1.5}, "floor = 1.5 must lie in 0 to 1"),
+        ({"integrity": "nis"}, "integrity = 'nis' must be a list of 'nis', 'trace', 'tolerance'"),
+        ({"integrity": ["chi"]}, "must be a list of 'nis', 'trace', 'tolerance'"),
+        ({"gate_probability": 0.0}, "gate_probability = 0.0 must lie between 0 and 1"),
+        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number, at least 1"),
+        ({"feedback": 1}, "feedback = 1 must be true or false"),
+        ({"correction_period": -1.0}, "correction_period = -1.0 must be 0 or more, or 'auto'"),
+        ({"correction_period": "soon"}, "correction_period = 'soon' must be 0 or more, or 'auto'"),
+        ({"feedback": False, "correction_period": 5.0}, "correction_period needs feedback = True"),
+        ({"jump_white_sd": [1.0]}, "jump_white_sd = [1.0] must be three numbers, 0 or more"),
+        ({"trace_limit": -1}, "trace_limit = -1 must be a positive number"),
+        ({"admissible_deg": True}, "admissible_deg = True must be a positive number"),
+        (
+            {"gate": 3},
+            "unknown option 'gate'; known options: covariance_hz, discretization, rows, form, floor",
+        ),
+    ],
+)
+def test_a_wrong_option_says_why_in_one_line(options, message):
+    with pytest.raises(EstimatorError) as caught:
+        load("classic-22", options)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_it_names_what_it_has_no_room_for():
+    fading = replace(IMU, gyro=replace(IMU.gyro, turn_on_bias_sd=0.0))
+    named = load("classic-22", {}).unmodelled(units(fading).assumed)
+    assert named == ("gyro bias instability that fades (taken as a random walk)",)

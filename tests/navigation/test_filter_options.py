@@ -1,0 +1,425 @@
+"""Each option of the compiled filters does what it says, and has an effect.
+
+Late fixes, noise other than the datasheet's, standstill, an antenna that is elsewhere, the source's integrity
+tests, airspeed, magnetometer; and gaps in the IMU record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+from bench import earth, rotation, sensors
+from bench.data import AirspeedData, GnssFixes, ImuData, MagData, Trajectory
+from bench.evaluation import errors as judge
+from bench.navigation import integrity, standstill, timeline
+from bench.navigation.fusion import Loose, Tight
+from bench.navigation.state_model import airspeed_variance
+from bench.signals.magnetic import field_n
+from bench.specs import AirspeedSpec, MagSpec
+from tests.weaving import DEG, GNSS, IMU, units, weaving
+
+RUNS = 8
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return weaving(120.0)
+
+
+def with_columns(record, **values):
+    return type(record)(**{f.name: getattr(record, f.name) for f in fields(record)} | values)
+
+
+def rms(truth, solution, block="pos_n", from_s=60.0):
+    series = judge.error_series(truth, solution)
+    rows = series.t > from_s
+    return float(np.sqrt(np.mean(np.sum(getattr(series, block)[rows] ** 2, axis=1))))
+
+
+def nees(truth, solution, from_s=60.0):
+    series = judge.error_series(truth, solution)
+    return float(series.nees[series.t > from_s].mean())
+
+
+def of(solution, sensor):
+    table = solution.innovations
+    return (table.code == table.sensor.index(sensor)) & (table.component == 0)
+
+
+# --- latency --------------------------------------------------------------------------------------------
+
+
+def late(data, seconds):
+    """The same fixes, arriving later."""
+    return replace(data, fixes=with_columns(data.fixes, t_arrival=data.fixes.t + seconds))
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.83, 1.7])
+def test_a_late_fix_is_compared_with_where_the_aircraft_was(truth, seconds):
+    """25 m/s for 0.83 s are 21 m; allowed for, it is what a fix without delay leaves. Some wait together."""
+    on_time, allowed, ignored, consistency = np.zeros((4, RUNS))
+    for run in range(RUNS):
+        drawn = sensors.sense(truth, units(), 7, run)
+        data = late(drawn.data, seconds)
+        solution = Loose(covariance_hz=20.0).run(data, drawn.initial)
+        on_time[run] = rms(truth, Loose(covariance_hz=20.0).run(drawn.data, drawn.initial))
+        allowed[run], consistency[run] = rms(truth, solution), nees(truth, solution)
+        off = Loose(covariance_hz=20.0, compensate_latency=False, gate_probability=1e-300)
+        ignored[run] = rms(truth, off.run(data, drawn.initial))
+        assert_allclose(np.unique(solution.innovations.t[of(solution, "gnss_position")])[0], 1.0 + seconds)
+    assert allowed.mean() < 1.1 * on_time.mean() + 0.05
+    assert ignored.mean() > 0.6 * 25.0 * seconds
+    assert consistency.mean() < 9 + 3.3 * consistency.std(ddof=1) / np.sqrt(RUNS)
+
+
+def test_without_delay_the_option_changes_no_bit(truth):
+    drawn = sensors.sense(truth, units(), 7, 0)
+    one, other = (Loose(compensate_latency=c).run(drawn.data, drawn.initial) for c in (True, False))
+    assert_array_equal(one.lla, other.lla)
+    assert_array_equal(one.cov, other.cov)
+    assert "GNSS latency" in Loose(compensate_latency=False).unmodelled(
+        replace(drawn.data.specs, gnss=replace(GNSS, latency=0.2))
+    )
+    assert Loose().unmodelled(replace(drawn.data.specs, gnss=replace(GNSS, latency=0.2))) == ()
+
+
+def test_an_epoch_between_two_samples_is_used_at_its_own_instant(truth):
+    """Exact fixes of 2.5 ms before the next sample: the innovation is nowhere the 0.06 m of 25 m/s."""
+    exact = replace(GNSS, pos_h_white_sd=1e-3, pos_v_white_sd=1e-3)
+    drawn = sensors.sense(truth, units(gnss=exact, baro=None), 7, 0)
+    fixes = drawn.data.fixes
+    t = fixes.t - 0.0025
+    lla, _, q = judge.truth_at(truth, t)
+    arm = rotation.rotate(q, np.array(drawn.data.antenna_b))
+    lla = earth.displace(lla, arm)
+    moved = with_columns(fixes, t=t, t_arrival=t, lla=lla)
+    solution = Loose().run(replace(drawn.data, fixes=moved), drawn.initial)
+    z = solution.innovations.z[solution.innovations.code == 0]
+    assert np.abs(z[len(z) // 2 :]).max() < 0.03
+
+
+# --- noise ----------------------------------------------------------------------------------------------
+
+
+def test_noise_is_taken_from_the_innovations(truth):
+    """A receiver four times as noisy as assumed: NIS falls to 3, errors shrink, the claim follows.
+
+    Without it NIS lies between 3 and 3 * 16, by how much of S is R.
+    """
+    noisy = replace(GNSS, pos_h_white_sd=6.0, pos_v_white_sd=10.0, vel_white_sd=0.2)
+    found = np.zeros((RUNS, 2, 3))
+    for run in range(RUNS):
+        drawn = sensors.sense(truth, replace(units(gnss=noisy), assumed=units().assumed), 8, run)
+        for k, window in enumerate((None, 20)):
+            solution = Loose(adaptive_noise=window, covariance_hz=20.0).run(drawn.data, drawn.initial)
+            rows = of(solution, "gnss_position") & (solution.innovations.t > 60.0)
+            found[run, k] = (
+                solution.innovations.nis[rows].mean(), rms(truth, solution), nees(truth, solution)
+            )  # fmt: skip
+    plain, adapted = found.mean(axis=0)
+    assert plain[0] > 12
+    assert 2.0 < adapted[0] < 5.0
+    assert (stats.ttest_rel(found[:, 0], found[:, 1], alternative="greater").pvalue < 0.001).all()
+
+
+def test_noise_of_the_datasheet_stays_when_it_is_right(truth):
+    drawn = sensors.sense(truth, units(), 8, 0)
+    plain, adapted = (
+        Loose(adaptive_noise=n, covariance_hz=20.0).run(drawn.data, drawn.initial) for n in (None, 60)
+    )
+    ratio = adapted.cov[-1, [0, 1, 2], [0, 1, 2]] / plain.cov[-1, [0, 1, 2], [0, 1, 2]]
+    assert ((ratio > 0.5) & (ratio < 2.0)).all()
+    assert not np.array_equal(plain.lla, adapted.lla)
+
+
+# --- standstill -----------------------------------------------------------------------------------------
+
+
+def standing(duration, rate=200.0):
+    """An aircraft that stands, nose to 35 deg, pitched up by 4: what ground and Earth give its IMU."""
+    n = round(duration * rate)
+    t = np.arange(n + 1) / rate
+    lla, q = np.array([47 * DEG, 11 * DEG, 500.0]), rotation.from_euler(0.01, 4 * DEG, 35 * DEG)
+    C = rotation.matrix(q)
+    g = earth.gravity_n(lla[0], lla[2])
+    w = earth.RATE * np.array([np.cos(lla[0]), 0.0, -np.sin(lla[0])])
+    base = weaving(1.0)
+    still = np.ones((n + 1, 1))
+    return Trajectory(
+        t=t,
+        lla=still * lla,
+        vel_n=still * np.zeros(3),
+        q_nb=still * q,
+        dtheta_b=still[1:] * (C.T @ w) / rate,
+        dvel_b=still[1:] * (C.T @ -g) / rate,
+        air=base.air,
+        controls=base.controls,
+        events=base.events,
+    )
+
+
+def test_standstill_holds_position_and_finds_gyro_biases():
+    """No GNSS, no baro, 60 s at rest: without the updates it drifts by tens of metres."""
+    truth = standing(60.0)
+    for run in range(3):
+        drawn = sensors.sense(truth, units(gnss=None, baro=None), 9, run)
+        drift, held = (
+            Loose(standstill=s, covariance_hz=20.0).run(drawn.data, drawn.initial) for s in (False, True)
+        )
+        assert of(held, "zero_velocity").sum() == 60
+        assert held.innovations.accepted.all()
+        assert held.extra_sd[-1, :3].max() < 0.35 * drift.extra_sd[-1, :3].max()
+        assert rms(truth, held, "vel_n", 30.0) < 0.05 < rms(truth, drift, "vel_n", 30.0)
+        series = judge.error_series(truth, held)
+        assert np.mean(series.nees[series.t > 20.0]) < 25.0
+
+
+def test_steady_flight_is_no_standstill():
+    """In calm air the IMU alone cannot tell; the gate refuses, and what the filter says stays as it was."""
+    truth = weaving(120.0, straight_from=60.0)
+    drawn = sensors.sense(truth, units(), 9, 0)
+    rows = np.arange(len(drawn.data.imu))
+    last, _ = standstill.windows(drawn.data.imu, rows, IMU)
+    assert drawn.data.imu.t[last].min() > 59.9  # not while it weaves
+    assert len(last) > 50
+    plain, guarded = (
+        Loose(standstill=s, readmit_after=3).run(drawn.data, drawn.initial) for s in (False, True)
+    )
+    zero = of(guarded, "zero_velocity") | of(guarded, "zero_rate")
+    assert zero.sum() == 2 * len(last)
+    assert not guarded.innovations.accepted[of(guarded, "zero_velocity")].any()
+    assert not guarded.innovations.accepted[of(guarded, "zero_rate")].any()
+    assert_allclose(guarded.vel_n, plain.vel_n, rtol=0, atol=1e-9)
+
+
+# --- the antenna ----------------------------------------------------------------------------------------
+
+
+def test_an_antenna_that_is_elsewhere_is_found():
+    """Told 0.8, 0.3, -0.4 m, it sits 0.6 m ahead of that; turns show it. Code noise of 0.1 m."""
+    truth = weaving(180.0)
+    precise = replace(GNSS, pos_h_white_sd=0.1, pos_v_white_sd=0.1, vel_white_sd=0.02)
+    found = []
+    for run in range(4):
+        drawn = sensors.sense(truth, units(gnss=precise), 10, run)
+        told = np.array(drawn.data.antenna_b)
+        data = replace(drawn.data, antenna_b=told - [0.6, 0.0, 0.0])
+        known, estimated = (
+            Loose(lever_arm_sd=sd, covariance_hz=20.0).run(data, drawn.initial) for sd in (0.0, 0.5)
+        )
+        at = estimated.extra_names.index("antenna_b_x_m")
+        assert_allclose(estimated.extra[0, at : at + 3], data.antenna_b, atol=1e-12)
+        error = (estimated.extra[-1, at : at + 3] - told) / estimated.extra_sd[-1, at : at + 3]
+        found.append(np.sum(error**2))
+        assert np.abs(estimated.extra[-1, at] - told[0]) < 0.2
+        assert rms(truth, estimated) < 0.6 * rms(truth, known)
+    assert np.mean(found) < 3 * 3.6  # chi-square of 12, 99.9 %: 32.9
+    with pytest.raises(ValueError, match="needs gnss = True"):
+        Loose(gnss=False, lever_arm_sd=0.5)
+
+
+def test_tight_finds_the_antenna_too():
+    from tests.navigation.test_tight import MATCHED
+
+    drawn = sensors.sense(weaving(60.0), units(gnss=MATCHED), 10, 0)
+    solution = Tight(lever_arm_sd=0.5, covariance_hz=20.0).run(drawn.data, drawn.initial)
+    at = solution.extra_names.index("antenna_b_x_m")
+    assert (solution.extra_sd[-1, at : at + 2] < 0.45).all()
+
+
+# --- integrity ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("test", ["nis", "trace", "tolerance"])
+def test_each_integrity_test_refuses_a_jump_by_itself(truth, test):
+    """A-5.4.7 and A-5.4.T: 300 m north for one fix."""
+    drawn = sensors.sense(truth, units(), 11, 0)
+    lla = drawn.data.fixes.lla.copy()
+    lla[49, 0] += 300 / 6.37e6
+    data = replace(drawn.data, fixes=with_columns(drawn.data.fixes, lla=lla))
+    refused = {}
+    for tests in ((), (test,)):
+        solution = Loose(integrity=tests, covariance_hz=20.0).run(data, drawn.initial)
+        rows = of(solution, "gnss_position")
+        refused[tests] = solution.innovations.t[rows & ~solution.innovations.accepted]
+    assert len(refused[()]) == 0
+    assert_allclose(refused[(test,)], [50.0])
+
+
+def test_the_tolerance_is_that_of_the_register(truth):
+    """A-5.4.T by `bench.navigation.integrity`: 1 s after the last fix, 1/2 20 + 5 sigma."""
+    drawn = sensors.sense(truth, units(baro=None), 11, 0)
+    limit = integrity.tolerance(
+        1.0, np.array([GNSS.pos_h_white_sd]), order=2, max_acceleration=20.0, sigmas=5.0
+    )
+    for metres, kept in ((limit[0] - 4.0, True), (limit[0] + 4.0, False)):
+        lla = drawn.data.fixes.lla.copy()
+        sound = Loose(integrity=()).run(drawn.data, drawn.initial).innovations
+        at = 60.0
+        z = sound.z[(sound.code == 0) & (sound.component == 0) & np.isclose(sound.t, at)][0]
+        R_M, _ = earth.radii(lla[59, 0])
+        lla[59, 0] += (metres - z) / (R_M + lla[59, 2])
+        data = replace(drawn.data, fixes=with_columns(drawn.data.fixes, lla=lla))
+        table = Loose(integrity=("tolerance",)).run(data, drawn.initial).innovations
+        row = (table.code == 0) & (table.component == 0) & np.isclose(table.t, at)
+        assert table.accepted[row][0] == kept
+
+
+# --- airspeed and magnetometer ----------------------------------------------------------------------------
+
+
+def test_airspeed_slows_the_drift_without_gnss():
+    """Wind of 6 m/s, a minute of fixes, three without: airspeed and the wind found bound the velocity."""
+    truth = weaving(240.0)
+    wind = np.array([5.0, -3.0, 0.0])
+    spec = AirspeedSpec("pitot", 10.0, white_sd=0.3)
+    error = np.zeros((2 * RUNS, 2))
+    for run in range(2 * RUNS):
+        drawn = sensors.sense(truth, units(baro=None), 12, run)
+        keep = drawn.data.fixes.t <= 60.0
+        fixes = GnssFixes(*(getattr(drawn.data.fixes, f.name)[keep] for f in fields(GnssFixes)))
+        k = np.arange(20, len(truth), 20)
+        speed = np.linalg.norm(truth.vel_n[k] - wind, axis=1)
+        speed += 0.3 * np.random.default_rng(run).normal(size=len(k))
+        t = truth.t[k]
+        air = AirspeedData(t, t, np.ones(len(k), bool), speed, np.full(len(k), 0.3))
+        data = replace(drawn.data, fixes=fixes, airspeed=air, specs=replace(drawn.data.specs, airspeed=spec))
+        for j, use in enumerate((False, True)):
+            solution = Loose(airspeed=use, covariance_hz=20.0).run(data, drawn.initial)
+            error[run, j] = rms(truth, solution, "vel_n", 180.0)
+        at = solution.extra_names.index("wind_north_m_s")
+        off = (solution.extra[-1, at : at + 2] - wind[:2]) / solution.extra_sd[-1, at : at + 2]
+        assert np.abs(off).max() < 4.5
+    assert stats.ttest_rel(*error.T, alternative="greater").pvalue < 0.001
+
+
+def test_the_zero_of_a_pitot_tube_counts_as_a_speed(truth):
+    """5 Pa at 25 m/s and at 50 m/s: dV = dp / (rho V), with the density of the height of the start."""
+    spec = AirspeedSpec("pitot", 10.0, pressure_bias_sd=5.0, white_sd=0.3)
+    assumed = replace(units().assumed, airspeed=spec)
+    t, speed = np.array([0.0, 1.0]), np.array([25.0, 50.0])
+    record = AirspeedData(t, t, np.ones(2, bool), speed, np.array([0.3, 0.3]))
+    rho = 1.225 * (1 - 2.25577e-5 * 2000.0) ** 4.2559  # ISA troposphere
+    expected = 0.3**2 + (5.0 / (rho * speed)) ** 2
+    assert_allclose(airspeed_variance(record, assumed, 2000.0)[:, 0], expected, rtol=0.02)
+
+
+def test_a_magnetometer_gives_the_heading():
+    """Straight flight, heading known to 10 deg at the start: fixes alone leave it, the field finds it."""
+    truth = weaving(30.0, straight_from=0.0)
+    spec = MagSpec("compass", 10.0, white_sd=2e-7)
+    k = np.arange(20, len(truth), 20)
+    true_field = field_n(truth.lla[k], 2026.0)
+    field_b = np.stack([rotation.matrix(q).T @ m for q, m in zip(truth.q_nb[k], true_field, strict=True)])
+    wrong = replace(units(), initial_heading_sd=10 * DEG)
+    squares = []
+    for run in range(RUNS):
+        drawn = sensors.sense(truth, wrong, 13, run)
+        noise = 2e-7 * np.random.default_rng(run).normal(size=field_b.shape)
+        t, sd_claimed = truth.t[k], np.full(len(k), 2e-7)
+        mag = MagData(t, t, np.ones(len(k), bool), field_b + noise, sd_claimed)
+        data = replace(drawn.data, mag=mag, date=2026.0, specs=replace(drawn.data.specs, mag=spec))
+        without, solution = (
+            Loose(magnetometer=use, covariance_hz=20.0).run(data, drawn.initial) for use in (False, True)
+        )
+        series = judge.error_series(truth, solution)
+        sd = np.sqrt(solution.cov[-1, 8, 8])
+        assert sd < 0.3 * DEG < np.sqrt(without.cov[-1, 8, 8])
+        squares.append((series.phi_n[-1, 2] / sd) ** 2)
+    assert np.mean(squares) < 26.1 / 8  # chi-square of 8, 99.9 %
+    with pytest.raises(ValueError, match="names no mag unit"):
+        Loose(magnetometer=True).run(replace(data, specs=drawn.data.specs), drawn.initial)
+
+
+# --- gaps in the IMU record -----------------------------------------------------------------------------
+
+
+def with_gap(data, start, end):
+    """IMU rows in (start, end] lost."""
+    imu = data.imu
+    keep = (imu.t <= start + 1e-6) | (imu.t > end + 1e-6)
+    return replace(data, imu=ImuData(*(getattr(imu, f.name)[keep] for f in fields(ImuData))))
+
+
+def test_a_gap_of_5_s_is_told_served_and_soon_over(truth):
+    """From 40 to 45 s, out of a turn: P grows, fixes inside are used in time, the gate is not locked out."""
+    shares = []
+    for run in range(RUNS):
+        drawn = sensors.sense(truth, units(), 14, run)
+        sound = Loose(covariance_hz=20.0).run(drawn.data, drawn.initial)
+        solution = Loose(covariance_hz=20.0).run(with_gap(drawn.data, 40.0, 45.0), drawn.initial)
+        assert [text for *_, text in solution.events.of("timeline")] == ["imu: gap of 5 s"]
+        inside = (solution.t > 40.05) & (solution.t < 44.95)
+        assert np.isfinite(solution.lla[inside]).all()
+        series = judge.error_series(truth, solution)
+        assert np.linalg.norm(series.pos_n[inside], axis=1).max() < 60.0
+        used = solution.innovations.t[of(solution, "gnss_position")]
+        assert {41.0, 42.0, 43.0, 44.0, 45.0} <= set(np.round(used, 6))
+        rows = (solution.innovations.t > 47.0) & of(solution, "gnss_position")
+        assert solution.innovations.accepted[rows].all()
+        k = int(np.searchsorted(solution.t, 45.0))
+        growth = np.sqrt(np.diagonal(solution.cov[k]) / np.diagonal(sound.cov[k]))
+        assert (growth[3:] > 1.5).all()
+        shares.append(series.nees[(series.t > 44.9) & (series.t < 46.0)].mean())
+        assert np.linalg.norm(series.pos_n[series.t > 60.0], axis=1).max() < 15.0
+    assert np.median(shares) < 30.0
+
+
+def test_nothing_after_a_gap_is_known_inside_it(truth):
+    """Other increments after the gap leave every answer inside it as it was."""
+    drawn = sensors.sense(truth, units(), 14, 0)
+    data = with_gap(drawn.data, 40.0, 45.0)
+    dvel = data.imu.dvel_b.copy()
+    dvel[data.imu.t > 45.0] += 0.01
+    changed = replace(data, imu=with_columns(data.imu, dvel_b=dvel))
+    one, other = (Loose().run(d, drawn.initial) for d in (data, changed))
+    inside = one.t <= 45.0 + 1e-6
+    assert_array_equal(one.lla[inside], other.lla[inside])
+    assert not np.array_equal(one.lla[~inside], other.lla[~inside])
+
+
+def test_what_a_gap_adds_is_the_integral_of_a_wandering_rate():
+    """Monte Carlo of a Gauss-Markov rate less its value at the start: 4000 draws, 99.9 % of chi-square."""
+    rng = np.random.default_rng(3)
+    tau, sd, dt, n = timeline._BRIDGE_CORRELATION, timeline._BRIDGE_RATE_SD, 0.02, 400
+    x = sd * rng.normal(size=4000)
+    start, total, got = x.copy(), np.zeros(4000), []
+    for k in range(n):
+        old = x
+        x = np.exp(-dt / tau) * x + sd * np.sqrt(-np.expm1(-2 * dt / tau)) * rng.normal(size=4000)
+        total += 0.5 * dt * (old + x - 2 * start)
+        if (k + 1) % 100 == 0:
+            got.append(total.var())
+    wanted = timeline.bridge_variance(dt * np.arange(100, n + 1, 100))[:, 1]
+    assert_allclose(got, wanted, rtol=3.3 * np.sqrt(2 / 4000) + 0.01)
+    small = timeline.bridge_variance(np.array([2.9e-3, 3.1e-3]))[:, 1] / np.array([2.9e-3, 3.1e-3]) ** 3
+    assert_allclose(small, 2 / 3 * sd**2 / tau, rtol=2e-3)
+
+
+def test_each_aiding_names_the_record_it_needs():
+    assert Loose().needs == ("fixes",)
+    assert Tight().needs == ("observations",)
+    assert Loose(airspeed=True, magnetometer=True).needs == ("fixes", "airspeed", "mag")
+    assert Loose(gnss=False).needs == ("baro",)
+    assert Loose(gnss=False, baro=False).needs == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"adaptive_noise": 0}, "adaptive_noise = 0 must be a count"),
+        ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1.0 must be a length"),
+        ({"integrity": ["raim"]}, "must be a list of 'nis', 'trace', 'tolerance'"),
+        ({"integrity": "nis"}, "must be a list of"),
+        ({"max_acceleration": 0.0}, "max_acceleration = 0.0 must be positive"),
+        ({"standstill": 1}, "standstill = 1 must be true or false"),
+    ],
+)
+def test_a_wrong_option_is_said_in_one_line(options, message):
+    with pytest.raises(ValueError, match=message):
+        Loose(**options)

@@ -1,0 +1,182 @@
+"""gnss-only: Singer's model in closed form, consistent in its own world, honest in a flight; #48 beside it.
+
+Register #48, extrapolation between 1 Hz fixes: an INS leaves less than 0.05 m, a receiver alone several
+times that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+from scipy.linalg import expm
+
+import bench
+from bench import earth, sensors
+from bench.data import Trajectory, no_air, no_controls, no_events
+from bench.evaluation import metrics
+from bench.evaluation.errors import error_series
+from bench.navigation.estimator import EstimatorError, load
+from bench.navigation.fusion import Loose
+from bench.navigation.gnss_only import GnssOnly, singer
+from tests.weaving import GNSS, units, weaving
+
+
+@pytest.mark.parametrize("T", [1e-6, 1e-3, 0.1, 1.0, 9.0, 60.0, 600.0])
+def test_singers_transition_and_noise_are_those_of_van_loan(T):
+    """By the matrix exponential of (C. F. van Loan, IEEE Trans. AC-23 (3), 1978), each element to 1e-9."""
+    sd, tau = 3.0, 10.0
+    F = np.array([[0.0, 1, 0], [0, 0, 1], [0, 0, -1 / tau]])
+    steps = max(1, round(T / 5.0))
+    M = np.zeros((6, 6))
+    M[:3, :3], M[3:, 3:], M[2, 5] = -F, F.T, 2 * sd**2 / tau
+    E = expm(M * T / steps)
+    Phi_1 = E[3:, 3:].T
+    Q_1 = Phi_1 @ E[:3, 3:]
+    Phi, Q = np.eye(3), np.zeros((3, 3))
+    for _ in range(steps):
+        Phi, Q = Phi_1 @ Phi, Phi_1 @ Q @ Phi_1.T + Q_1
+    found = singer(T, sd, tau)
+    assert_allclose(found[0], Phi, rtol=1e-9, atol=1e-12)
+    if T >= 1e-3:  # below, the exponential itself has no digits left
+        assert_allclose(found[1], Q, rtol=1e-6 if T < 0.1 else 1e-9)
+
+
+def manoeuvring(seconds, sd, tau, seed, rate=10.0):
+    """A truth that follows the model itself: nothing else of it is seen."""
+    rng = np.random.default_rng(seed)
+    n = round(seconds * rate)
+    Phi, Q = singer(1 / rate, sd, tau)
+    root = np.linalg.cholesky(Q)
+    x = np.zeros((3, 3))  # position, velocity, acceleration by axis
+    x[1], x[2] = [30.0, 10.0, 0.0], sd * rng.standard_normal(3)
+    lla, vel = [np.array([0.8, 0.2, 5000.0])], [x[1].copy()]
+    for _ in range(n):
+        x[0] = 0.0
+        x = Phi @ x + root @ rng.standard_normal((3, 3))
+        lla.append(earth.displace(lla[-1], x[0]))
+        vel.append(x[1].copy())
+    t = np.arange(n + 1) / rate
+    q = np.tile([1.0, 0, 0, 0], (n + 1, 1))
+    rows = (np.array(lla), np.array(vel), q, np.zeros((n, 3)), np.zeros((n, 3)))
+    return Trajectory(t, *rows, no_air(), no_controls(), no_events())
+
+
+def ensemble(runs, believed, spec=None):
+    """Mean NEES of each run and mean NIS of all, the antenna at the IMU."""
+    spec = replace(spec or units(baro=None), antenna_b=(0.0, 0.0, 0.0))
+    nees, nis = [], []
+    for run in range(runs):
+        truth = manoeuvring(40.0, 3.0, 10.0, seed=run)
+        sensed = sensors.sense(truth, spec, 7, run)
+        solution = GnssOnly(acceleration=believed).run(sensed.data, sensed.initial)
+        errors = error_series(truth, solution)
+        assert errors.states == 6
+        nees.append(errors.nees[errors.t >= 10.0].mean())
+        nis.append(solution.innovations.nis[solution.innovations.component == 0])
+    return np.array(nees), np.concatenate(nis)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.3])
+def test_it_is_consistent_in_the_world_it_believes_in(latency):
+    """50 runs: NEES of six states within 3.3 standard errors, NIS in its 99.9 % band; late fixes too."""
+    late = replace(GNSS, latency=latency)
+    nees, nis = ensemble(50, 3.0, units(gnss=late, baro=None))
+    assert abs(nees.mean() - 6.0) < 3.3 * nees.std(ddof=1) / np.sqrt(50)
+    low, high = stats.chi2.ppf([0.0005, 0.9995], 3 * len(nis)) / len(nis)
+    assert low < nis.mean() < high
+
+
+def test_a_world_twice_as_wild_is_seen():
+    nees, nis = ensemble(10, 1.5)
+    assert (nees.mean() - 6.0) > 3.3 * nees.std(ddof=1) / np.sqrt(10)
+    assert nis.mean() > stats.chi2.ppf(0.9995, 3 * len(nis)) / len(nis)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    truth = weaving(90.0, rate=100.0)
+    return truth, sensors.sense(truth, replace(units(baro=None), output_rate=100.0), 1, 0)
+
+
+def test_in_a_flight_it_covers_its_errors_and_says_nothing_of_attitude(flight):
+    truth, sensed = flight
+    solution = GnssOnly().run(sensed.data, sensed.initial)
+    bench.check_estimator(GnssOnly(), sensed.data, sensed.initial)
+    _, judged = metrics.judge(truth, solution, evaluation_from=10.0, outages=())
+    assert judged["converged"]
+    assert judged["nees_states"] == 6
+    most = stats.binom.ppf(0.999, 80, 2 * stats.norm.sf(3.0)) / 80  # of what the 80 fixes allow
+    for axis in "ned":
+        assert 1.0 - judged[f"coverage_3sigma_pos_{axis}"] <= most
+        assert 1.0 - judged[f"coverage_3sigma_vel_{axis}"] <= most
+    assert "heading_rmse_deg" not in judged
+    assert np.isnan(solution.q_nb).all()
+
+
+def test_the_antenna_in_an_unknown_direction_is_part_of_what_it_does_not_know(flight):
+    _, sensed = flight
+    arm = np.array([3.0, 0.0, 0.0])
+    far = GnssOnly().run(replace(sensed.data, antenna_b=arm), sensed.initial)
+    near = GnssOnly().run(replace(sensed.data, antenna_b=0 * arm), sensed.initial)
+    assert_allclose(far.cov[:, 0, 0] - near.cov[:, 0, 0], 3.0, rtol=1e-9)
+    assert_allclose(far.cov[:, 3, 3] - near.cov[:, 3, 3], 0.03, rtol=1e-6)
+
+
+def test_48_an_ins_carries_on_between_fixes_where_a_receiver_alone_cannot(flight):
+    """#48: how far the error moves from one fix to just before the next; and 10 Hz lines against 100 Hz."""
+    _, sensed = flight
+    truth = flight[0]
+    moved = {}
+    for name, estimator in {"ins": Loose(), "receiver": GnssOnly()}.items():
+        solution = estimator.run(sensed.data, sensed.initial)
+        pos = error_series(truth, solution).pos_n
+        fixes = np.flatnonzero(np.abs(solution.t - np.round(solution.t)) < 1e-6)
+        fixes = fixes[(solution.t[fixes] >= 30.0) & (solution.t[fixes] < 89.5)]
+        gone = np.linalg.norm(pos[fixes + 99] - pos[fixes], axis=1)  # 0.99 s after the fix
+        moved[name] = float(np.sqrt(np.mean(gone**2)))
+        if name == "ins":
+            whole = solution
+    assert moved["ins"] < 0.05
+    assert moved["receiver"] > 5 * moved["ins"]
+    t = whole.t[6000:]
+    tenth = slice(6000, None, 10)
+    local = earth.difference_n(whole.lla, whole.lla[6000])
+    jumps = np.abs(t - np.round(t)) < 0.1  # a line across a correction is not an extrapolation
+    line = np.column_stack([np.interp(t, whole.t[tenth], local[tenth, i]) for i in range(3)])
+    off = np.linalg.norm(line - local[6000:], axis=1)[~jumps]
+    assert off.max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"acceleration": 0.0}, "acceleration = 0.0 must be a positive number"),
+        ({"correlation_s": "long"}, "correlation_s = 'long' must be a positive number"),
+        ({"gate_probability": 1.0}, "gate_probability = 1.0 must lie between 0 and 1"),
+        ({"readmit_after": 0}, "readmit_after = 0 must be a whole number, at least 1"),
+        ({"gnss": False}, "unknown option 'gnss'; known options: acceleration, correlation_s, gate_prob"),
+    ],
+)
+def test_a_wrong_option_says_why(options, message):
+    with pytest.raises(EstimatorError) as caught:
+        load("gnss-only", options)
+    assert message in str(caught.value)
+
+
+def test_every_option_moves_the_answer(flight):
+    _, sensed = flight
+    data = sensed.data
+    wild = data.fixes.lla.copy()
+    wild[40:44, 0] += 300.0 / 6.4e6
+    data = replace(data, fixes=replace(data.fixes, lla=wild))
+    plain = GnssOnly().run(data, sensed.initial)
+    for options in (
+        {"acceleration": 5.0}, {"correlation_s": 3.0}, {"gate_probability": 0.3}, {"readmit_after": 2}
+    ):  # fmt: skip
+        assert not np.array_equal(GnssOnly(**options).run(data, sensed.initial).lla, plain.lla), options
+    named = GnssOnly().unmodelled(replace(units().assumed, gnss=replace(GNSS, pos_h_markov_sd=2.0)))
+    assert named == ("time-correlated GNSS position error",)

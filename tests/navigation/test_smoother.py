@@ -1,0 +1,117 @@
+"""The smoother: filterpy's on a linear problem, nowhere less sure than its filter, honest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from numpy.testing import assert_allclose
+
+from bench import pipeline, rotation
+from bench.config import load_profile
+from bench.data import GnssFixes
+from bench.navigation.error_state import StateLayout
+from bench.navigation.estimator import load
+from bench.navigation.forward import Nodes
+from bench.navigation.smoother import _difference, _moved, smooth
+from tests.navigation.test_layouts import claims, five_minutes  # noqa: F401 (a fixture)
+
+BASE = np.concatenate(
+    [[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3), np.zeros(6), [0.0]]
+)
+
+
+@pytest.fixture(scope="module")
+def matched():
+    return load_profile("figure-eight-matched")
+
+
+def test_equals_filterpys_smoother_on_a_linear_problem():
+    """Sixteen states of millimetres and microradians, so that the manifold is flat to 1e-9 of them."""
+    rng = np.random.default_rng(3)
+    n, steps, size = 16, 40, 1e-4
+    Phi = np.eye(n) + 0.1 * rng.normal(size=(steps, n, n)) / np.sqrt(n)
+    kf = KalmanFilter(dim_x=n, dim_z=4)
+    kf.P, kf.Q, kf.R = np.eye(n) * size**2, np.eye(n) * (0.1 * size) ** 2, np.eye(4) * (0.3 * size) ** 2
+    kf.H = rng.normal(size=(4, n))
+    xs, Ps, before, P_before = [], [], [], []
+    for k in range(steps):
+        kf.predict(F=Phi[k])
+        before.append(kf.x.copy()), P_before.append(kf.P.copy())
+        kf.update(size * rng.normal(size=(4, 1)))
+        xs.append(kf.x.copy()), Ps.append(kf.P.copy())
+    wanted, wanted_P, _, _ = kf.rts_smoother(np.array(xs), np.array(Ps), Fs=list(Phi), Qs=[kf.Q] * steps)
+    rows = [[_moved(BASE, x[:, 0]) for x in pair] for pair in zip(before, xs, strict=True)]
+    nodes = Nodes(
+        StateLayout(("baro_bias", "m", 1)),
+        np.arange(steps) * 1.0,
+        np.array(rows),
+        np.stack([P_before, Ps], axis=1),
+        Phi,
+        np.arange(steps),
+    )
+    state, P = smooth(nodes)
+    got = np.array([_difference(row, BASE) for row in state])
+    assert_allclose(got, wanted[:, :, 0], rtol=0, atol=1e-4 * size)
+    assert_allclose(P, wanted_P, rtol=1e-6, atol=1e-9 * size**2)
+
+
+def test_difference_and_move_are_inverse():
+    d = np.random.default_rng(1).normal(size=16) * np.repeat(
+        [5.0, 0.5, 0.05, 1e-3, 1e-2, 3.0], [3, 3, 3, 3, 3, 1]
+    )
+    assert_allclose(_difference(_moved(BASE, d), BASE), d, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("markov", [False, True])
+def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, markov):  # noqa: F811
+    sensed = pipeline.sense(matched, five_minutes)
+    options = {"covariance_hz": 20.0}
+    forward = load("loose-22" if markov else "loose-15", options).run(sensed.data, sensed.initial)
+    place = "bench.navigation.smoother:Smoother"
+    smoothed = load(place, {**options, "gnss_markov": markov}).run(sensed.data, sensed.initial)
+    for got, limit in (
+        (np.einsum("kii->ki", smoothed.cov), np.einsum("kii->ki", forward.cov)),
+        (smoothed.extra_sd**2, forward.extra_sd**2),
+    ):
+        assert (got <= limit * (1 + 1e-9)).all()
+        assert (got[len(got) // 2] < limit[len(got) // 2])[:6].all()
+    for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
+        assert_allclose(getattr(smoothed, name)[-1], getattr(forward, name)[-1], rtol=1e-12, atol=1e-15)
+
+
+def test_the_outage_is_bridged_from_both_sides(matched, figure_eight_truth):
+    sensed = pipeline.sense(matched, figure_eight_truth)
+    growth = {}
+    for name in ("loose-15", "smoother"):
+        solution = load(name, {}).run(sensed.data, sensed.initial)
+        _, metrics = pipeline.judge(matched, figure_eight_truth, solution)
+        growth[name] = metrics["outage_1_drift_h_m"]
+    assert growth["smoother"] < growth["loose-15"] / 3
+
+
+@pytest.mark.parametrize("markov", [False, True])
+def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov):  # noqa: F811
+    """200 m north from 150 s on, taken for true 10 s later: what lies before is not drawn after it."""
+    sensed = pipeline.sense(matched, five_minutes)
+    lla = sensed.data.fixes.lla.copy()
+    lla[sensed.data.fixes.t >= 150.0, 0] += 200.0 / 6.37e6
+    columns = {name: getattr(sensed.data.fixes, name) for name in GnssFixes.__slots__}
+    data = replace(sensed.data, fixes=GnssFixes(**{**columns, "lla": lla}))
+    options = {"covariance_hz": 20.0, "gnss_markov": markov}
+    forward = load("bench.navigation.fusion:Loose", options).run(data, sensed.initial)
+    place = load("bench.navigation.smoother:Smoother", options)
+    stepped, sound = place.run(data, sensed.initial), place.run(sensed.data, sensed.initial)
+    got, limit = (np.einsum("kii->ki", s.cov) for s in (stepped, forward))
+    assert (got <= limit * (1 + 1e-9)).all()
+    north = (stepped.lla[:, 0] - sound.lla[:, 0]) * 6.37e6 / np.sqrt(sound.cov[:, 0, 0])
+    assert np.abs(north[sound.t < 140.0]).max() < 1.0
+    assert (stepped.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
+
+
+@pytest.mark.slow
+def test_the_smoother_knows_its_errors(matched, five_minutes):  # noqa: F811
+    """50 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
+    result = claims("smoother", matched, five_minutes, 50)
+    assert result.verdict, result.reasons
+    assert not 2 * result.mean - 9 < 3.3 * 2 * result.standard_error

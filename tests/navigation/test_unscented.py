@@ -1,0 +1,205 @@
+"""ukf: the loose filter's model by sigma points: the same where it is linear, better where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+import bench
+from bench import earth, rotation, sensors
+from bench.evaluation.consistency import mean_nis, nis_by_sensor
+from bench.evaluation.errors import error_series
+from bench.navigation import unscented
+from bench.navigation.estimator import EstimatorError, load
+from bench.navigation.fusion import Loose
+from bench.navigation.unscented import Unscented, _differences, _less
+from tests.navigation.test_layouts import standard_errors_from
+from tests.weaving import DEG, GNSS, units, weaving
+
+
+@pytest.fixture(scope="module")
+def two_minutes():
+    return weaving(120.0, rate=100.0)
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    return sensors.sense(weaving(30.0, rate=100.0), units(), 1, 0)
+
+
+def test_on_a_short_flight_it_says_what_loose_15_says(sensed):
+    """Errors small enough to be linear, a good start: to 2 % of sigma, and sigma to 1 %."""
+    small = replace(units(), initial_tilt_sd=0.05 * DEG, initial_heading_sd=0.2 * DEG)
+    sensed = sensors.sense(weaving(30.0, rate=100.0), small, 1, 0)
+    mine, theirs = (e.run(sensed.data, sensed.initial) for e in (Unscented(), Loose(covariance_hz=10.0)))
+    sd = np.sqrt(np.einsum("kii->ki", theirs.cov))
+    turn = rotation.to_rotvec(rotation.multiply(mine.q_nb, rotation.conjugate(theirs.q_nb)))
+    apart = np.hstack([earth.difference_n(mine.lla, theirs.lla), mine.vel_n - theirs.vel_n, turn])
+    assert np.abs(apart / sd).max() < 0.02
+    assert_allclose(np.sqrt(np.einsum("kii->ki", mine.cov)), sd, rtol=0.01)
+    assert np.abs((mine.extra - theirs.extra) / theirs.extra_sd).max() < 0.02
+    assert mine.extra_names == theirs.extra_names
+    other = Unscented().run(
+        replace(sensed.data, antenna_b=sensed.data.antenna_b + np.array([0.1, 0, 0])), sensed.initial
+    )
+    assert np.abs(earth.difference_n(other.lla, theirs.lla) / sd[:, :3]).max() > 0.05
+
+
+def test_the_covariance_step_is_that_of_the_linear_filter_for_small_errors(sensed):
+    """One second of prediction from P, without fixes: sigma points and Jacobian agree to 1e-3."""
+    tiny = replace(units(), initial_tilt_sd=1e-4, initial_heading_sd=1e-4, gnss=None, baro=None)
+    sensed = sensors.sense(weaving(1.0, rate=100.0), tiny, 1, 0)
+    mine, theirs = (e.run(sensed.data, sensed.initial) for e in (Unscented(), Loose(covariance_hz=10.0)))
+    scale = np.sqrt(np.einsum("kii->ki", theirs.cov))
+    scale = scale[:, :, None] * scale[:, None, :]
+    assert_allclose(mine.cov / scale, theirs.cov / scale, atol=1e-3)
+
+
+def ensemble(estimator, truth, spec, runs, believed=None):
+    nees, nis = [], {}
+    for run in range(runs):
+        sensed = sensors.sense(truth, spec, 11, run)
+        data = sensed.data if believed is None else replace(sensed.data, specs=believed)
+        solution = estimator.run(data, sensed.initial)
+        errors = error_series(truth, solution)
+        nees.append(errors.nees[errors.t >= 30.0].mean())
+        for name, series in nis_by_sensor(solution.innovations, 30.0).items():
+            nis.setdefault(name, []).append(series)
+    pooled = {
+        name: mean_nis(np.concatenate([s.nis for s in each]), np.concatenate([s.dof for s in each]))
+        for name, each in nis.items()
+    }
+    return np.array(nees), pooled
+
+
+@pytest.mark.slow
+def test_ten_seeds_over_two_minutes_are_consistent(two_minutes):
+    """Mean NEES within 3.3 (of 10 runs: 4.8 by Student) standard errors of 9, mean NIS in 99.9 % bands.
+
+    A receiver believed to have half the noise it has leaves the bands.
+    """
+    nees, nis = ensemble(Unscented(), two_minutes, units(), 10)
+    assert abs(standard_errors_from(nees, 9)) < 4.8
+    assert abs(nees.mean() - 9) < 3.0
+    assert all(band.inside for band in nis.values()), nis
+    half = replace(GNSS, pos_h_white_sd=0.75, pos_v_white_sd=1.25, vel_white_sd=0.025)
+    nees, nis = ensemble(Unscented(), two_minutes, units(), 2, replace(units().assumed, gnss=half))
+    assert not nis["gnss_position"].inside
+    assert not nis["gnss_velocity"].inside
+
+
+def test_where_the_heading_is_hardly_known_it_beats_the_linear_filter():
+    """60 deg of heading sd, 40 draws of a minute: the heading errors after 30 s in units of what is claimed.
+
+    What makes a filter of sigma points worth its time: large errors before the first turns.
+    """
+    truth, spec = weaving(60.0, rate=100.0), replace(units(), initial_heading_sd=60.0 * DEG)
+    found = {"ukf": [], "loose-15": []}
+    for run in range(40):
+        sensed = sensors.sense(truth, spec, 2, run)
+        for name, estimator in (("ukf", Unscented()), ("loose-15", Loose(covariance_hz=10.0))):
+            solution = estimator.run(sensed.data, sensed.initial)
+            errors = error_series(truth, solution)
+            late = errors.t > 30.0
+            found[name].append(np.mean(errors.heading[late] ** 2 / solution.cov[-late.sum() :, 8, 8]))
+    assert stats.wilcoxon(found["ukf"], found["loose-15"], alternative="less").pvalue < 0.001, found
+
+
+def test_less_and_differences_are_inverse():
+    rng = np.random.default_rng(5)
+    nav = np.concatenate([[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3)])
+    x = rng.normal(size=(20, 15)) * np.repeat([5.0, 0.5, 0.3, 1e-3, 1e-2], 3)
+    assert_allclose(_differences(nav, _less(nav, x)), x[:, :9], rtol=1e-5, atol=1e-9)
+
+
+def test_the_kernel_is_its_own_python(sensed):
+    imu = sensed.data.imu
+    nav = np.concatenate([sensed.initial.lla, sensed.initial.vel_n, sensed.initial.q_nb])
+    results = []
+    for kernel in (unscented._carry_kernel, unscented._carry_kernel.py_func):
+        points, biases, before = np.tile(nav, (3, 1)), 1e-3 * np.arange(18.0).reshape(3, 6), np.zeros((3, 7))
+        kernel(
+            points, biases, before, imu.dt[:20], imu.dtheta_b[:20], imu.dvel_b[:20], np.empty((5, 3)),
+            np.empty((3, 3)),
+        )  # fmt: skip
+        results.append(np.hstack([points, before]))
+    assert_allclose(results[0], results[1], rtol=1e-14, atol=1e-15)
+    assert not np.array_equal(results[0][0], results[0][1])
+
+
+def test_states_without_variance_do_not_move(sensed):
+    """A barometer without bias: nothing to draw; the filter runs and the state stays zero."""
+    specs = sensed.data.specs
+    data = replace(sensed.data, specs=replace(specs, baro=replace(specs.baro, bias_sd=0.0, bias_walk=0.0)))
+    solution = Unscented().run(data, sensed.initial)
+    assert not solution.extra[:, -1].any()
+    assert not solution.extra_sd[:, -1].any()
+    assert np.isfinite(solution.cov).all()
+
+
+def test_a_filter_of_nan_is_a_result(sensed):
+    specs = sensed.data.specs
+    broken = replace(specs, imu=replace(specs.imu, gyro=replace(specs.imu.gyro, random_walk=np.nan)))
+    solution = Unscented().run(replace(sensed.data, specs=broken), sensed.initial)
+    assert np.isnan(solution.lla[-1]).all()
+
+
+def test_the_root_is_one_of_a_singular_matrix_and_no_other():
+    a = np.array([[4.0, 2e-3], [2e-3, 1e-6]])
+    assert_allclose(unscented._root(a).T @ unscented._root(a), a, rtol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError, match="eigenvalue"):
+        unscented._root(a * [[1.0, 1.1], [1.1, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gnss": 1}, "gnss = 1 must be true or false"),
+        ({"covariance_hz": 0.0}, "covariance_hz = 0.0 must be positive"),
+        ({"covariance_hz": None}, "covariance_hz = None must be positive"),
+        ({"gate_probability": 1.0}, "gate_probability = 1.0 must be between 0 and 1"),
+        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number, at least 1"),
+        ({"spread": 1.5}, "spread = 1.5 must lie above 0 and not above 1"),
+        ({"gnss_markov": True}, "unknown option 'gnss_markov'; known options: gnss, baro, covariance_hz"),
+    ],
+)
+def test_a_wrong_option_says_why(options, message):
+    with pytest.raises(EstimatorError) as caught:
+        load("ukf", options)
+    assert message in str(caught.value)
+
+
+def test_every_option_moves_the_answer(sensed):
+    wild = sensed.data.fixes.lla.copy()
+    wild[10:14, 0] += 300.0 / 6.4e6
+    data = replace(sensed.data, fixes=replace(sensed.data.fixes, lla=wild))
+    plain = Unscented().run(data, sensed.initial)
+    bench.check_estimator(Unscented(spread=0.3), data, sensed.initial)
+    for options in (
+        {"gnss": False}, {"baro": False}, {"covariance_hz": 20.0}, {"gate_probability": 0.3},
+        {"readmit_after": 2}, {"spread": 0.3},
+    ):  # fmt: skip
+        assert not np.array_equal(Unscented(**options).run(data, sensed.initial).lla, plain.lla), options
+
+
+def test_a_gap_of_the_imu_is_bridged_as_by_the_compiled_filter(sensed):
+    """A second is missing: the last rates known carry both alike, and P grows alike, answers or not.
+
+    Tilts of 4 deg make the difference between sigma points and a linear step: second order, 0.07^2.
+    """
+    imu = sensed.data.imu
+    there = (imu.t < 10.0 + 1e-6) | (imu.t > 11.0 - 1e-6)
+    columns = {f.name: getattr(imu, f.name)[there] for f in fields(imu)}
+    linear = Loose(covariance_hz=10.0)
+    for wanted in (np.array([9.9, 10.95]), np.round(np.arange(9.9, 10.96, 0.05), 2)):
+        data = replace(sensed.data, imu=replace(imu, **columns), output_t=wanted)
+        mine, theirs = (e.run(data, sensed.initial) for e in (Unscented(), linear))
+        sd, other_sd = (np.sqrt(np.einsum("kii->ki", s.cov)) for s in (mine, theirs))
+        assert (sd[-1, 3:6] > 10 * sd[0, 3:6]).all()
+        assert_allclose(sd, other_sd, rtol=0.01)
+        apart = np.hstack([earth.difference_n(mine.lla, theirs.lla), mine.vel_n - theirs.vel_n])
+        assert (np.abs(apart[-1]) < 0.01 * sd[-1, :6]).all()

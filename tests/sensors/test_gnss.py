@@ -1,0 +1,403 @@
+"""The position-level receiver: where the antenna is, how its errors remember, and when it is silent.
+
+Statistical bounds are two-sided 99.9 % bands of the statistic itself, over independent runs.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import gammaincinv, ndtri
+
+import bench
+from bench import earth, rotation
+from bench.config import ConfigError
+from bench.config.datasheets import read_gnss
+from bench.sensors import gnss
+from bench.specs import GnssSpec
+from tests.synthetic import ORIGIN, still, turning
+
+CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
+TAIL = 0.0005  # each side of a 99.9 % band
+Z = -ndtri(TAIL)
+LEVER = (1.5, -0.4, -0.8)
+SILENT = GnssSpec("silent", rate=1.0, pos_h_white_sd=0.0, pos_v_white_sd=0.0, vel_white_sd=0.0)
+FULL = GnssSpec(
+    "full",
+    rate=1.0,
+    pos_h_white_sd=2.0,
+    pos_v_white_sd=3.0,
+    vel_white_sd=0.03,
+    pos_h_markov_sd=6.0,
+    pos_v_markov_sd=8.0,
+    vel_markov_sd=0.1,
+    pos_decay_distance=4e-6,
+    pos_decay_time=5e-4,
+    vel_decay_time=0.01,
+)
+
+
+@pytest.fixture(scope="module")
+def turn():
+    return turning(60.0, 200.0)
+
+
+def measure(truth, spec, antenna_b=(0.0, 0.0, 0.0), outages=(), seed=1, run=0):
+    return gnss.measure(truth, spec, antenna_b, outages, seed, run)
+
+
+def errors(truth, spec, **options):
+    """Position and velocity error of every fix [m, m/s], n."""
+    fixes, exact = measure(truth, spec, **options), measure(truth, silence(spec), **options)
+    return earth.difference_n(fixes.lla, exact.lla), fixes.vel_n - exact.vel_n
+
+
+def silence(spec):
+    return replace(SILENT, rate=spec.rate)
+
+
+def band(count):
+    """99.9 % band of a mean of count squared standard normals."""
+    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
+
+
+def test_without_errors_a_fix_is_the_antenna(turn):
+    """Position from the Earth-fixed sum, velocity from central differences of that sum.
+
+    The difference to the IMU is compared, so that the synthetic circle's own 1e-5 cancels. Left out,
+    the Earth rate in the lever-arm velocity (1e-4 m/s) would be seen.
+    """
+    fixes = measure(turn, SILENT, antenna_b=LEVER)
+    rows = np.searchsorted(turn.t, fixes.t)
+    assert_allclose(fixes.t, np.arange(1, 61), atol=1e-9)
+    C_en = earth.matrix_en(turn.lla[:, 0], turn.lla[:, 1])
+    lever_e = np.einsum("kij,kj->ki", C_en, rotation.rotate(turn.q_nb, np.array(LEVER)))
+    assert_allclose(earth.to_ecef(fixes.lla), (earth.to_ecef(turn.lla) + lever_e)[rows], rtol=0, atol=1e-6)
+
+    rows = rows[:-1]  # the last instant has no later neighbour
+    rate_e = (lever_e[rows + 1] - lever_e[rows - 1]) / (turn.t[rows + 1] - turn.t[rows - 1])[:, None]
+    lever_rate_n = np.einsum("kji,kj->ki", C_en[rows], rate_e)
+    assert_allclose(fixes.vel_n[:-1] - turn.vel_n[rows], lever_rate_n, rtol=0, atol=2e-5)
+    assert np.abs(lever_rate_n).max() > 0.3
+    assert earth.RATE * np.linalg.norm(LEVER) > 5 * 2e-5
+
+
+def test_the_turn_rate_of_an_instant_is_centred_on_it(turn):
+    """Under a steady roll acceleration the mean of both neighbours is exact; one alone is dt / 2 late."""
+    acceleration = 2.0
+    ramp = acceleration * 0.5 * (turn.t[1:] ** 2 - turn.t[:-1] ** 2)
+    still_rate = replace(turn, dtheta_b=np.zeros_like(turn.dtheta_b))
+    rolling = replace(turn, dtheta_b=np.column_stack([ramp, np.zeros((len(ramp), 2))]))
+    gained_n = measure(rolling, SILENT, LEVER).vel_n - measure(still_rate, SILENT, LEVER).vel_n
+    rows = np.searchsorted(turn.t, np.arange(1, 60) - 1e-6)
+    w_b = np.column_stack([acceleration * turn.t[rows], np.zeros((len(rows), 2))])
+    expected_n = rotation.rotate(turn.q_nb[rows], np.cross(w_b, LEVER))
+    assert_allclose(gained_n[:-1], expected_n, rtol=0, atol=1e-9)
+
+
+def test_without_lever_arm_a_fix_is_the_imu(turn):
+    fixes = measure(turn, SILENT)
+    rows = np.searchsorted(turn.t, fixes.t)
+    assert_array_equal(fixes.lla, turn.lla[rows])
+    assert_array_equal(fixes.vel_n, turn.vel_n[rows])
+
+
+def test_doubling_the_lever_arm_doubles_the_offset(turn):
+    imu = measure(turn, SILENT).vel_n
+    once, twice = (measure(turn, SILENT, antenna_b=tuple(k * np.array(LEVER))).vel_n for k in (1, 2))
+    assert_allclose(twice - imu, 2 * (once - imu), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("figure", "quantity", "axes"),
+    [
+        ("pos_h_white_sd", 0, [0, 1]),
+        ("pos_v_white_sd", 0, [2]),
+        ("vel_white_sd", 1, [0, 1, 2]),
+        ("pos_h_markov_sd", 0, [0, 1]),
+        ("pos_v_markov_sd", 0, [2]),
+        ("vel_markov_sd", 1, [0, 1, 2]),
+    ],
+)
+def test_doubling_an_error_doubles_it_alone(turn, figure, quantity, axes):
+    """The term alone doubles; beside all others it adds what it is alone; other columns keep their bits."""
+    decays = {"pos_decay_distance": 4e-6, "pos_decay_time": 5e-4, "vel_decay_time": 0.01}
+    value = getattr(FULL, figure)
+    alone = errors(turn, replace(SILENT, **decays, **{figure: value}))[quantity]
+    doubled = errors(turn, replace(SILENT, **decays, **{figure: 2 * value}))[quantity]
+    others = [axis for axis in range(3) if axis not in axes]
+    assert np.abs(alone[:, axes]).min() > 0
+    assert_allclose(doubled, 2 * alone, rtol=0, atol=1e-7)
+    assert_allclose(alone[:, others], 0, atol=1e-7)
+
+    before, after = measure(turn, FULL), measure(turn, replace(FULL, **{figure: 2 * value}))
+    columns = [(earth.difference_n(after.lla, before.lla)), after.vel_n - before.vel_n]
+    assert_allclose(columns[quantity], alone, rtol=0, atol=1e-4)
+    assert_array_equal(columns[1 - quantity], 0)
+    assert_array_equal(columns[quantity][:, others], 0)
+
+
+def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(gnss)
+    measure(turn, SILENT)
+    assert drawn == []
+    measure(turn, FULL)
+    assert sorted(drawn) == [
+        "gnss.position.markov",
+        "gnss.position.white",
+        "gnss.velocity.markov",
+        "gnss.velocity.white",
+    ]
+
+
+def test_white_errors_have_their_size_in_metres_on_every_axis():
+    """At 47 degrees latitude, so that a missing cosine would be seen on the east axis."""
+    white = replace(FULL, pos_h_markov_sd=0.0, pos_v_markov_sd=0.0, vel_markov_sd=0.0)
+    pos, vel = errors(still(3000.0, 1.0), white)
+    low, high = band(len(pos))
+    for axis, sd in enumerate([2.0, 2.0, 3.0]):
+        assert low < np.mean(pos[:, axis] ** 2) / sd**2 < high
+        assert low < np.mean(vel[:, axis] ** 2) / 0.03**2 < high
+    assert not low < 1 / np.cos(ORIGIN[0]) ** 2 < high
+
+
+@pytest.mark.parametrize(("speed", "tau"), [(250.0, 2000.0 / 3), (0.0, 2000.0)])
+def test_markov_error_forgets_by_distance_and_time(speed, tau):
+    """Equations #21: stationary sd within 3 %; correlation 1/e after 667 s at 250 m/s, 2000 s at rest.
+
+    2200 runs, three axes. The same numbers deny the correlation time of the other speed.
+    """
+    truth = turning(tau, 12 / tau, speed=speed, turn_rate=1e-3)
+    spec = replace(
+        SILENT, rate=12 / tau, pos_h_markov_sd=6.0, pos_v_markov_sd=6.0,
+        pos_decay_distance=4e-6, pos_decay_time=5e-4,
+    )  # fmt: skip
+    exact = measure(truth, silence(spec)).lla
+    pos = np.array(
+        [earth.difference_n(measure(truth, spec, run=run).lla, exact)[[0, -1]] for run in range(2200)]
+    )
+    start, end = pos[:, 0].ravel(), pos[:, 1].ravel()
+    low, high = band(start.size)
+    assert 0.97**2 < low < high < 1.03**2
+    for values in (start, end):
+        assert low < np.mean(values**2) / 6.0**2 < high
+
+    def memory_is(correlation_time):
+        elapsed = tau * 11 / 12
+        z = np.arctanh(np.corrcoef(start, end)[0, 1]) - np.arctanh(np.exp(-elapsed / correlation_time))
+        return abs(z) < Z / np.sqrt(start.size - 3)
+
+    assert memory_is(tau)
+    assert not memory_is(1.15 * tau)
+    assert not memory_is(2000.0 if speed else 2000.0 / 3)
+
+
+@pytest.mark.parametrize("figure", ["pos_decay_distance", "pos_decay_time", "vel_decay_time"])
+def test_doubling_a_decay_shortens_the_memory(figure):
+    """Same first error, larger steps: with one decay alone, by the square root of 2."""
+    truth = turning(600.0, 1.0)
+    off = dict.fromkeys(["pos_decay_distance", "pos_decay_time", "vel_decay_time"], 0.0)
+    spec = replace(SILENT, pos_h_markov_sd=6.0, pos_v_markov_sd=6.0, vel_markov_sd=0.1)
+    quantity = 1 if figure == "vel_decay_time" else 0
+    value = {"pos_decay_distance": 4e-6, "pos_decay_time": 1e-4, "vel_decay_time": 1e-4}[figure]
+    once, twice = (errors(truth, replace(spec, **{**off, figure: k * value}))[quantity] for k in (1, 2))
+    assert_allclose(twice[0], once[0], rtol=0, atol=1e-7)
+    steps = [np.diff(error, axis=0).std() for error in (once, twice)]
+    assert_allclose(steps[1] / steps[0], np.sqrt(2), rtol=0.01)
+
+
+def test_reported_covariance_is_the_total(turn):
+    fixes = measure(turn, FULL)
+    total = np.diag([2.0**2 + 6.0**2, 2.0**2 + 6.0**2, 3.0**2 + 8.0**2])
+    assert_allclose(fixes.cov_pos_n, np.broadcast_to(total, fixes.cov_pos_n.shape), rtol=1e-12)
+    assert_allclose(fixes.cov_vel_n, np.broadcast_to(0.0109 * np.eye(3), fixes.cov_vel_n.shape), rtol=1e-12)
+    assert (fixes.satellites == gnss.SATELLITES_UNKNOWN).all()
+    assert fixes.valid.all()
+
+
+def test_an_outage_is_half_open_and_changes_no_other_fix(turn):
+    whole = measure(turn, FULL, antenna_b=LEVER)
+    broken = measure(turn, FULL, antenna_b=LEVER, outages=((20.0, 30.0), (45.5, 46.5)))
+    kept = ~(((whole.t > 19.9) & (whole.t < 29.9)) | ((whole.t > 45.4) & (whole.t < 46.4)))
+    assert 20.0 not in np.round(broken.t)
+    assert {19.0, 30.0, 45.0, 47.0} <= set(np.round(broken.t))
+    assert 46.0 not in np.round(broken.t)
+    assert_array_equal(broken.t, whole.t[kept])
+    assert_array_equal(broken.lla, whole.lla[kept])
+    assert_array_equal(broken.vel_n, whole.vel_n[kept])
+
+
+def test_an_outage_ends_on_its_instant_when_times_are_rounded(turn):
+    """A time column summed up sample by sample misses 30 s by rounding; the fix at 30 s still comes."""
+    summed = replace(turn, t=np.cumsum(np.full(len(turn), 0.005)) - 0.005)
+    at_30 = summed.t[6000]
+    assert at_30 != 30.0
+    for end in (30.0, at_30):
+        broken = measure(summed, SILENT, outages=((20.0, end),))
+        assert_allclose(broken.t[18:20], [19.0, 30.0], atol=1e-9)
+
+
+def test_latency_moves_the_arrival_only(turn):
+    prompt = measure(turn, FULL)
+    for latency in (0.1, 0.2):
+        late = measure(turn, replace(FULL, latency=latency))
+        assert_allclose(late.t_arrival - late.t, latency, atol=1e-12)
+        assert_array_equal(late.t, prompt.t)
+        assert_array_equal(late.lla, prompt.lla)
+
+
+def test_doubling_the_rate_doubles_the_fixes(turn):
+    assert [len(measure(turn, replace(FULL, rate=rate))) for rate in (1.0, 2.0, 10.0)] == [60, 120, 600]
+    uneven = measure(turn, replace(FULL, rate=18.0))  # 200 / 18 is no whole number
+    assert len(uneven) == 1080
+    assert np.isin(uneven.t, turn.t).all()
+    assert_allclose(uneven.t, np.arange(1, 1081) / 18.0, atol=0.5 / 200 + 1e-9)
+
+
+def test_a_rate_the_truth_cannot_give_is_refused(turn):
+    with pytest.raises(ValueError, match="gnss: rate 400 Hz is above the 200 Hz of the truth"):
+        measure(turn, replace(FULL, rate=400.0))
+    with pytest.raises(ValueError, match=r"gnss: no epoch at 0.01 Hz within 60 s of truth"):
+        measure(turn, replace(FULL, rate=0.01))
+
+
+JUMPS = {
+    "pos_h_jump_sd": 2.5,
+    "pos_v_jump_sd": 3.75,
+    "vel_jump_sd": 0.06,
+    "pos_h_jump_markov_sd": 3.5,
+    "pos_v_jump_markov_sd": 5.0,
+    "vel_jump_markov_sd": 0.015,
+}
+
+
+@pytest.fixture(scope="module")
+def day():
+    return still(86160.0, 0.1)
+
+
+def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
+    """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
+    from bench.sensors.view import view
+    from bench.specs import SkySpec
+
+    rows = np.arange(1, len(day.t))
+    names = [f for f in SkySpec.__slots__ if f not in ("gps", "glonass", "klobuchar", "systems")]
+    sky = SkySpec(**dict.fromkeys(names, 0.0), gps=None, glonass=None, klobuchar=(0.0,) * 8, systems="gps")
+    sky = replace(sky, elevation_mask=np.deg2rad(5.0), antenna_mask=-np.pi / 2)
+    seen = view(day, rows, sky, (0.0, 0.0, 0.0), lambda system, sat: np.empty((0, len(sat))))
+    up = np.zeros((len(rows), 24), bool)
+    gps = seen.system[seen.which] == 0
+    up[seen.epoch[gps], seen.sat[seen.which[gps]] - 1] = True
+    expected = (up[1:] != up[:-1]).any(axis=1)
+    changed = gnss.constellation_changes(day.t[rows], day.lla[rows])
+    assert not changed[0]
+    assert 60 < expected.sum() < 150
+    assert abs(changed[1:].sum() - expected.sum()) <= 1
+    assert (changed[1:] == expected).mean() > 0.9995  # an epoch apart where the travel time decides
+
+
+def test_jumps_at_constellation_changes_have_their_rms(day):
+    """#22: sqrt(sigma_dc^2 + sigma_ds^2) within 5 % over more than 1000 events; in between nothing jumps."""
+    spec = replace(SILENT, rate=0.1, pos_decay_time=5e-4, vel_decay_time=0.01, **JUMPS)
+    at = np.flatnonzero(gnss.constellation_changes(day.t[1:], day.lla[1:]))
+    kept = np.exp(-np.array([5e-4, 0.01]) * 10.0)
+    found = [[], []]
+    for run in range(16):
+        for k, error in enumerate(errors(day, spec, run=run)):
+            alone = at[~np.isin(at - 1, at) & (at > 0)]
+            found[k].append(error[alone] - kept[k] * error[alone - 1])
+            quiet = ~np.isin(np.arange(1, len(error)), np.concatenate([at, at + 1]))
+            assert np.abs(error[1:] - kept[k] * error[:-1])[quiet].max() < 1e-6
+    expected = [np.hypot([2.5, 2.5, 3.75], [3.5, 3.5, 5.0]), np.full(3, np.hypot(0.06, 0.015))]
+    for jumps, sd in zip(found, expected, strict=True):
+        jumps = np.concatenate(jumps)
+        assert len(jumps) >= 1000
+        low, high = band(jumps.size)
+        assert 0.95**2 < low < high < 1.05**2
+        ratio = np.mean((jumps / sd) ** 2)
+        assert low < ratio < high
+        assert not low < ratio * 1.1**2 < high
+
+
+@pytest.mark.parametrize("figure", JUMPS)
+def test_each_jump_has_its_own_share_and_its_own_stream(day, figure):
+    """Twice the figure, twice its jumps, and every other noise keeps its bits."""
+    noisy = replace(FULL, rate=0.1, **JUMPS)
+    once, twice = (replace(noisy, **{figure: k * JUMPS[figure]}) for k in (1, 2))
+    without = replace(noisy, **{figure: 0.0})
+    base, one, two = (measure(day, spec) for spec in (without, once, twice))
+    quantity = (
+        (lambda f: f.vel_n) if figure.startswith("vel") else (lambda f: earth.difference_n(f.lla, base.lla))
+    )
+    added = [quantity(f) - quantity(base) for f in (one, two)]
+    assert np.abs(added[0]).max() > 0.5 * JUMPS[figure]
+    assert_allclose(added[1], 2 * added[0], rtol=0, atol=1e-3 * JUMPS[figure])
+    other = [f.lla if figure.startswith("vel") else f.vel_n for f in (base, one)]
+    assert_array_equal(*other)
+
+
+def test_an_optimistic_receiver_reports_less_than_it_errs(turn):
+    """Same fixes, smaller covariance: by the square of the factor it states."""
+    honest, bold = measure(turn, FULL), measure(turn, replace(FULL, optimism=2.0))
+    assert_array_equal(bold.lla, honest.lla)
+    assert_allclose(bold.cov_pos_n, honest.cov_pos_n / 4, rtol=1e-12)
+    assert_allclose(bold.cov_vel_n, honest.cov_vel_n / 4, rtol=1e-12)
+
+
+def test_presets_are_the_ends_and_the_middle_of_the_source():
+    """A-5.2.2, all ranges: position, height, velocity; white, Markov, jumps."""
+    best, worst, middle, plain = (
+        read_gnss(CATALOG / f"{name}.toml", name)
+        for name in ("l1-code-best", "l1-code-worst", "l1-code-jumps", "l1-code")
+    )
+    ranges = {
+        "pos_h_white_sd": (1, 3), "pos_v_white_sd": (1.5, 4), "vel_white_sd": (0.01, 0.05),
+        "pos_h_markov_sd": (5, 7), "pos_v_markov_sd": (7, 10), "vel_markov_sd": (0.02, 0.3),
+        "pos_h_jump_sd": (1, 4), "vel_jump_sd": (0.02, 0.2), "pos_h_jump_markov_sd": (2, 5),
+        "pos_v_jump_markov_sd": (3, 7), "vel_jump_markov_sd": (0.01, 0.02),
+    }  # fmt: skip
+    for name, (low, high) in ranges.items():
+        assert (getattr(best, name), getattr(worst, name)) == (low, high), name
+        assert low < getattr(middle, name) < high
+    assert_allclose([best.vel_decay_time, worst.vel_decay_time], [0.05, 0.0017], rtol=1e-3)
+    off = dict.fromkeys(JUMPS, 0.0)
+    assert replace(middle, name="", **off) == replace(plain, name="")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pos_decay_time_s = 2000.0\n", "", "pos_h_jump_markov_sd_m needs pos_decay_distance_km or"),
+        ("vel_decay_time_s = 108.0\n", "", "[gnss] vel_jump_markov_sd_mps needs vel_decay_time_s"),
+        ("rate_hz = 1.0\n", "rate_hz = 1.0\noptimism = 50.0\n", "[gnss] optimism = 50 is outside 0.05 to 20"),
+        ("pos_h_jump_sd_m", "pos_h_jumps_sd_m", "unknown key 'pos_h_jumps_sd_m'. Did you mean"),
+    ],
+)  # fmt: skip
+def test_a_wrong_jump_gets_one_line(tmp_path, old, new, said):
+    text = (
+        (CATALOG / "l1-code-jumps.toml")
+        .read_text(encoding="utf-8")
+        .replace("pos_decay_distance_km = 250.0\n", "")
+    )
+    text = text.partition("[sources]")[0]
+    assert old in text
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        read_gnss(path, "mine.toml")
+
+
+def test_a_sky_makes_its_own_jumps(tmp_path):
+    text = (CATALOG / "sky-l1.toml").read_text(encoding="utf-8")
+    text = text.replace("[sky]\n", "pos_h_jump_sd_m = 2.0\n\n[sky]\n", 1)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=r"jumps follow from the satellites of \[sky\]; leave their figures"
+    ):
+        read_gnss(tmp_path / "mine.toml", "mine.toml")

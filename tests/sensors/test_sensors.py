@@ -1,0 +1,209 @@
+"""One draw of all sensors: what the estimators get, when, and from where they start."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import gammaincinv
+
+from bench import earth, rotation
+from bench.sensors import initial, sense
+from bench.sensors.timing import output_times
+from bench.specs import (
+    AirspeedSpec,
+    AssumedSpecs,
+    BaroSpec,
+    GnssSpec,
+    ImuSpec,
+    MagSpec,
+    SensorsSpec,
+    StaticPressureSpec,
+    TriadSpec,
+    stream,
+)
+from tests.synthetic import still, turning
+
+TRIAD = TriadSpec(
+    random_walk=4e-5,
+    bias_instability=1e-5,
+    bias_correlation=100.0,
+    turn_on_bias_sd=1e-4,
+    scale_factor_sd=5e-4,
+    misalignment_sd=1e-3,
+    quantization=1e-7,
+)
+IMU = ImuSpec("imu", TRIAD, TRIAD)
+GNSS = GnssSpec("gnss", 1.0, 1.5, 2.5, 0.05)
+BARO = BaroSpec("baro", 5.0, 0.5, 3.0, 0.05)
+SPEC = SensorsSpec(
+    imu=IMU,
+    gnss=GNSS,
+    baro=BARO,
+    assumed=AssumedSpecs(replace(IMU, name="believed"), GNSS, BARO),
+    antenna_b=(0.5, 0.1, -0.3),
+    gnss_outages=((20.0, 30.0),),
+    initial_pos_sd=(3.0, 4.0, 5.0),
+    initial_vel_sd=(0.1, 0.2, 0.3),
+    initial_tilt_sd=0.01,
+    initial_heading_sd=0.05,
+    output_rate=10.0,
+)
+
+
+@pytest.fixture(scope="module")
+def turn():
+    return turning(60.0, 200.0)
+
+
+def test_the_same_seed_and_run_give_the_same_bits_and_others_do_not(turn):
+    first = sense(turn, SPEC, 1, 0)
+    assert pickle.dumps(first) == pickle.dumps(sense(turn, SPEC, 1, 0))
+    for seed, run in ((2, 0), (1, 1)):
+        other = sense(turn, SPEC, seed, run)
+        assert not np.array_equal(first.data.imu.dtheta_b, other.data.imu.dtheta_b)
+        assert not np.array_equal(first.data.fixes.lla, other.data.fixes.lla)
+        assert not np.array_equal(first.data.baro.alt_baro, other.data.baro.alt_baro)
+        assert not np.array_equal(first.initial.lla, other.initial.lla)
+
+
+def test_leaving_out_one_sensor_leaves_the_others_bit_identical(turn):
+    whole = sense(turn, SPEC, 1, 0)
+    bare = sense(turn, replace(SPEC, gnss=None, baro=None), 1, 0)
+    assert_array_equal(bare.data.imu.dtheta_b, whole.data.imu.dtheta_b)
+    assert_array_equal(bare.data.imu.dvel_b, whole.data.imu.dvel_b)
+    assert_array_equal(bare.initial.q_nb, whole.initial.q_nb)
+    assert bare.data.fixes is None
+    assert bare.data.baro is None
+    assert np.isnan(bare.truth.baro_bias).all()
+    assert len(bare.events) == 0
+    without_imu_errors = sense(turn, replace(SPEC, imu=ImuSpec("ideal", TriadSpec(), TriadSpec())), 1, 0)
+    assert_array_equal(without_imu_errors.data.fixes.lla, whole.data.fixes.lla)
+    assert_array_equal(without_imu_errors.data.baro.alt_baro, whole.data.baro.alt_baro)
+
+
+def test_a_magnetometer_and_an_airspeed_unit_leave_the_others_bit_identical(turn):
+    mag = MagSpec("mag", 20.0, 2e-7, hard_iron_sd=5e-7)
+    pitot = AirspeedSpec("pitot", 20.0, pressure_white_sd=2.0, bias_sd=0.3)
+    bare, whole = sense(turn, SPEC, 1, 0), sense(turn, replace(SPEC, mag=mag, airspeed=pitot), 1, 0)
+    equal = [
+        (bare.data.imu.dtheta_b, whole.data.imu.dtheta_b),
+        (bare.data.fixes.lla, whole.data.fixes.lla),
+        (bare.data.baro.alt_baro, whole.data.baro.alt_baro),
+        (bare.initial.lla, whole.initial.lla),
+    ]
+    for one, other in equal:
+        assert_array_equal(one, other)
+    assert bare.data.mag is None
+    assert bare.data.airspeed is None
+    assert np.isnan(bare.truth.mag_bias_b).all()
+    assert np.isnan(bare.truth.airspeed_bias).all()
+    other = sense(turn, replace(SPEC, mag=mag), 1, 0)
+    assert_array_equal(other.data.mag.field_b, whole.data.mag.field_b)
+    offset = whole.truth.mag_bias_b
+    assert offset.any()
+    assert (offset == offset[0]).all()
+    assert_allclose(whole.truth.airspeed_bias, whole.truth.airspeed_bias[0])  # 25 m/s all along
+    assert whole.truth.airspeed_bias[0] != 0
+
+
+def test_the_date_of_the_flight_reaches_the_magnetometer_and_the_estimators(turn):
+    mag = MagSpec("mag", 20.0, 0.0)
+    early, late = (sense(turn, replace(SPEC, mag=mag, date=date), 1, 0) for date in (2025.0, 2026.0))
+    assert (early.data.date, late.data.date) == (2025.0, 2026.0)
+    assert np.abs(late.data.mag.field_b - early.data.mag.field_b).max() > 1e-8
+
+
+def test_a_physical_barometer_is_the_one_with_a_physical_part(turn):
+    """The setting and the port reach it; its bias has no noise."""
+    felt = replace(BARO, physical=StaticPressureSpec(white_sd=5.0))
+    plain = sense(turn, replace(SPEC, baro=felt), 1, 0)
+    assert_allclose(plain.data.baro.alt_baro.mean(), 1190.0, atol=15.0)  # 87700 Pa
+    moved = sense(turn, replace(SPEC, baro=felt, qnh=100325.0), 1, 0).data.baro.alt_baro
+    assert_allclose(moved - plain.data.baro.alt_baro, -83.6, atol=0.5)
+    below = sense(turn, replace(SPEC, baro=felt, static_port_b=(0.0, 0.0, 2.0)), 1, 0).data.baro.alt_baro
+    assert_allclose(below - plain.data.baro.alt_baro, -2.0 * np.cos(0.65), atol=0.05)
+    assert np.ptp(plain.truth.baro_bias) < 1e-6 < np.ptp(plain.data.baro.alt_baro)
+
+
+def test_an_estimator_gets_the_believed_specs_the_lever_arm_and_the_outage_only_as_silence(turn):
+    sensed = sense(turn, SPEC, 1, 0)
+    assert sensed.data.specs is SPEC.assumed
+    assert_array_equal(sensed.data.antenna_b, [0.5, 0.1, -0.3])
+    assert sensed.events.of("gnss_outage") == [(20.0, 30.0, "GNSS outage")]
+    assert_array_equal(np.round(sensed.data.fixes.t[18:21]), [19, 30, 31])
+
+
+def test_the_reported_baro_bias_is_on_the_times_of_the_imu_biases(turn):
+    sensed = sense(turn, replace(SPEC, baro=replace(BARO, white_sd=0.0)), 1, 0)
+    rows = np.searchsorted(sensed.truth.t, sensed.data.baro.t - 1e-6)
+    assert_allclose(sensed.truth.baro_bias[rows], sensed.data.baro.alt_baro - 1200.0, rtol=0, atol=1e-6)
+
+
+def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
+    t = output_times(turn.t, 10.0, ((20.0, 30.0), (40.05, 40.06), (55.0, 80.0)))
+    extra = [29.995, 40.05, 40.055]
+    assert_allclose(t, np.sort(np.concatenate([np.arange(601) / 10, extra])), atol=1e-9)
+    assert np.isin(t, turn.t).all()
+    coarse = output_times(turn.t, 0.71, ())
+    assert coarse[0] == turn.t[0]
+    assert coarse[-1] == turn.t[-1]
+    assert_allclose(coarse[1:-1], np.arange(1, 43) / 0.71, atol=0.0025 + 1e-9)
+
+
+def test_the_initial_error_follows_the_conventions(turn):
+    """estimate = truth + error; C_est = exp([phi x]) C_true; the sds are those of the covariance."""
+    sd = np.array([3.0, 4.0, 5.0, 0.1, 0.2, 0.3, 0.01, 0.01, 0.05])
+    state = initial.draw(turn, SPEC, 7, 3)
+    error = sd * stream(7, 3, "initial").standard_normal(9)
+    assert state.t == turn.t[0]
+    assert state.alignment == "given"
+    assert_allclose(state.cov, np.diag(sd**2))
+    assert_allclose(earth.difference_n(state.lla, turn.lla[0]), error[:3], rtol=0, atol=1e-5)
+    assert_allclose(state.vel_n - turn.vel_n[0], error[3:6], rtol=0, atol=1e-12)
+    C_true, C_est = rotation.matrix(turn.q_nb[0]), rotation.matrix(state.q_nb)
+    first_order = (np.eye(3) + rotation.skew(error[6:])) @ C_true
+    second_order = np.linalg.norm(error[6:]) ** 2
+    assert_allclose(C_est, first_order, rtol=0, atol=second_order)
+    assert np.abs(C_est - C_true @ (np.eye(3) + rotation.skew(error[6:]))).max() > second_order
+
+
+@pytest.mark.parametrize(
+    ("figure", "columns"),
+    [
+        ("initial_pos_sd", slice(0, 3)),
+        ("initial_vel_sd", slice(3, 6)),
+        ("initial_tilt_sd", slice(6, 8)),
+        ("initial_heading_sd", slice(8, 9)),
+    ],
+)
+def test_doubling_an_initial_sd_doubles_that_error_alone(turn, figure, columns):
+    def error(spec):
+        state = initial.draw(turn, spec, 1, 0)
+        phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(turn.q_nb[0])))
+        pos_n = earth.difference_n(state.lla, turn.lla[0])
+        return np.concatenate([pos_n, state.vel_n - turn.vel_n[0], phi_n])
+
+    value = getattr(SPEC, figure)
+    twice = tuple(2 * v for v in value) if isinstance(value, tuple) else 2 * value
+    expected = error(SPEC)
+    expected[columns] *= 2
+    assert_allclose(error(replace(SPEC, **{figure: twice})), expected, rtol=0, atol=1e-8)
+
+
+def test_initial_errors_fill_their_covariance():
+    """400 runs of 9 components: mean of e^T P^-1 e over 9 within the 99.9 % band of chi2(3600) / 3600."""
+    truth = still(1.0, 10.0)
+    ratios = []
+    for run in range(400):
+        state = initial.draw(truth, SPEC, 1, run)
+        phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(truth.q_nb[0])))
+        pos_n = earth.difference_n(state.lla, truth.lla[0])
+        error = np.concatenate([pos_n, state.vel_n, phi_n])
+        ratios.append(error @ np.linalg.solve(state.cov, error) / 9)
+    low, high = (2 * gammaincinv(1800, p) / 3600 for p in (0.0005, 0.9995))
+    assert low < np.mean(ratios) < high
+    assert not low < 1.1**2 * np.mean(ratios) < high  # sds 10 % too large would be seen

@@ -1,0 +1,499 @@
+"""The measurement-level receiver: exact without errors, each error of its size, satellites lost by geometry.
+
+Statistical bounds are two-sided 99.9 % bands of their statistic at fixed seeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import gammaincinv
+
+import bench
+from bench import config, earth, rotation
+from bench.config import ConfigError
+from bench.config.datasheets import read_gnss
+from bench.data import GnssObservations
+from bench.sensors import clock, gnss, sky
+from bench.signals import allan, delays, orbits, receiver
+from bench.specs import SkySpec
+from tests.synthetic import ORIGIN, still, turning
+
+CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
+DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
+LEVER = (0.4, -0.2, -0.5)
+SPEC = read_gnss(CATALOG / "sky-l1.toml", "sky-l1.toml")
+FULL = SPEC.sky
+OFF = {
+    f.name: 0.0
+    for f in fields(SkySpec)
+    if f.name.endswith("_sd")
+    or f.name in ("dll_bandwidth", "fll_bandwidth", "clock_h_0", "clock_h_m1", "clock_h_m2", "clock_g")
+}
+QUIET = replace(FULL, **OFF)
+
+
+@pytest.fixture(scope="module")
+def turn():
+    return turning(120.0, 20.0)
+
+
+@pytest.fixture(scope="module")
+def rest():
+    return still(600.0, 1.0, attitude=(0.0, 0.0, 0.3))
+
+
+def measure(truth, what, antenna_b=LEVER, outages=(), seed=1, run=0, rate=1.0):
+    return sky.measure(truth, replace(SPEC, sky=what, rate=rate), antenna_b, outages, seed, run)
+
+
+def exact(truth, fixes, antenna_b=LEVER):
+    """Position and velocity error of fixes [m, m/s], n."""
+    rows = np.searchsorted(truth.t, fixes.t - 1e-6)
+    lla, vel_n = gnss.antenna(truth, rows, antenna_b)
+    return earth.difference_n(fixes.lla, lla), fixes.vel_n - vel_n
+
+
+def band(count):
+    """99.9 % band of a mean of count squared standard normals."""
+    return 2 * gammaincinv(count / 2, 0.0005) / count, 2 * gammaincinv(count / 2, 0.9995) / count
+
+
+@pytest.mark.parametrize("bands", [1, 2])
+def test_without_errors_a_fix_is_the_antenna(turn, bands):
+    """The atmosphere is on, and removed; what remains is 0.1 mm: the satellites are computed at a time that
+    is late by the delays, as a receiver does. Clocks of any size do not matter."""
+    clocks = {
+        "clock_offset_sd": 1e4,
+        "clock_drift_sd": 100.0,
+        "glonass_offset_sd": 10.0,
+        "clock_h_0": 2e-19,
+        "clock_h_m1": 7e-21,
+        "clock_h_m2": 2e-20,
+        "clock_g": 5e-11,
+    }
+    for what in (QUIET, replace(QUIET, **clocks)):
+        found = measure(turn, replace(what, bands=bands))
+        pos, vel = exact(turn, found.fixes)
+        assert np.abs(pos).max() < 3e-4
+        assert np.abs(vel).max() < 3e-7
+        assert found.fixes.valid.all()
+        assert len(found.fixes) == 120
+
+
+def test_the_pseudorange_is_the_sum_of_its_parts(turn):
+    """Range by an iteration that turns vectors, delays by their public functions (B-12)."""
+    o = measure(turn, QUIET).observations
+    rows = np.searchsorted(turn.t, o.t - 1e-6)
+    lla, _ = gnss.antenna(turn, rows, LEVER)
+    here = earth.to_ecef(lla)
+    sets = [orbits.nominal_gps(), orbits.nominal_glonass()]
+    for k in range(0, len(o), 37):
+        travel = np.array([0.07])
+        for _ in range(5):
+            now = o.t[k] + o.gps_t0 - travel
+            pos = orbits.states(sets[o.system[k]], np.array([o.sat[k] - 1]), now).pos_e[0]
+            c, s = np.cos(orbits.RATE * travel[0]), np.sin(orbits.RATE * travel[0])
+            turned = np.array([c * pos[0] + s * pos[1], c * pos[1] - s * pos[0], pos[2]])
+            travel = np.array([np.linalg.norm(turned - here[k])]) / orbits.C
+        n, e, d = earth.matrix_en(*lla[k, :2]).T @ (turned - here[k])
+        el, az = np.arctan2(-d, np.hypot(n, e)), np.arctan2(e, n)
+        ionosphere = delays.klobuchar(*lla[k, :2], el, az, o.t[k] + o.gps_t0, o.klobuchar)
+        ionosphere *= (orbits.L1 / o.frequency[k, 0]) ** 2
+        expected = orbits.C * travel[0] + ionosphere + delays.troposphere(el, lla[k, 0], lla[k, 2])
+        assert abs(o.pseudorange[k, 0] - expected) < 1e-6
+        assert abs(o.cn0[k, 0] - by_antenna(turn, rows[k], [n, e, d])) < 1e-6
+
+
+def by_antenna(truth, row, toward_n):
+    up_n = rotation.rotate(truth.q_nb[row], [0.0, 0.0, -1.0])
+    sine = np.dot(up_n, toward_n) / np.linalg.norm(toward_n)
+    return FULL.cn0_horizon + (FULL.cn0_zenith - FULL.cn0_horizon) * sine
+
+
+def test_two_carriers_see_the_ionosphere(turn):
+    """Their difference is the ionosphere's, (f1/f2)^2 - 1 of it; combined it is gone below 1e-6 m (B-11)."""
+    o = measure(turn, replace(QUIET, bands=2, second_band_loss=0.0)).observations
+    no = measure(turn, replace(QUIET, bands=2, klobuchar=(0.0,) * 8)).observations
+    free = receiver.Processing(ionosphere="free")
+    assert np.abs(o.pseudorange - no.pseudorange).min() > 0.01
+    assert np.abs(receiver.corrected(o, free) - receiver.corrected(no, free)).max() < 1e-6
+
+
+def test_a_bank_loses_the_satellites_geometry_says():
+    """Level and banked 45 deg: exactly those below the antenna's mask in body axes."""
+    level = still(20.0, 1.0, attitude=(0.0, 0.0, 0.0))
+    banked = still(
+        20.0, 1.0, attitude=(np.deg2rad(45.0), 0.0, 0.0)
+    )  # right wing down: the antenna looks right
+    what = replace(QUIET, antenna_mask=0.0, reacquisition=0.0, cn0_threshold=0.0)
+    kept, lost = [], []
+    seen, left = (measure(truth, what).observations for truth in (level, banked))
+    final = seen.t == seen.t[-1]
+    here = earth.to_ecef(gnss.antenna(level, np.array([20]), LEVER)[0][0])
+    for system, sat, pos in zip(seen.system[final], seen.sat[final], seen.sat_pos_e[final], strict=True):
+        _, e, d = earth.matrix_en(*ORIGIN[:2]).T @ (pos - here)
+        above = e * np.sin(np.deg2rad(45.0)) - d * np.cos(np.deg2rad(45.0))  # along the antenna's axis
+        still_there = ((left.system == system) & (left.sat == sat) & (left.t == left.t[-1])).any()
+        assert still_there == (above > 0)
+        (kept if still_there else lost).append(e)
+    assert len(lost) >= 3
+    assert max(lost) < 0 < max(kept)  # what is lost is west, below the raised left wing
+
+
+def test_a_lost_satellite_comes_back_after_reacquisition():
+    """Rolling to 60 deg and back at a known time: epochs without it last the roll and the wait."""
+    truth = still(60.0, 1.0, attitude=(0.0, 0.0, 0.0))
+    q_nb = np.array(truth.q_nb)
+    q_nb[20:31] = rotation.from_euler(np.deg2rad(60.0), 0.0, 0.0)
+    rolled = replace(truth, q_nb=q_nb)
+    counts = {}
+    for wait in (0.0, 4.0):
+        o = measure(rolled, replace(QUIET, antenna_mask=0.0, reacquisition=wait)).observations
+        assert_array_equal(o.epoch_start[-1], len(o))
+        counts[wait] = np.diff(o.epoch_start)
+    assert counts[0.0][18] == counts[0.0][30] > counts[0.0][24]
+    assert (counts[4.0][30:34] == counts[0.0][24]).all()
+    assert counts[4.0][34] == counts[0.0][30]
+    assert (counts[4.0][:19] == counts[0.0][:19]).all()
+
+
+def test_a_weak_signal_is_not_tracked(rest):
+    o = measure(rest, replace(QUIET, cn0_threshold=45.0)).observations
+    assert o.cn0.min() >= 45.0
+    assert len(o) < len(measure(rest, QUIET).observations)
+
+
+def test_outages_leave_out_their_epochs_and_change_no_other(turn):
+    whole, broken = measure(turn, FULL), measure(turn, FULL, outages=((20.0, 30.0),))
+    keep = (whole.fixes.t < 19.99) | (whole.fixes.t > 29.99)
+    assert_array_equal(broken.fixes.t, whole.fixes.t[keep])
+    assert_array_equal(broken.fixes.lla, whole.fixes.lla[keep])
+    rows = (whole.observations.t < 19.99) | (whole.observations.t > 29.99)
+    assert_array_equal(broken.observations.pseudorange, whole.observations.pseudorange[rows])
+
+
+TERMS = {
+    "code.1": {"dll_bandwidth": 0.5},
+    "multipath.1": {"multipath_zenith_sd": 0.13, "multipath_horizon_sd": 0.53},
+    "space": {"gps_space_sd": 0.6, "glonass_space_sd": 2.0},
+    "ionosphere": {"ionosphere_sd": 2.0},
+    "troposphere": {"troposphere_sd": 0.12},
+}
+
+
+def claimed(o, term, chip=(293.0522561, 586.6779022)):
+    """Standard deviation of each row's error, from its elevation and C/N0, by the sources' formulas."""
+    C_en = earth.matrix_en(*ORIGIN[:2])
+    away = o.sat_pos_e - earth.to_ecef(ORIGIN)
+    sine = -(away @ C_en)[:, 2] / np.linalg.norm(away, axis=1)
+    el = np.arcsin(sine)
+    if term == "code.1":
+        ratio = 10 ** (o.cn0[:, 0] / 10)
+        loss = 1 + 2 / ((2 - FULL.dll_spacing) * FULL.integration * ratio)
+        return np.array(chip)[o.system] * np.sqrt(0.5 * FULL.dll_spacing / (2 * ratio) * loss)
+    if term == "multipath.1":
+        return 0.13 + 0.53 * np.exp(-np.rad2deg(el) / 10)
+    if term == "space":
+        return np.array([0.6, 2.0])[o.system]
+    if term == "ionosphere":
+        return 2.0 * (1 + 16 * (0.53 - el / np.pi) ** 3) * (orbits.L1 / o.frequency[:, 0]) ** 2
+    return 0.12 * 1.001 / np.sqrt(0.002001 + sine**2)
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_each_range_error_has_its_size(rest, term):
+    """#32: RMS of error over its formula within 5 %, over 400 runs of 10 s; rows of one satellite and run are
+    one sample (the slow ones stay put), those of the troposphere one per run."""
+    short = still(10.0, 1.0, attitude=(0.0, 0.0, 0.3))
+    clean = measure(short, QUIET, (0.0, 0.0, 0.0)).observations
+    what, ratios = replace(QUIET, **TERMS[term]), []
+    sd = claimed(clean, term)
+    for run in range(400):
+        o = measure(short, what, (0.0, 0.0, 0.0), run=run).observations
+        error = o.pseudorange[:, 0] - clean.pseudorange[:, 0]
+        first = slice(0, o.epoch_start[1]) if term != "troposphere" else slice(0, 1)
+        ratios.append((error / sd)[first])
+    ratios = np.concatenate(ratios)
+    low, high = band(len(ratios))
+    assert low < np.mean(ratios**2) < high
+    if term != "troposphere":
+        assert 0.95**2 < low < high < 1.05**2
+    assert not low < 1.3**2 < high
+
+
+def test_doppler_noise_has_its_size(rest):
+    clean, noisy = (
+        measure(rest, QUIET).observations,
+        measure(rest, replace(QUIET, fll_bandwidth=2.0)).observations,
+    )
+    ratio = 10 ** (clean.cn0[:, 0] / 10)
+    T = FULL.integration
+    sd = orbits.C / clean.frequency[:, 0] / (2 * np.pi * T) * np.sqrt(8 / ratio * (1 + 1 / (T * ratio)))
+    low, high = band(len(sd))
+    assert low < np.mean(((noisy.range_rate - clean.range_rate)[:, 0] / sd) ** 2) < high
+    assert_array_equal(noisy.pseudorange, clean.pseudorange)
+
+
+def test_slow_errors_remember(rest):
+    """Correlation at one correlation time is 1/e: of the multipath, 80 s, over 13 satellites and 5 runs.
+
+    About 20 independent stretches of 600 s each hold 7 correlation times: 0.37 +- 0.25. White noise has 0.
+    """
+    what, products, squares = replace(QUIET, **TERMS["multipath.1"]), [], []
+    clean = measure(rest, QUIET).observations
+    sd = claimed(clean, "multipath.1")
+    for run in range(5):
+        error = (measure(rest, what, run=run).observations.pseudorange - clean.pseudorange)[:, 0] / sd
+        for key in {(s, n) for s, n in zip(clean.system, clean.sat, strict=True)}:
+            mine = error[(clean.system == key[0]) & (clean.sat == key[1])]
+            if len(mine) == 600:
+                products.append(np.mean(mine[80:] * mine[:-80]))
+                squares.append(np.mean(mine**2))
+    assert len(squares) >= 40
+    assert abs(np.mean(products) / np.mean(squares) - np.exp(-1)) < 0.25
+    assert np.mean(products) / np.mean(squares) > 0.1
+
+
+def test_the_clock_has_the_allan_deviation_of_its_coefficients():
+    """White frequency noise: sigma_y^2 = h0 / (2 tau); random walk: (2 pi^2 / 3) h-2 tau (IEEE Std 1139)."""
+    truth = still(20000.0, 1.0, attitude=(0.0, 0.0, 0.0))
+    rows = np.arange(1, 20001)
+    for h_0, h_m2, tau in ((2e-19, 0.0, 1), (2e-19, 0.0, 16), (0.0, 2e-20, 4), (0.0, 2e-20, 16)):
+        what = replace(QUIET, clock_h_0=h_0, clock_h_m2=h_m2)
+        offset, _ = clock.receiver_clock(truth, rows, what, 1, 0)
+        x = offset / orbits.C
+        second = x[2 * tau :: tau] - 2 * x[tau:-tau:tau] + x[: -2 * tau : tau]
+        variance = np.mean(second**2) / (2 * tau**2)
+        expected = h_0 / (2 * tau) + 2 * np.pi**2 / 3 * h_m2 * tau
+        spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbours of second differences are correlated
+        assert abs(variance / expected - 1) < spread
+    one, two = (
+        clock.receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0] for h in (2e-19, 8e-20)
+    )
+    assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
+
+
+def test_the_flicker_of_the_clock_is_flat_at_its_floor():
+    """sigma_y^2 = 2 ln 2 h-1 whatever tau (IEEE Std 1139): octaves to 1024 s, 24 runs of 20000 s.
+
+    Each mean lies within the 99.9 % band of the spread of its runs (Student t), widened by 2 % for the stages
+    themselves; white noise of the same level at 1 s would be 30 times less at 1024 s.
+    """
+    from scipy.special import stdtrit
+
+    h_m1, truth, rows = 7e-21, still(20000.0, 1.0, attitude=(0.0, 0.0, 0.0)), np.arange(1, 20001)
+    what = replace(QUIET, clock_h_m1=h_m1)
+    runs = [clock.receiver_clock(truth, rows, what, 1, run) for run in range(24)]
+    taus = np.geomspace(0.1, 1e4, 41)
+    stages = zip(clock._stage_sd(), clock._STAGES, strict=True)
+    flat = np.sqrt(sum(allan.gauss_markov(taus, sd, c) ** 2 for sd, c in stages))
+    assert np.abs(flat - 1).max() < 0.02
+    for tau in 2 ** np.arange(11):
+        variances = []
+        for offset, _ in runs:
+            x = offset / orbits.C
+            second = x[2 * tau :] - 2 * x[tau:-tau] + x[: -2 * tau]
+            variances.append(np.mean(second**2) / (2 * tau**2))
+        ratio = np.array(variances) / (2 * np.log(2) * h_m1)
+        spread = stdtrit(23, 0.9995) * ratio.std(ddof=1) / np.sqrt(24)
+        assert abs(ratio.mean() - 1) < spread + 0.04, tau
+        assert spread < 0.4
+    offset, drift = runs[0]
+    middle = 0.5 * (drift[1:] + drift[:-1])  # the offset is the integral of the drift
+    steps = np.diff(offset)
+    assert np.corrcoef(steps, middle)[0, 1] > 0.9
+
+
+def test_the_flicker_does_not_depend_on_the_step():
+    """Ten steps of 0.1 s are one of 1 s: the same Allan deviation at 1 s, within its 99.9 % band."""
+    h_m1 = 7e-21
+    for rate, count in ((1.0, 20000), (10.0, 200000)):
+        truth = still(20000.0, rate, attitude=(0.0, 0.0, 0.0))
+        offset, _ = clock.receiver_clock(
+            truth, np.arange(1, count + 1), replace(QUIET, clock_h_m1=h_m1), 1, 0
+        )
+        x = offset[:: int(rate)] / orbits.C
+        variance = np.mean(np.diff(x, n=2) ** 2) / 2
+        assert abs(variance / (2 * np.log(2) * h_m1) - 1) < 3.29 * np.sqrt(3.0 / len(x)) + 0.04
+
+
+def test_specific_force_bends_the_clock(turn):
+    """0.5 ppb/g in a turn of 1.26 g along down: drift c y, and the offset is its integral."""
+    what = replace(QUIET, clock_g=0.5e-9 / 9.80665)
+    rows = np.arange(0, 2401, 20)[1:]
+    offset, drift = clock.receiver_clock(turn, rows, what, 1, 0)
+    f_down = turn.dvel_b[0, 2] * 20.0
+    assert f_down < -9.9
+    assert_allclose(drift, orbits.C * what.clock_g * f_down, rtol=1e-9)
+    assert_allclose(offset, drift * turn.t[rows], rtol=1e-9)
+
+
+def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
+    drawn = streams_drawn(sky, clock)
+    measure(turn, QUIET)
+    assert drawn == []
+    measure(turn, replace(FULL, bands=2, clock_h_m1=7e-21))
+    names = [
+        "clock.offset",
+        "clock.drift",
+        "clock.noise",
+        "clock.flicker",
+        "glonass_offset",
+        "space",
+        "ionosphere",
+        "troposphere",
+    ]
+    names += [f"{term}.{band}" for term in ("code", "doppler", "multipath") for band in (1, 2)]
+    assert sorted(drawn) == sorted(f"gnss.sky.{name}" for name in names)
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_one_error_more_leaves_the_others_their_bits(turn, term):
+    """What an error adds is the same alone, beside all others, and with another mask, up to rounding."""
+    alone = replace(QUIET, **TERMS[term])
+    without = replace(FULL, **dict.fromkeys(TERMS[term], 0.0))
+    added = [
+        (measure(turn, a).observations.pseudorange - measure(turn, b).observations.pseudorange)
+        for a, b in ((alone, QUIET), (FULL, without))
+    ]
+    assert np.abs(added[0]).max() > 0.01
+    assert_allclose(added[0], added[1], rtol=0, atol=3e-8)
+    wide, narrow = (
+        measure(turn, replace(alone, elevation_mask=np.deg2rad(m))).observations for m in (5.0, 20.0)
+    )
+    where = {
+        (t, s, n): p for t, s, n, p in zip(wide.t, wide.system, wide.sat, wide.pseudorange[:, 0], strict=True)
+    }
+    same = [where[key] for key in zip(narrow.t, narrow.system, narrow.sat, strict=True)]
+    assert_array_equal(narrow.pseudorange[:, 0], same)
+
+
+def test_full_errors_match_what_the_receiver_claims(rest):
+    """Normalised squared position error over 300 runs at one instant, three degrees of freedom each.
+
+    Sds claimed 1.5 times too small would be seen.
+    """
+    short = still(5.0, 1.0, attitude=(0.0, 0.0, 0.3))
+    squares = []
+    for run in range(300):
+        fixes = measure(short, FULL, run=run).fixes
+        error = exact(short, fixes)[0][-1]
+        squares.append(error @ np.linalg.solve(fixes.cov_pos_n[-1], error))
+    low, high = band(3 * len(squares))
+    assert low < np.mean(squares) / 3 < high
+    assert not low < 1.5**2 < high
+
+
+def test_the_prediction_does_not_change_the_fix(turn):
+    """From the sensor's own prediction or from the centre of the Earth: within 2 cm, as the delays are
+    those of the prediction or of the receiver's own height, metres away."""
+    found = measure(turn, FULL)
+    again = receiver.solve(found.observations, sky.processing(FULL))
+    assert np.abs(earth.difference_n(again.fixes.lla, found.fixes.lla)).max() < 0.02
+    assert_array_equal(again.used, found.solution.used)
+
+
+def test_systems_and_the_best_set(turn):
+    both = measure(turn, FULL).fixes.satellites
+    gps, glonass = (measure(turn, replace(FULL, systems=s)) for s in ("gps", "glonass"))
+    assert_array_equal(gps.fixes.satellites + glonass.fixes.satellites >= both, True)
+    assert not gps.solution.used[gps.observations.system == 1].any()
+    auto = measure(turn, replace(FULL, systems="auto", glonass_space_sd=30.0))
+    assert not auto.solution.used[auto.observations.system == 1].any()
+    assert len(measure(turn, FULL, rate=10.0).fixes) == 1200
+
+
+def test_latency_and_a_receiver_without_sky(turn):
+    late = sky.measure(turn, replace(SPEC, latency=0.2), LEVER, (), 1, 0)
+    assert_allclose(late.fixes.t_arrival - late.fixes.t, 0.2)
+    assert_allclose(late.observations.t_arrival - late.observations.t, 0.2)
+    with pytest.raises(ValueError, match="'x' is a position-level receiver"):
+        sky.measure(turn, replace(SPEC, name="x", sky=None), LEVER, (), 1, 0)
+
+
+def test_real_satellites_fly_too(turn, tmp_path):
+    """With the almanac of 2022-02-17 PRN 11 is unhealthy and not seen; broadcast files serve both."""
+    if not DATA.is_dir():
+        pytest.skip("the real GNSS files are not beside the repository")
+    text = (CATALOG / "sky-l1.toml").read_text(encoding="utf-8")
+    for name in ("yuma_2022-02-17.txt", "brdc3050.12n", "brdc3050.12g"):
+        (tmp_path / name).write_bytes((DATA / name).read_bytes())
+    sheets = {
+        "yuma": text.replace("[sky]\n", '[sky]\nalmanac = "yuma_2022-02-17.txt"\n'),
+        "brdc": text.replace("[sky]\n", '[sky]\nnavigation = ["brdc3050.12n", "brdc3050.12g"]\n').replace(
+            "2022-02-17T12", "2012-10-31T12"
+        ),
+    }
+    for name, sheet in sheets.items():
+        (tmp_path / f"{name}.toml").write_text(sheet, encoding="utf-8")
+        spec = read_gnss(tmp_path / f"{name}.toml", f"{name}.toml")
+        found = sky.measure(turn, replace(spec, sky=replace(spec.sky, **OFF)), LEVER, (), 1, 0)
+        pos, vel = exact(turn, found.fixes)
+        assert np.abs(pos).max() < 3e-4
+        assert np.abs(vel).max() < 1e-6
+        assert (found.fixes.satellites >= 10).all()
+        assert name != "yuma" or 11 not in found.observations.sat[found.observations.system == 0]
+    late = sheets["brdc"].replace("2012-10-31T12", "2012-11-20T12")
+    (tmp_path / "late.toml").write_text(late, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"has no GPS ephemeris near start = 2012-11-20 12:00:00"):
+        read_gnss(tmp_path / "late.toml", "late.toml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("ionosphere_correlation_s = 1800.0\n", "", "[sky] ionosphere_sd_m needs ionosphere_correlation_s"),
+        ("bands = 1\n", "bands = 3\n", "[sky] bands = 3 must be 1 or 2"),
+        (
+            "elevation_mask_deg = 5.0\n",
+            "elevation_mask_deg = 1.0\n",
+            "[sky] elevation_mask_deg = 1 deg is outside 3 to 60 deg",
+        ),
+        (
+            "cn0_zenith_dbhz = 50.0\n",
+            "cn0_zenith_dbhz = 500.0\n",
+            "cn0_zenith_dbhz = 500 dB-Hz is outside 0 to 70 dB-Hz",
+        ),
+        ("start = 2022-02-17T12:00:00 ", "start = 2022-02-17T12:00:00Z ", "must have no time zone"),
+        ('systems = "both"\n', 'systems = "both"\nsatelites = 3\n', "[sky]: unknown key 'satelites'"),
+        ('systems = "both"\n', 'almanac = "none.txt"\n', "none.txt: no such file"),
+        (
+            'systems = "both"\n',
+            'almanac = "a"\nnavigation = ["b"]\n',
+            "almanac and navigation are two sources",
+        ),
+    ],
+)
+def test_a_wrong_sky_gets_one_line(tmp_path, old, new, said):
+    text = (CATALOG / "sky-l1.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        read_gnss(path, "mine.toml")
+    assert said in str(caught.value)
+    assert all(line.startswith("mine.toml") for line in str(caught.value).splitlines() if "known" not in line)
+
+
+def test_a_profile_flies_with_it(short_truth, tmp_path):
+    """The loose filter takes its fixes as those of the position level; observations reach the disk."""
+    from bench import pipeline, store
+    from bench.navigation.fusion import Loose
+    from bench.sensors import sense
+
+    profile = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"})
+    sensed = sense(short_truth, replace(profile.sensors, gnss_outages=()), 1, 0)
+    assert sensed.data.observations is not None
+    solution = Loose().run(sensed.data, sensed.initial)
+    errors, _ = pipeline.judge(replace(profile, evaluation_from=20.0), short_truth, solution)
+    assert np.abs(errors.pos_n[-1]).max() < 15
+    store.results._save_observations(tmp_path / store.results.OBSERVATIONS, sensed.data.observations)
+    back = store.load_observations(tmp_path)
+    for name in GnssObservations.__slots__:
+        assert_array_equal(getattr(back, name), getattr(sensed.data.observations, name), err_msg=name)
+    assert store.load_observations(tmp_path / "none") is None

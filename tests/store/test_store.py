@@ -1,0 +1,527 @@
+"""What is written comes back bit for bit, appears as a whole or not at all, and a truth is flown again when
+anything it depends on changed or its files are damaged."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from numpy.testing import assert_array_equal
+
+from bench import config, store
+from bench.data import (
+    AirspeedData,
+    BaroData,
+    ErrorSeries,
+    Events,
+    GnssFixes,
+    ImuData,
+    InitialState,
+    Innovations,
+    MagData,
+    NavSolution,
+    RunResult,
+    Sensed,
+    SensorData,
+    SensorTruth,
+    Trajectory,
+    no_events,
+    no_innovations,
+)
+from bench.specs import FlightSpec
+from bench.store import truth_cache
+from tests.synthetic import turning
+
+RNG = np.random.default_rng(3)
+
+
+def equal(one: object, other: object) -> None:
+    """Every column of two records is the same, bit for bit, and of the same kind."""
+    assert type(one) is type(other)
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype, field.name
+            assert_array_equal(a, b, err_msg=field.name, strict=True)
+        elif dataclasses.is_dataclass(a):
+            equal(a, b)
+        else:
+            assert a == b, field.name
+
+
+@pytest.fixture(scope="module")
+def truth() -> Trajectory:
+    flown = turning(4.0, 100.0)
+    legs = Events(np.array([0.0, 2.0]), np.array([2.0, 4.0]), ("leg", "leg"), ("1 straight", "2 turn: 90 °"))
+    return dataclasses.replace(flown, events=legs)
+
+
+@pytest.fixture(scope="module")
+def spec() -> FlightSpec:
+    return config.load_profile("figure-eight").flight
+
+
+def solution(m: int, extra: tuple[str, ...], innovations: Innovations) -> NavSolution:
+    """A solution of noise; its covariance is not even symmetric: a store changes nothing."""
+    cov = RNG.normal(size=(m, 9, 9))
+    cov[0, 0, 0] = np.nan
+    return NavSolution(
+        t=np.arange(m) / 10,
+        lla=RNG.normal(size=(m, 3)),
+        vel_n=RNG.normal(size=(m, 3)),
+        q_nb=RNG.normal(size=(m, 4)),
+        gyro_bias_b=RNG.normal(size=(m, 3)),
+        accel_bias_b=np.full((m, 3), np.nan),
+        cov=cov,
+        extra_names=extra,
+        extra=RNG.normal(size=(m, len(extra))),
+        extra_sd=RNG.normal(size=(m, len(extra))),
+        innovations=innovations,
+    )
+
+
+@pytest.fixture(scope="module")
+def sensed(truth: Trajectory) -> Sensed:
+    n, m, profile = len(truth) - 1, 5, config.load_profile("figure-eight")
+    t = np.arange(m) * 1.0
+    flags = np.array([True, True, False, True, True])
+    data = SensorData(
+        imu=ImuData(truth.t[1:], np.full(n, 0.01), np.ones(n, bool), truth.dtheta_b, truth.dvel_b),
+        fixes=GnssFixes(
+            t,
+            t + 0.1,
+            flags,
+            RNG.normal(size=(m, 3)),
+            RNG.normal(size=(m, 3)),
+            RNG.normal(size=(m, 3, 3)),
+            RNG.normal(size=(m, 3, 3)),
+            np.arange(m),
+        ),
+        baro=BaroData(t, t, flags, RNG.normal(size=m), np.full(m, 0.5)),
+        antenna_b=np.zeros(3),
+        specs=profile.sensors.assumed,
+        output_t=np.arange(41) / 10,
+        mag=MagData(t, t + 0.05, flags, RNG.normal(size=(m, 3)), np.full(m, 1e-7)),
+        airspeed=AirspeedData(t, t, flags, RNG.normal(size=m), np.full(m, 0.3)),
+        date=2025.5,
+    )
+    initial = InitialState(0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(9), "given")
+    drawn = SensorTruth(
+        t, *RNG.normal(size=(2, m, 3)), RNG.normal(size=m), RNG.normal(size=(m, 3)), RNG.normal(size=m)
+    )
+    outage = Events(np.array([2.0]), np.array([3.0]), ("gnss_outage",), ("scripted",))
+    return Sensed(data, initial, drawn, outage)
+
+
+@pytest.fixture(scope="module")
+def result() -> RunResult:
+    k = 6
+    innovations = Innovations(
+        np.repeat([1.0, 2.0], 3),
+        ("gnss_position", "baro", "gnss_velocity"),
+        np.array([2, 2, 2, 0, 0, 1]),
+        np.array([0, 1, 2, 0, 1, 0]),
+        RNG.normal(size=k),
+        RNG.uniform(size=k),
+        RNG.uniform(size=k),
+        np.array([True, True, False, True, True, True]),
+    )
+    m = 41
+    errors = ErrorSeries(
+        np.arange(m) / 10,
+        *(RNG.normal(size=(m, 3)) for _ in range(3)),
+        RNG.normal(size=m),
+        np.full(m, np.nan),
+        9,
+    )
+    events = Events(np.array([0.5]), np.array([0.5]), ("timeline",), ("1 row left out",))
+    loose = dataclasses.replace(solution(m, ("gyro_bias_x_rad_s", "baro_bias_m"), innovations), events=events)
+    return RunResult(
+        profile={"title": "a", "leg": [{"kind": "turn"}]},
+        seed=7,
+        run=2,
+        metrics={
+            "loose-15": {"converged": True, "nees_mean": 9.5},
+            "free": {"converged": False, "cep50_m": None},
+        },
+        errors={"loose-15": errors, "free": errors},
+        solutions={"loose-15": loose, "free": solution(m, (), no_innovations())},
+        provenance={"versions": {"bench": "0"}},
+    )
+
+
+# --- the results folder -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def saved(tmp_path, result, truth, sensed) -> Path:
+    with store.results_folder(tmp_path / "runs" / "one") as partial:
+        store.save(partial, result, truth, sensed)
+    return tmp_path / "runs" / "one"
+
+
+def units(data):
+    return data.imu, data.fixes, data.baro, data.mag, data.airspeed
+
+
+def test_what_is_saved_comes_back(saved, result, truth, sensed):
+    again = store.load(saved)
+    for name in ("profile", "seed", "run", "metrics", "provenance"):
+        assert getattr(again, name) == getattr(result, name)
+    assert set(again.solutions) == set(again.errors) == {"loose-15", "free"}
+    for label in result.solutions:
+        equal(again.solutions[label], result.solutions[label])
+        equal(again.errors[label], result.errors[label])
+    equal(store.load_truth(saved), truth)
+    for again, before in zip(store.load_sensors(saved), units(sensed.data), strict=True):
+        equal(again, before)
+
+
+def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
+    none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
+    bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))
+    store.save(tmp_path, result, truth, bare)
+    assert store.load_sensors(tmp_path)[1:] == (None, None, None, None)
+
+
+def test_every_column_has_a_unit_and_every_vector_a_frame(saved):
+    files = list(saved.glob("*.parquet"))
+    assert len(files) == 19
+    for path in files:
+        for field in pq.read_schema(path):
+            metadata = {key.decode(): value.decode() for key, value in field.metadata.items()}
+            assert metadata["unit"], (path.name, field.name)
+            if field.name.endswith(("_n_mps", "_x_rad", "_q_nb_w", "lat_rad", "_x_m_s2", "cov_pos_n_phi_d")):
+                assert metadata["frame"], (path.name, field.name)
+    schema = pq.read_schema(saved / "solution-loose-15.parquet")
+
+    def says(name):
+        return {key.decode(): value.decode() for key, value in schema.field(name).metadata.items()}
+
+    assert says("vel_n_mps") == {"unit": "m/s", "frame": "n"}
+    assert says("gyro_bias_x_rad_s") == {"unit": "rad/s", "frame": "b"}
+    assert says("cov_pos_n_phi_d") == {"unit": "m rad", "frame": "n"}
+    assert says("state_baro_bias_m") == says("sd_baro_bias_m") == {"unit": "m"}
+
+
+def test_no_bare_nan_in_json(tmp_path):
+    value = {
+        "a": float("nan"),
+        "b": np.float64("inf"),
+        "c": np.array([1.0, np.nan]),
+        "d": (np.int64(3), True),
+    }
+    assert json.loads(store.to_json(value)) == {"a": None, "b": None, "c": [1.0, None], "d": [3, True]}
+    store.write_json(tmp_path / "a.json", value)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_json_is_replaced_as_a_whole(tmp_path):
+    store.write_json(tmp_path / "a.json", {"old": 1})
+    with pytest.raises(TypeError):
+        store.write_json(tmp_path / "a.json", {"new": object()})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"old": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_failure_leaves_nothing_behind(tmp_path, failure):
+    def fail() -> None:
+        with store.results_folder(tmp_path / "one") as partial:
+            (partial / "truth.parquet").write_text("half")
+            raise failure
+
+    with pytest.raises(type(failure)):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
+    folder = tmp_path / "one"
+    folder.mkdir()
+    (folder / "old").touch()
+    with pytest.raises(FileExistsError), store.results_folder(folder):
+        pass
+    assert [path.name for path in folder.iterdir()] == ["old"]
+    with pytest.raises(OSError, match="full"), store.results_folder(folder, replace=True):
+        raise OSError("full")
+    assert [path.name for path in folder.iterdir()] == ["old"]
+    with store.results_folder(folder, replace=True) as partial:
+        (partial / "new").touch()
+    assert [path.name for path in folder.iterdir()] == ["new"]
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_folder_without_result_is_not_loaded(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"result\.json"):
+        store.load(tmp_path)
+
+
+def test_provenance_names_what_can_move_a_number():
+    said = store.provenance()
+    assert set(said["versions"]) == {"bench", "python", "numpy", "scipy", "numba", "jsbsim"}
+    json.dumps(said)
+
+
+def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
+    sensors = config.load_profile("figure-eight").sensors
+    said = store.spec_hash(sensors)
+    assert said == store.spec_hash(config.load_profile("figure-eight").sensors)
+    for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
+        spec = getattr(sensors, name)
+        before = getattr(spec, figure)
+        moved = ((0.01, 0.0, 0.0),) * 3 if figure == "accel_arms" else before + 1e-9
+        other = dataclasses.replace(sensors, **{name: dataclasses.replace(spec, **{figure: moved})})
+        assert store.spec_hash(other) != said, name
+
+
+# --- the truth cache ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "truth"
+
+
+class Flights:
+    """Counts how often the truth is flown; gives it in pieces."""
+
+    def __init__(self, *pieces: Trajectory) -> None:
+        self.pieces, self.count = pieces, 0
+
+    def __call__(self) -> Iterator[Trajectory]:
+        self.count += 1
+        return iter(self.pieces)
+
+
+def cut(truth: Trajectory, *rows: int) -> list[Trajectory]:
+    """A truth in pieces that end at these rows; air and controls follow by time, events come last."""
+    pieces = []
+    for start, stop in pairwise((0, *rows, len(truth) - 1)):
+        after = truth.t[start] if start else -np.inf
+        parts = {}
+        for name in ("air", "controls"):
+            part = getattr(truth, name)
+            taken = (part.t > after) & (part.t <= truth.t[stop])
+            columns = {f.name: getattr(part, f.name)[taken] for f in dataclasses.fields(part)}
+            parts[name] = dataclasses.replace(part, **columns)
+        points = {name: getattr(truth, name)[start : stop + 1] for name in ("t", "lla", "vel_n", "q_nb")}
+        between = {name: getattr(truth, name)[start:stop] for name in ("dtheta_b", "dvel_b")}
+        events = truth.events if stop == len(truth) - 1 else no_events()
+        pieces.append(Trajectory(**points, **between, **parts, events=events))
+    return pieces
+
+
+def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
+    flights = Flights(truth)
+    for _ in range(3):
+        equal(store.truth_cached(spec, flights), truth)
+    assert flights.count == 1
+    cached = store.truth_cached(spec, flights)
+    column = cached.lla
+    while not isinstance(column, np.memmap):
+        column = column.base
+        assert column is not None, "lla is a copy"
+    assert not cached.lla.flags.writeable
+    (entry,) = cache.iterdir()
+    assert len(entry.name) == 32
+
+
+def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
+    store.truth_cached(spec, Flights(truth))
+    (entry,) = cache.iterdir()
+    whole = {path.name: path.read_bytes() for path in entry.iterdir()}
+    for name, array in truth_cache._arrays(truth).items():
+        np.save(cache / "column.npy", array)
+        assert whole[f"{name}.npy"] == (cache / "column.npy").read_bytes(), name
+    (cache / "column.npy").unlink()
+    shutil.rmtree(entry)
+    flights = Flights(*cut(truth, 1, 150, 151, 399))
+    equal(store.truth_cached(spec, flights), truth)
+    assert {path.name: path.read_bytes() for path in entry.iterdir()} == whole
+
+
+@pytest.mark.parametrize("size", [7, 100, 400, 6000])
+def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
+    monkeypatch.setattr(truth_cache, "_PIECE", size)
+    flights = Flights(*cut(truth, 250))
+    for _ in range(2):
+        pieces = list(store.truth_pieces(spec, flights))
+        assert len(pieces) == math.ceil(400 / size)
+        assert all(len(piece) == size + 1 for piece in pieces[:-1])
+        assert not any(len(piece.events) for piece in pieces[:-1])
+        equal(truth_cache._joined(pieces), truth)
+    assert flights.count == 1
+
+
+def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
+    """Made once; made anew when it is damaged, when its sources change, and when the truth is damaged."""
+    flights, calls = Flights(truth), []
+
+    def say(pieces):
+        calls.append(sum(len(piece) - 1 for piece in pieces) + 1)
+        return {"samples": calls[-1], "legs": [(0.0, 1.5, "climb")]}
+
+    def said(*sources):
+        return store.truth_said(spec, flights, say, sources)
+
+    first = said("evaluation/replay.py")
+    assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401], 1)
+    said("evaluation/replay.py", "rotation.py")
+    assert (calls, flights.count) == ([401] * 2, 1)
+    (entry,) = cache.iterdir()
+    for path in entry.glob("said-*.json"):
+        path.write_text('{"samples"')
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401] * 3, 1)
+    _flip(entry / "lla.npy")
+    assert said("evaluation/replay.py") == first
+    assert (calls, flights.count) == ([401] * 4, 2)
+
+
+def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
+    cache.parent.write_text("no folder")
+    flights = Flights(*cut(truth, 100, 200))
+    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    equal(store.truth_cached(spec, flights), truth)
+    assert store.truth_said(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {"pieces": 3}
+    assert "is not cached" in caplog.text
+
+
+def test_a_truth_without_events_is_cached_too(cache, spec, truth):
+    none = dataclasses.replace(truth, events=Events(np.empty(0), np.empty(0), (), ()))
+    flights = Flights(none)
+    for _ in range(2):
+        equal(store.truth_cached(spec, flights), none)
+    assert flights.count == 1
+
+
+def _truncate(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def _flip(path):
+    text = bytearray(path.read_bytes())
+    text[-9] ^= 1
+    path.write_bytes(bytes(text))
+
+
+@pytest.mark.parametrize("damage", [_truncate, _flip, Path.unlink, lambda p: p.write_bytes(b"")])
+@pytest.mark.parametrize("name", ["lla.npy", "air.t.npy", "texts.json", "index.json"])
+def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
+    flights = Flights(truth)
+    store.truth_cached(spec, flights)
+    (entry,) = cache.iterdir()
+    damage(entry / name)
+    equal(store.truth_cached(spec, flights), truth)
+    assert flights.count == 2
+    equal(store.truth_cached(spec, flights), truth)
+    assert flights.count == 2
+    damage(entry / name)
+    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    assert flights.count == 3
+    assert list(cache.iterdir()) == [entry]
+
+
+def test_nothing_is_unpickled(cache, spec, truth):
+    """An entry whose column is a pickle is flown again, not executed."""
+    flights = Flights(truth)
+    store.truth_cached(spec, flights)
+    (entry,) = cache.iterdir()
+    np.save(entry / "lla.npy", np.array([print], dtype=object), allow_pickle=True)
+    index = json.loads((entry / "index.json").read_text())
+    index["lla.npy"] = truth_cache._sha256(entry / "lla.npy")
+    (entry / "index.json").write_text(json.dumps(index))
+    equal(store.truth_cached(spec, flights), truth)
+    assert flights.count == 2
+
+
+def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatch, caplog):
+    def crash():
+        raise RuntimeError("ground")
+
+    with pytest.raises(RuntimeError):
+        store.truth_cached(spec, crash)
+
+    def full(*args, **keywords):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def crash_later():
+        yield from cut(truth, 100)[:1]
+        raise RuntimeError("ground")
+
+    for fly in (crash, crash_later):
+        with pytest.raises(RuntimeError):
+            list(store.truth_pieces(spec, fly))
+    with pytest.raises(RuntimeError):
+        store.truth_cached(spec, crash_later)
+    assert list(cache.iterdir()) == []
+    monkeypatch.setattr(truth_cache._Column, "append", full)
+    equal(store.truth_cached(spec, Flights(*cut(truth, 100))), truth)
+    assert list(cache.iterdir()) == []
+    assert "No space left on device" in caplog.text
+
+
+def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch):
+    own = dataclasses.replace(spec.aircraft, folder=tmp_path / "aircraft", systems=tmp_path / "systems")
+    shutil.copytree(spec.aircraft.folder, own.folder)
+    shutil.copytree(spec.aircraft.systems, own.systems)
+    here = dataclasses.replace(spec, aircraft=own)
+    start = truth_cache.truth_key(here)
+    assert truth_cache.truth_key(here) == start
+    seen = {start}
+
+    def moved(flight: FlightSpec = here) -> bool:
+        key = truth_cache.truth_key(flight)
+        new = key not in seen
+        seen.add(key)
+        return new
+
+    changes = {
+        "lat": 0.5,
+        "speed": 26.0,
+        "severity": 3,
+        "turbulence_seed": 1,
+        "duration": None,
+        "legs": spec.legs[:-1],
+        "rate": 100.0,
+    }
+    for name, value in changes.items():
+        assert moved(dataclasses.replace(here, **{name: value})), name
+    gains = dict(own.gains) | {"bank-gain": 4.0}
+    assert moved(dataclasses.replace(here, aircraft=dataclasses.replace(own, gains=gains)))
+    assert moved(dataclasses.replace(here, aircraft=dataclasses.replace(own, imu_b=(0.0, 0.1, 0.0))))
+    for path in (own.folder / f"{own.name}.xml", own.systems / "guidance.xml"):
+        path.write_text(path.read_text() + "\n")
+        assert moved(), path.name
+    monkeypatch.setattr(truth_cache, "versions", lambda: {"jsbsim": "2"})
+    assert moved()
+    package = tmp_path / "package"
+    (package / "flight").mkdir(parents=True)
+    monkeypatch.setattr(truth_cache, "PACKAGE", package)
+    assert moved()
+    (package / "flight" / "recorder.py").write_text("step = 1")
+    assert moved()
+
+
+def test_entries_nobody_reads_are_removed(cache, spec, truth):
+    store.truth_cached(spec, Flights(truth))
+    (entry,) = cache.iterdir()
+    old = entry.stat().st_mtime - 31 * 86400
+    os.utime(entry, (old, old))
+    store.truth_cached(dataclasses.replace(spec, speed=26.0), Flights(truth))
+    assert entry not in list(cache.iterdir())
+    assert len(list(cache.iterdir())) == 1

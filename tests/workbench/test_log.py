@@ -1,0 +1,707 @@
+"""A recording somebody made: read as it is, checked against itself, navigated, judged by withheld fixes.
+
+The recording is that of `tests/exchange/drives.py`, whose truth and errors are known.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pyarrow import parquet
+from scipy.io import savemat
+from scipy.stats import chi2
+
+from bench import rotation, store
+from bench.cli import main
+from bench.config import ConfigError
+from bench.config.log import load_log
+from bench.data import ImuData
+from bench.earth import difference_n
+from bench.evaluation import outages, validity
+from bench.evaluation.fixes import judge
+from bench.exchange.log import divided, read_log
+from bench.exchange.log_start import start
+from bench.navigation import estimator
+from bench.recording import column
+from bench.workbench.log import Session
+from tests.exchange import drives
+
+DRIVE = Path(__file__).parents[3] / "shared" / "data" / "drive_0708"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drive")
+    drives.write_log(path)
+    return path
+
+
+def checks(path):
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    found = validity.check(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
+    return {c.name: c for c in found}
+
+
+def rewritten(folder, tmp_path, *changes: tuple[str, str]) -> Path:
+    """A copy of a log, its text changed; the tables stay where they are."""
+    text = drives.LOG
+    for name in ("imu.csv", "gnss.csv", "imu.toml", "gnss.toml", "baro.csv", "baro.toml"):
+        (tmp_path / name).symlink_to(folder / name)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "drive.toml"
+    path.write_text(text)
+    return path
+
+
+# --- reading ------------------------------------------------------------------------------------------
+
+
+def test_rates_and_increments_in_csv_parquet_and_mat_are_one_recording(folder, tmp_path):
+    imu = drives.sensed()["imu"]
+    first = read_log(load_log(str(folder / "drive.toml"))).imu
+    columns = drives.imu_columns(imu)
+    parquet.write_table(pa.table(columns), tmp_path / "imu.parquet")
+    savemat(
+        tmp_path / "imu.mat", {name: values[:, None] for name, values in columns.items()}, do_compression=True
+    )
+    dt = 1.0 / drives.RATE
+    increments = {"time_ms": 1e3 * imu["t"]}
+    increments |= {f"dtheta_{a}_deg": np.rad2deg(imu["gyro"][:, k]) * dt for k, a in enumerate("xyz")}
+    increments |= {f"dvel_{a}_m_s": imu["accel"][:, k] * dt for k, a in enumerate("xyz")}
+    drives.write_csv(tmp_path / "increments.csv", increments)
+    odd = {f"c{k}": values for k, values in enumerate(columns.values())}
+    odd |= {f"c{k}": np.rad2deg(odd[f"c{k}"]) for k in (1, 2, 3)} | {
+        f"c{k}": odd[f"c{k}"] / 9.80665 for k in (4, 5, 6)
+    }
+    drives.write_csv(tmp_path / "odd.csv", odd)
+    names = ["t_s", *(f"gyro_{a}_deg_s" for a in "xyz"), *(f"accel_{a}_g" for a in "xyz")]
+    told = "columns = { " + ", ".join(f'{name} = "c{k}"' for k, name in enumerate(names)) + " }"
+    path = rewritten(folder, tmp_path)
+    for file, more in (("imu.parquet", ""), ("imu.mat", ""), ("increments.csv", ""), ("odd.csv", told)):
+        path.write_text(drives.LOG.replace('file = "imu.csv"', f'file = "{file}"\n{more}'))
+        found = read_log(load_log(str(path))).imu
+        assert_allclose(found.t, first.t, atol=1e-9)
+        assert_allclose(found.dtheta_b, first.dtheta_b, atol=1e-11)
+        assert_allclose(found.dvel_b, first.dvel_b, atol=1e-10)
+
+
+def test_mounting_and_misalignment_turn_the_axes_of_the_imu_into_those_of_the_body(folder, tmp_path):
+    """scipy turned the vectors of the body into the axes of the IMU; the log has to turn them back."""
+    plain = read_log(load_log(str(folder / "drive.toml"))).imu
+    turned = drives.write_log(tmp_path, mounting_deg=(170.0, 20.0, -100.0))
+    text = drives.LOG.replace("[imu]", "[imu]\nmounting_deg = [170.0, 20.0, -100.0]")
+    turned.write_text(text)
+    found = read_log(load_log(str(turned))).imu
+    assert_allclose(found.dtheta_b, plain.dtheta_b, atol=1e-11)
+    assert_allclose(found.dvel_b, plain.dvel_b, atol=1e-10)
+    turned.write_text(text.replace("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 90.0]"))
+    found = read_log(load_log(str(turned))).imu  # what pointed forward points right
+    assert_allclose(found.dvel_b[:, 1], plain.dvel_b[:, 0], atol=1e-10)
+
+
+def test_an_interval_divided_at_a_fix_keeps_its_increments_and_its_rates():
+    random = np.random.default_rng(3)
+    t = np.array([0.01, 0.02, 0.03, 0.03, 0.025, 0.08, 0.09])  # one repeated, one going back, one gap
+    imu = ImuData(
+        t, np.full(7, 0.01), np.ones(7, bool), random.normal(size=(7, 3)), random.normal(size=(7, 3))
+    )
+    cuts = np.array([0.0125, 0.0175, 0.02, 0.05, 0.0825, 0.2, 0.0825])
+    found = divided(imu, cuts)
+    assert_allclose(found.t, [0.01, 0.0125, 0.0175, 0.02, 0.03, 0.03, 0.025, 0.08, 0.0825, 0.09])
+    assert_allclose(
+        found.dt, [0.01, 0.0025, 0.005, 0.0025, 0.01, 0.01, 0.01, 0.01, 0.0025, 0.0075], atol=1e-15
+    )
+    assert_allclose(found.dtheta_b.sum(axis=0), imu.dtheta_b.sum(axis=0), rtol=1e-14)
+    assert_allclose(
+        found.dvel_b[1:4] / found.dt[1:4, None], np.tile(imu.dvel_b[1] / 0.01, (3, 1)), rtol=1e-12
+    )
+
+
+def test_velocities_are_taken_to_the_times_of_their_fixes(tmp_path):
+    path = drives.write_log(tmp_path, velocity_late=0.1)
+    late = checks(path)["velocity_shift_s"]
+    assert late.value == pytest.approx(-0.1, abs=0.01)
+    assert not late.good
+    assert "velocity_offset_s" in late.text
+    path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nvelocity_offset_s = -0.1"))
+    now = checks(path)["velocity_shift_s"]
+    assert now.good
+    assert now.value == pytest.approx(0.0, abs=0.01)
+
+
+# --- what is wrong with a recording -------------------------------------------------------------------
+
+
+def test_a_sound_recording_is_said_to_be_sound(folder):
+    found = checks(folder / "drive.toml")
+    assert all(check.good for check in found.values()), [c.text for c in found.values() if not c.good]
+    assert found["imu_shift_s"].value == pytest.approx(0.0, abs=0.01)
+    assert found["gravity_ratio"].value == pytest.approx(1.0, abs=0.005)
+    assert found["turn_gain"].value == pytest.approx(1.0, abs=0.02)
+    assert found["forward_yaw_deg"].value == pytest.approx(0.0, abs=3.0)
+    assert found["imu_rate_hz"].value == pytest.approx(100.0)
+
+
+YAWED = rotation.matrix(rotation.from_euler(0.0, 0.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "words"),
+    [
+        (("gyro", lambda v: np.rad2deg(v)), "turn_gain", "deg/s in a column of rad/s"),
+        (("gyro", lambda v: np.deg2rad(v)), "turn_gain", "rad/s in a column of deg/s"),
+        (("accel", lambda v: v / 9.80665), "gravity_ratio", "g in a column of m/s^2"),
+        (("accel", lambda v: v * 1.05), "gravity_ratio", "the scale"),
+        (("accel", lambda v: -v), "rest_tilt_deg", "mounting_deg"),
+        (
+            ("accel", lambda v: v @ rotation.matrix(rotation.from_euler(0, 0, 0.6))),
+            "forward_yaw_deg",
+            "forward",
+        ),
+        (("t", lambda v: v + 0.07), "imu_shift_s", "time_offset_s"),
+        (("t", lambda v: v + 0.5 * (v > 60.0)), "imu_gaps", "1 gaps, the longest 0.51 s"),
+        (("t", lambda v: v - 0.5 * ((v > 60.0) & (v < 60.205))), "imu_unordered_rows", "go back"),
+    ],
+)
+def test_a_defect_of_a_recording_is_said(tmp_path, change, name, words):
+    """Each defect alone; the value a user needs to mend it stands in the line."""
+    path = drives.write_log(tmp_path)
+    imu = drives.sensed()["imu"]
+    key, spoil = change
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns({**imu, key: spoil(imu[key])}))
+    found = checks(path)[name]
+    assert not found.good
+    assert words in found.text
+    if key == "t" and name == "imu_shift_s":
+        assert found.value == pytest.approx(-0.07, abs=0.005)
+
+
+def test_the_standard_deviation_of_the_clock_shift_is_honest():
+    """Of 20 recordings the shift is unbiased and scatters no more than claimed (99.95 % of chi-square)."""
+    found = []
+    for seed in range(20):
+        made = drives.sensed(seed)
+        imu, gnss = made["imu"], made["gnss"]
+        n = len(imu["t"])
+        angles, speeds = 0.01 * imu["gyro"], 0.01 * imu["accel"]
+        record = ImuData(imu["t"], np.full(n, 0.01), np.ones(n, bool), angles, speeds)
+        found_now = validity.check(record, fixes_of(gnss), None, drives.ARM)
+        shift = next(c for c in found_now if c.name == "imu_shift_s")
+        sd = float(shift.text.rpartition("sd ")[2].partition(" ")[0])
+        found.append((shift.value, sd))
+    shifts, sds = np.array(found).T
+    ratio = np.var(shifts, ddof=1) / np.mean(np.square(sds))
+    assert 0.1 < ratio < chi2.ppf(0.9995, 19) / 19  # the claim is up to three times too careful
+    assert abs(np.mean(shifts)) < 3.3 * np.std(shifts) / np.sqrt(20) + 5e-4  # and level arms are assumed
+
+
+def fixes_of(gnss):
+    from bench.data import GnssFixes
+
+    m = len(gnss["t"])
+    cov = np.tile(np.eye(3), (m, 1, 1))
+    return GnssFixes(
+        gnss["t"], gnss["t"], np.ones(m, bool), gnss["lla"], gnss["vel_n"], cov, cov, np.zeros(m, np.int64)
+    )
+
+
+# --- navigating ---------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    arguments = [
+        "navigate",
+        str(folder / "drive.toml"),
+        "-e",
+        "loose-15",
+        "--outages",
+        "5,20",
+        "--places",
+        "4",
+    ]
+    assert main([*arguments, "-o", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    metrics = printed["metrics"]["loose-15"]
+    assert metrics["converged"]
+    # estimate minus withheld fix: the noise of the fix and what the filter adds to it
+    assert 0.028 < metrics["pos_rmse_h_m"] < 0.045
+    assert metrics["nees_mean"] == pytest.approx(6.0, abs=1.5)
+    rows = {row["duration_s"]: row for row in printed["outages"]}
+    assert rows[5.0]["median_h_m"] < rows[20.0]["median_h_m"]
+    assert rows[20.0]["median_h_m"] < 10 * rows[20.0]["closed_form_median_h_m"]
+    result = store.load(out)
+    assert set(result.solutions) == {"loose-15"}
+    error = result.errors["loose-15"]
+    assert np.isfinite(error.pos_n[error.t > 40.0]).all()
+    assert not (out / "truth.parquet").exists()
+    assert json.loads((out / "result.json").read_text())["validity"][0]["name"] == "imu_rate_hz"
+    t, shown = column(out / "flight.rrd", "/estimators/loose-15/position/north/error", "Scalars:scalars")
+    assert_allclose(t, error.t)
+    assert_allclose(shown[:, 0], error.pos_n[:, 0])
+    assert main([*arguments, "-o", str(out)]) == 2  # it exists
+    assert "--force" in capsys.readouterr().err
+
+
+def test_the_withheld_fixes_never_reach_the_filter(folder):
+    """Other values in them leave the solution as it is, bit by bit."""
+    spec = load_log(str(folder / "drive.toml"))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    keep, withheld = session.withheld()
+    assert len(withheld) == len(session.fixes) // 5
+    data = session.data(keep, session.grid())
+    assert not np.isin(data.fixes.t, withheld.t).any()
+    hidden = np.isin(recorded.fixes.t, withheld.t)
+    spoiled = replace(
+        recorded, fixes=replace(recorded.fixes, lla=np.where(hidden[:, None], 0.5, recorded.fixes.lla))
+    )
+    other = Session(spec, spoiled, session.initial).data(keep, session.grid())
+    one = estimator.load("loose-15", {})
+    assert_array_equal(
+        estimator.answer(one, "x", data, session.initial).lla,
+        estimator.answer(one, "x", other, session.initial).lla,
+    )
+
+
+def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
+    """The error against the last fix cut out is that against the truth, to the noise of the fix."""
+    spec = load_log(str(folder / "drive.toml"))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    one = estimator.load("loose-15", {})
+    flown = drives.truth()
+    t = session.fixes.t
+    for cut in session.cuts(one, "x", 20.0, 3):
+        assert cut.duration == pytest.approx(20.0)
+        end = cut.start + cut.duration
+        data = session.data((t <= cut.start) | (t > end + 1e-6), np.array([end]))
+        solution = estimator.answer(one, "x", data, session.initial)
+        true = flown.lla[np.searchsorted(flown.t, end + recorded.origin - 1e-6)]
+        off = difference_n(solution.lla[0], true)
+        assert cut.drift == pytest.approx(np.hypot(*off[:2]), abs=0.1)  # 3.5 sigma of a fix
+
+
+KIND = 'kind = "course"'
+GIVEN = 'kind = "given"\nat_s = 30.0\nroll_deg = 1.0\npitch_deg = 3.0\nheading_deg = 30.0'
+GATED = '[[estimator]]\nuse = "loose-15"\noptions = { gate_probability = 0.01 }\n[evaluation]'
+SETTINGS = [
+    ("mounting_deg", ("[imu]", "[imu]\nmounting_deg = [0.0, 0.0, 1.0]")),
+    ("misalignment_deg", ("[imu]", "[imu]\nmisalignment_deg = [0.5, 0.0, 0.0]")),
+    ("imu time_offset_s", ("[imu]", "[imu]\ntime_offset_s = 0.02")),
+    ("imu position_m", ("[1.0, 0.0, -0.5]", "[1.5, 0.0, -0.5]")),
+    ("gnss position_m", ("[0.4, 0.3, -1.5]", "[0.4, 0.6, -1.5]")),
+    ("gnss time_offset_s", ("[gnss]", "[gnss]\ntime_offset_s = 0.02")),
+    ("velocity_offset_s", ("[gnss]", "[gnss]\nvelocity_offset_s = 0.05")),
+    ("assumed imu", ('imu = "imu.toml"', 'imu = "icm-42688-p"')),
+    ("assumed gnss", ('gnss = "gnss.toml"', 'gnss = "rtk-fixed"')),
+    ("baro", ("[sensors.assumed]", '[baro]\nfile = "baro.csv"\n[sensors.assumed]\nbaro = "baro.toml"')),
+    ("withhold", ("from_s = 40.0", "from_s = 40.0\nwithhold = 3")),
+    ("output_hz", ("from_s = 40.0", "from_s = 40.0\noutput_hz = 7.0")),
+    ("from_s", ("from_s = 40.0", "from_s = 60.0")),
+    ("at_s", (KIND, f"{KIND}\nat_s = 26.0")),
+    ("duration_s", (KIND, f"{KIND}\nduration_s = 5.0")),
+    ("drift_deg", (KIND, f"{KIND}\ndrift_deg = 8.0")),
+    ("given", (KIND, GIVEN)),
+    ("tilt_sd_deg", (KIND, GIVEN + "\ntilt_sd_deg = 5.0")),
+    ("heading_sd_deg", (KIND, GIVEN + "\nheading_sd_deg = 1.0")),
+    ("level", (KIND, 'kind = "level"')),
+    ("options", ("[evaluation]", GATED)),
+]
+
+
+@pytest.fixture(scope="module")
+def usual(folder, tmp_path_factory):
+    return outcome(folder / "drive.toml")
+
+
+def outcome(path):
+    """Everything a log comes to, of its first estimator."""
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    session = Session(spec, recorded, start(recorded, spec))
+    keep, withheld = session.withheld()
+    data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
+    one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
+    solution = estimator.answer(one, "x", data, session.initial)
+    _, metrics = judge(solution, withheld, data, spec.evaluation_from)
+    return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
+
+
+@pytest.mark.parametrize("change", [change for _, change in SETTINGS], ids=[name for name, _ in SETTINGS])
+def test_each_setting_moves_the_result(folder, usual, tmp_path, change):
+    assert outcome(rewritten(folder, tmp_path, change)) != usual
+
+
+def test_quality_leaves_fixes_out(tmp_path):
+    path = drives.write_log(tmp_path)
+    columns = drives.gnss_columns(drives.sensed()["gnss"])
+    columns["quality"] = np.where(np.arange(len(columns["t_s"])) % 3, 1.0, 5.0)
+    drives.write_csv(tmp_path / "gnss.csv", columns)
+    every = read_log(load_log(str(path))).fixes.valid
+    path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nquality = [1, 2]"))
+    some = read_log(load_log(str(path))).fixes.valid
+    assert every.all()
+    assert_array_equal(some, columns["quality"] == 1.0)
+
+
+@pytest.mark.parametrize("kind", ["given", "course"])
+def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
+    """What is told is the position of the IMU, not of its antenna; what a filter finds is near the truth."""
+    flown = drives.truth()
+    k = int(np.searchsorted(flown.t, 30.0 - 1e-6))
+    angles = np.rad2deg(rotation.to_euler(flown.q_nb[k]))
+    told = 'kind = "given"\nat_s = 29.99\n' + "\n".join(
+        f"{name}_deg = {angle:.6f}" for name, angle in zip(("roll", "pitch", "heading"), angles, strict=True)
+    )
+    path = rewritten(folder, tmp_path, (KIND, told if kind == "given" else KIND))
+    spec = load_log(str(path))
+    recorded = read_log(spec)
+    initial = start(recorded, spec)
+    assert initial.alignment == kind
+    if kind == "given":
+        assert initial.t + recorded.origin == pytest.approx(30.0)
+        off = np.abs(difference_n(initial.lla, flown.lla[k]))
+        assert (off < 4 * drives.POS_SD).all()  # the arm is 1.2 m
+        return
+    session = Session(spec, recorded, initial)
+    keep, _ = session.withheld()
+    solution = estimator.answer(
+        estimator.load("loose-15", {}), "x", session.data(keep, session.grid()), initial
+    )
+    ((_, end, _),) = solution.events.of("alignment")
+    k = int(np.searchsorted(solution.t, end))
+    at = int(np.searchsorted(flown.t, solution.t[k] + recorded.origin - 1e-6))
+    off = rotation.to_rotvec(rotation.multiply(solution.q_nb[k], rotation.conjugate(flown.q_nb[at])))
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(solution.cov[k])[6:])).all()
+
+
+@pytest.mark.parametrize("lacking", ["every", "some"])
+def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, capsys, lacking):
+    """No columns, or NaN in every third row: the withheld fixes then judge positions alone."""
+    path = drives.write_log(tmp_path, drives.LOG.replace(KIND, GIVEN))
+    columns = drives.gnss_columns(drives.sensed()["gnss"])
+    if lacking == "every":
+        columns = {name: values for name, values in columns.items() if "mps" not in name}
+    else:
+        columns["vel_e_mps"] = np.where(np.arange(len(columns["t_s"])) % 3, columns["vel_e_mps"], np.nan)
+    drives.write_csv(tmp_path / "gnss.csv", columns)
+    for log in (path.read_text(), drives.LOG):
+        path.write_text(log)
+        arguments = ["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd", "--force", "--json"]
+        assert main(arguments) == 0
+        metrics = json.loads(capsys.readouterr().out)["metrics"]["loose-15"]
+        assert metrics["pos_rmse_h_m"] < 0.05
+        assert metrics["nees_states"] == 3
+        assert 2.0 < metrics["nees_mean"] < 4.0
+        assert "vel_rmse_3d_mps" not in metrics
+        assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
+    events = store.load(tmp_path / "out").solutions["loose-15"].events.of("timeline")
+    assert sum("fixes without velocity" in text for _, _, text in events) == 1
+
+
+def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_path, capsys):
+    """What loose-15 said, written as a table: the same errors where the table has the same instants."""
+    first = tmp_path / "first"
+    assert main(["navigate", str(folder / "drive.toml"), "-o", str(first), "--no-rrd"]) == 0
+    solution = store.load(first).solutions["loose-15"]
+    angles = np.rad2deg(np.column_stack(rotation.to_euler(solution.q_nb)))
+    good = np.isfinite(angles).all(axis=1)
+    columns = {"t_s": solution.t, "lat_deg": np.rad2deg(solution.lla[:, 0])}
+    columns |= {"lon_deg": np.rad2deg(solution.lla[:, 1]), "alt_m": solution.lla[:, 2]}
+    columns |= {f"vel_{a}_mps": solution.vel_n[:, k] for k, a in enumerate("ned")}
+    columns |= {f"{name}_deg": angles[:, k] for k, name in enumerate(("roll", "pitch", "heading"))}
+    rows = np.column_stack([values[good] for values in columns.values()])
+    table = tmp_path / "mine.csv"
+    np.savetxt(table, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.14g")
+    arguments = ["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-e", f"file:{table}"]
+    main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"])
+    errors = store.load(tmp_path / "out").errors
+    late = errors["loose-15"].t > 40.0
+    assert_allclose(errors["mine"].pos_n[late], errors["loose-15"].pos_n[late], atol=1e-3)
+
+
+def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    main(["navigate", str(folder / "drive.toml"), "-e", "gnss-only", "-o", str(out)])
+    said, err = capsys.readouterr()
+    assert err == ""
+    assert "No recording: no estimator has position, velocity and attitude" in said
+    assert (out / "result.json").is_file()
+    assert not (out / "flight.rrd").exists()
+
+
+def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
+    """A course alignment tells no place: the map of the bag begins at the first fix."""
+    pytest.importorskip("rosbags")
+    out, bag = tmp_path / "out", tmp_path / "bag"
+    main(["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-o", str(out), "--no-rrd"])
+    with_solution = ["--with", "solution:loose-15"]
+    assert main(["export", str(out), "--to", "rosbag2", "-o", str(bag), *with_solution]) == 0
+    fixes = store.load_sensors(out)[1]
+    first = np.rad2deg(fixes.lla[fixes.valid][0, 0])
+    assert f"{first:.9f}" in (bag / "README.md").read_text()
+    capsys.readouterr()
+    for arguments in (["export", str(out), "--to", "csv", "--with", "truth"], ["score", "x.csv", str(out)]):
+        assert main(arguments) == 2
+        assert "has no truth" in capsys.readouterr().err
+
+
+# --- statistics and the law ---------------------------------------------------------------------------
+
+
+def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says():
+    """20000 samples of ten values of a skewed distribution; 99.9 % band of the count of misses."""
+    random = np.random.default_rng(5)
+    samples = random.exponential(size=(20_000, 10))
+    inside = 0
+    for sample in samples:
+        found = outages.quantile(sample, 0.5)
+        inside += found.low <= np.log(2.0) <= found.high
+    exact = 1.0 - 2 * (1 + 10) / 2**10  # fewer than two below, or fewer than two above
+    assert abs(inside / 20_000 - exact) < 3.3 * np.sqrt(exact * (1 - exact) / 20_000)
+    assert outages.quantile(samples[0], 0.95).high is None  # ten values say nothing above
+
+
+def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
+    """Euler sums of white noise and constants, 4000 draws: the variance within its 99.9 % band."""
+    imu = load_log(str(folder / "drive.toml")).assumed.imu
+    imu = replace(
+        imu,
+        gyro=replace(imu.gyro, random_walk=1e-3, bias_instability=2e-4),
+        accel=replace(imu.accel, random_walk=1e-2, bias_instability=3e-3),
+    )
+    T, dt, draws = 20.0, 0.05, 4000
+    random, n = np.random.default_rng(9), round(T / dt)
+    rate = 1e-3 * random.standard_normal((draws, n)) / np.sqrt(dt) + 2e-4 * random.standard_normal((draws, 1))
+    force = 1e-2 * random.standard_normal((draws, n)) / np.sqrt(dt) + 3e-3 * random.standard_normal(
+        (draws, 1)
+    )
+    tilt = np.cumsum(rate, axis=1) * dt
+    position = np.cumsum(np.cumsum(force + 9.80665 * tilt, axis=1), axis=1)[:, -1] * dt**2
+    expected = outages.closed_form_sd(imu, T)
+    band = 3.3 * np.sqrt(2.0 / draws) + 3 * dt / T  # and the step of the sums
+    assert abs(np.var(position) / expected**2 - 1.0) < band
+
+
+def test_an_outage_that_does_not_fit_is_refused(folder, capsys, tmp_path):
+    assert main(["navigate", str(folder / "drive.toml"), "--outages", "500", "-o", str(tmp_path / "o")]) == 2
+    assert "500 s do not fit" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+# --- what a file cannot be ----------------------------------------------------------------------------
+
+
+def broken(folder, tmp_path, name, content):
+    path = rewritten(folder, tmp_path)
+    (tmp_path / name).unlink()
+    (tmp_path / name).write_bytes(content)
+    return path
+
+
+HEADER = b"t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n"
+ROW = b"0.%d,0,0,0,0,0,-9.8\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("imu.csv", b"", "imu.csv: no columns for time"),
+        ("imu.csv", HEADER, "imu.csv: no rows"),
+        ("imu.csv", HEADER + ROW % 1, "one row"),
+        ("imu.csv", HEADER + ROW % 1 + b"0.2,0,zero,0,0,0,-9.8\n", "imu.csv: row 2: "),
+        ("imu.csv", HEADER + ROW % 1 + b"0.2,0,0\n", "imu.csv: row 2: "),
+        ("imu.csv", HEADER + ROW % 1 + ROW % 1, "no row comes after"),
+        ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is no finite number"),
+        ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must be named by its unit"),
+        ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: cannot be read"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600\n2,91,11,600\n", "row 2: latitude 91 deg"),
+        ("gnss.csv", b"t_s,lat_rad,lon_rad,alt_m\n1,47,11,600\n", "row 1: latitude"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600000\n", "row 1: height"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1e9,47,11,600\n", "must be on one clock"),
+        ("imu.toml", b"source = 1\n", "imu.toml"),
+    ],
+)
+def test_a_file_that_cannot_be_gets_one_line_and_nothing_is_written(
+    folder, tmp_path, capsys, name, content, words
+):
+    path = broken(folder, tmp_path, name, content)
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("error: ")
+    assert words in said
+    assert len(said.splitlines()) <= 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, tmp_path, monkeypatch):
+    path = rewritten(folder, tmp_path, ('"imu.csv"', '"imu.mat"'))
+    mat = tmp_path / "imu.mat"
+
+    def said():
+        with pytest.raises(ConfigError) as caught:
+            read_log(load_log(str(path)))
+        return str(caught.value)
+
+    mat.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
+    assert "save it with -v7" in said()
+    mat.write_bytes(b"hello")
+    assert "no MATLAB file" in said()
+    columns = drives.imu_columns(drives.sensed()["imu"])
+    savemat(mat, columns)
+    whole = mat.read_bytes()
+    mat.write_bytes(whole[: len(whole) // 2])
+    assert "imu.mat: " in said()
+    savemat(mat, {**columns, "gyro_x_rad_s": np.array(["text"], object)})
+    assert "vector of numbers" in said()
+    savemat(mat, {**columns, "gyro_x_rad_s": columns["t_s"][:-1]})
+    assert "differ in length" in said()
+    savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
+    assert mat.stat().st_size < 100_000
+    monkeypatch.setattr("bench.exchange.mat_file.MOST_BYTES", 10_000_000)
+    assert "larger than 10 MB when unpacked" in said()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('file = "imu.csv"', 'file = "drive.toml"'), "its ending tells no format"),
+        (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
+        (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap"),
+        (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
+        (('gnss = "gnss.toml"', ""), "gnss is missing"),
+        (('imu = "imu.toml"', 'imu = "icm"'), "is not in the catalog"),
+        ((KIND, 'kind = "given"'), "roll_deg is missing"),
+        ((KIND, f"{KIND}\nroll_deg = 1.0"), "roll_deg is for kind = 'given'"),
+        ((KIND, 'kind = "level"\ndrift_deg = 1.0'), "drift_deg is for kind = 'course'"),
+        ((KIND, f"{GIVEN}\nduration_s = 5.0"), "duration_s is not read"),
+        ((KIND, f"{GIVEN}\n".replace("30.0", "500.0", 1)), "no usable fix from there on"),
+        ((KIND, 'kind = "level"\nat_s = 60.0'), "needs a standstill"),
+        (("from_s = 40.0", "from_s = 25.0"), None),
+        (
+            ("[evaluation]", '[[estimator]]\nuse = "command:touch {sensors}"\n[evaluation]'),
+            "--allow-commands",
+        ),
+        (("[evaluation]", '[[estimator]]\nuse = "loos-15"\n[evaluation]'), "Did you mean 'loose-15'"),
+        (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
+        (("[imu]", "[imu]\nmount_deg = [0.0, 0.0, 0.0]"), "Did you mean 'mounting_deg'"),
+        (("[gnss]", "[gnss]\nvelocity_offset_s = 20.0"), "is outside -10 to 10 s"),
+    ],
+)
+def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys, change, words):
+    path = rewritten(folder, tmp_path, change)
+    status = main(["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd"])
+    if words is None:  # a result, but one that says it cannot be judged
+        assert status == 1
+        assert "no solution before the metrics begin at 25 s" in capsys.readouterr().out
+        return
+    assert status == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "give a LOG.toml"),
+        (["x.toml", "--mask-deg", "5"], "--mask-deg does not go with a LOG.toml"),
+        (
+            ["--observations", "a", "--navigation", "b", "--outages", "5"],
+            "--outages goes with a LOG",
+        ),
+        (["x.toml", "--outages", "5,no"], "must be seconds"),
+        (["x.toml"], "x.toml: no such file"),
+    ],
+)
+def test_options_that_would_not_be_read_are_refused(arguments, words, capsys):
+    assert main(["navigate", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+# --- data nobody simulated ----------------------------------------------------------------------------
+
+needs_drive = pytest.mark.skipif(
+    not DRIVE.is_dir(), reason="needs the recorded drive, shared/data/drive_0708"
+)
+ROOF = ('imu = "icm-45686"', 'imu = "icm-45686-on-the-roof.toml"')
+
+
+def real(tmp_path, *changes):
+    """The log of the drive in tests/logs beside its tables."""
+    for path in (*DRIVE.glob("*.csv"), *(Path(__file__).parents[1] / "logs").glob("icm*.toml")):
+        (tmp_path / path.name).symlink_to(path)
+    text = (Path(__file__).parents[1] / "logs" / "drive.toml").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "drive.toml").write_text(text)
+    return tmp_path / "drive.toml"
+
+
+@needs_drive
+def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
+    """The velocity of this receiver is that of the middle of its epoch of 0.25 s."""
+    said = checks(real(tmp_path, ("velocity_offset_s = -0.125\n", "")))
+    assert said["velocity_shift_s"].value == pytest.approx(-0.125, abs=0.01)
+    assert not said["velocity_shift_s"].good
+    (tmp_path / "sound").mkdir()
+    said = checks(real(tmp_path / "sound"))
+    assert abs(said["velocity_shift_s"].value) < 0.01
+    assert abs(said["imu_shift_s"].value) < 0.02
+    assert [c.name for c in said.values() if not c.good] == ["gnss_invalid_rows"]  # of no fixed ambiguities
+
+
+@needs_drive
+@pytest.mark.parametrize(
+    ("changes", "rmse", "medians"),
+    [  # the intervals of the README
+        ((), (0.20, 0.33), {10.0: (1.5, 11.5), 30.0: (20.0, 108.0), 60.0: (73.0, 465.0)}),
+        ((ROOF,), (0.0, 0.067), {10.0: (1.1, 3.2), 30.0: (18.0, 88.0), 60.0: (53.0, 449.0)}),
+    ],
+    ids=["datasheet", "as mounted"],
+)
+def test_the_drive_is_navigated_as_well_as_the_readme_says(tmp_path, changes, rmse, medians):
+    arguments = ["navigate", str(real(tmp_path, *changes)), "-e", "loose-15", "--outages", "10,30,60"]
+    assert main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    metrics = result["metrics"]["loose-15"]
+    assert metrics["withheld_fixes"] > 350
+    assert rmse[0] < metrics["pos_rmse_h_m"] < rmse[1]
+    for row in result["outages"]:
+        low, high = medians[row["duration_s"]]
+        assert row["places"] == 10
+        assert low < row["median_h_m"] < high
+        assert row["median_h_m"] > row["closed_form_median_h_m"]  # the law is a floor
+    if changes:
+        assert metrics["rejected_gnss_position"] < 30
+        assert 1.5 < metrics["nis_mean_gnss_position"] < 6.0  # 3 where the filter knows its noise
+        assert metrics["cep95_m"] < 0.05
+
+
+@needs_drive
+def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
+    """What the motion says and what the filter says agree: the offset of the log halves the error."""
+    found = []
+    other = ("time_offset_s = -0.2", "time_offset_s = -0.125")
+    for name, changes in (("a", (ROOF,)), ("b", (ROOF, other))):
+        (tmp_path / name).mkdir()
+        spec = load_log(str(real(tmp_path / name, *changes)))
+        recorded = read_log(spec)
+        session = Session(spec, recorded, start(recorded, spec))
+        keep, withheld = session.withheld()
+        data = session.data(keep, withheld.t)
+        solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)
+        found.append(judge(solution, withheld, data, spec.evaluation_from)[1]["pos_rmse_h_m"])
+    assert found[0] < 0.5 * found[1]

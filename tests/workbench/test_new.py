@@ -1,0 +1,176 @@
+"""`bench new` writes what works at once, and nothing over anything; the README's filterpy filter runs too."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import sensors
+from bench.evaluation import metrics
+from bench.navigation.estimator import load
+from bench.navigation.fusion import Loose
+from bench.workbench.starting_point import StartingPoint
+from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
+from tests.weaving import units, weaving
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return weaving(120.0, rate=100.0)
+
+
+@pytest.fixture(scope="module")
+def sensed(truth):
+    return sensors.sense(truth, units(baro=None), 1, 0)
+
+
+# --- the starting point ------------------------------------------------------------------------------
+
+
+def test_it_is_the_loose_filter_but_for_its_longer_steps(sensed):
+    """Against the compiled filter without barometer: a hundredth of sigma, two minutes of weaving."""
+    mine = StartingPoint().run(sensed.data, sensed.initial)
+    theirs = Loose(baro=False).run(sensed.data, sensed.initial)
+    sd = np.sqrt(np.einsum("kii->ki", theirs.cov))
+    assert_allclose(np.sqrt(np.einsum("kii->ki", mine.cov)), sd, rtol=0.01)
+    off = bench.earth.difference_n(mine.lla, theirs.lla)
+    assert np.abs(off / sd[:, :3]).max() < 0.02
+    assert np.abs((mine.vel_n - theirs.vel_n) / sd[:, 3:6]).max() < 0.02
+    assert np.abs((mine.extra - theirs.extra[:, :6]) / theirs.extra_sd[:, :6]).max() < 0.05
+    assert mine.extra_names == theirs.extra_names[:6]
+    blind = StartingPoint().run(
+        type(sensed.data)(**{**columns(sensed.data), "antenna_b": np.zeros(3)}), sensed.initial
+    )
+    assert np.abs(bench.earth.difference_n(blind.lla, theirs.lla) / sd[:, :3]).max() > 0.1
+
+
+def columns(record):
+    return {name: getattr(record, name) for name in record.__slots__}
+
+
+def test_its_gate_refuses(sensed):
+    assert StartingPoint().run(sensed.data, sensed.initial).innovations.accepted.all()
+    assert not StartingPoint(gate=0.5).run(sensed.data, sensed.initial).innovations.accepted.all()
+    with pytest.raises(ValueError, match=r"gate = 0 must be positive"):
+        StartingPoint(gate=0)
+
+
+# --- bench new ---------------------------------------------------------------------------------------
+
+
+def test_what_it_writes_runs_and_its_test_can_be_collected(here, capsys):  # noqa: F811
+    status, out, _ = say(capsys, "new", "estimator", "mine_too")
+    assert status == 0
+    assert left(here) == ["mine_too.py", "test_mine_too.py"]
+    assert "Next: bench run figure-eight -e mine_too:MineToo" in out
+    status, out, _ = say(capsys, "run", "short.toml", "-e", "mine_too:MineToo", "-o", "found", "--no-rrd")
+    assert status == 0
+    assert "MineToo" in out
+    text = (here / "test_mine_too.py").read_text()
+    (here / "test_mine_too.py").write_text(text.replace('"figure-eight"', '"short.toml"'))
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine_too.py"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment())
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
+
+
+def environment():
+    import os
+
+    return {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Mine", "'Mine' cannot name a module: small letters"),
+        ("my-filter", "'my-filter' cannot name a module"),
+        ("../mine", "'../mine' cannot name a module"),
+        ("", "'' cannot name a module"),
+        ("class", "'class' cannot name a module"),
+        ("none", "'none' cannot name a module"),
+        ("m" * 65, "cannot name a module"),
+        ("numpy", "'numpy': something else is called so already; choose another name"),
+        ("random", "'random': something else is called so already"),
+        ("events", "'events': something else is called so already"),
+        ("taken", "taken.py: exists already, and is not replaced; choose another name"),
+        ("half", "test_half.py: exists already"),
+        ("package", "package: exists already"),
+        ("link", "link.py: exists already"),
+    ],
+)
+def test_bad_names_and_files_that_exist_are_refused_in_one_line(here, capsys, name, message):  # noqa: F811
+    (here / "taken.py").write_text("mine\n")
+    (here / "test_half.py").write_text("mine\n")
+    (here / "package").mkdir()
+    (here / "link.py").symlink_to(here / "nowhere")
+    before = left(here)
+    status, _, err = say(capsys, "new", "estimator", name)
+    assert status == 2
+    assert message in err
+    assert err.count("\n") == 1
+    assert left(here) == before
+    assert (here / "taken.py").read_text() == "mine\n"
+
+
+def test_a_disk_that_is_full_leaves_nothing(here, capsys, monkeypatch):  # noqa: F811
+    opened = Path.open
+
+    def full(self, *args, **kwargs):
+        if self.name == "test_unlucky.py":
+            raise OSError(28, "No space left on device", str(self))
+        return opened(self, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", full)
+    status, _, err = say(capsys, "new", "estimator", "unlucky")
+    assert status == 4
+    assert "No space left" in err
+    assert left(here) == []
+
+
+# --- the README's class ------------------------------------------------------------------------------
+
+
+def test_the_filterpy_filter_of_the_readme_keeps_the_contract(truth, sensed, tmp_path, monkeypatch):
+    """As printed; and it finds its way: position to a receiver's noise, velocity in a turn less well."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (text,) = [block for block in blocks if "filterpy" in block]
+    (tmp_path / "readme_filter.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    estimator = load("readme_filter:FixFilter", {})
+    bench.check_estimator(estimator, sensed.data, sensed.initial)
+    solution = estimator.run(sensed.data, sensed.initial)
+    _, judged = metrics.judge(truth, solution, evaluation_from=20.0, outages=())
+    assert judged["converged"], judged["reason"]
+    assert judged["pos_rmse_3d_m"] < 6.0
+    assert not [name for name in judged if "heading" in name]
+    rough = load("readme_filter:FixFilter", {"acceleration": 30.0}).run(sensed.data, sensed.initial)
+    assert rough.cov[-1, 0, 0] > solution.cov[-1, 0, 0]
+
+
+def test_each_fix_comes_once_at_the_first_answer_after_its_arrival(sensed):
+    """Of fixes that are late, one flagged and one without velocity."""
+    fixes = sensed.data.fixes
+    valid, vel_n = fixes.valid.copy(), fixes.vel_n.copy()
+    valid[3], vel_n[5, 1] = False, np.nan
+    late = replace(fixes, t_arrival=fixes.t + 0.43, valid=valid, vel_n=vel_n)
+    data = replace(sensed.data, fixes=late)
+    now, rows = sensed.initial.t, []
+    for dt, new in bench.fix_steps(data, sensed.initial):
+        now += dt
+        for z, R in new:
+            (row,) = np.flatnonzero((vel_n == z[3:, 0]).all(axis=1))
+            assert 0 <= now - late.t_arrival[row] < np.diff(data.output_t).max() + 1e-6
+            np.testing.assert_array_equal(R[3:, 3:], fixes.cov_vel_n[row])
+            rows.append(int(row))
+    arrived = np.flatnonzero(late.t_arrival <= data.output_t[-1])
+    assert rows == [row for row in arrived if row not in (3, 5)]
