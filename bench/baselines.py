@@ -21,9 +21,10 @@ import numpy as np
 from pydantic import Field
 
 from bench import pipeline, store
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.config.tables import NOT_NEGATIVE, Table, checked, noting, suggest
 from bench.data import RunResult
+from bench.errors import ConfigError
 from bench.evaluation.metrics import metric_of
 from bench.specs import Profile
 

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from bench import pipeline, store
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
+from bench.errors import ConfigError
 from bench.specs import EstimatorChoice, Profile
 
 load = store.load
@@ -56,11 +57,11 @@ def run(
 
     Raises
     ------
-    bench.config.ConfigError
+    bench.errors.ConfigError
         When the profile or an argument is wrong.
-    bench.navigation.estimator.EstimatorError
+    bench.errors.EstimatorError
         When an estimator cannot be built.
-    bench.flight.FlightError
+    bench.errors.FlightError
         When the aircraft cannot be loaded, trimmed or flown.
     """
     if isinstance(profile, Profile):

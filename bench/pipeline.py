@@ -9,8 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 from bench import store
-from bench.config import ConfigError
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
+from bench.errors import ConfigError
 from bench.navigation import estimator
 from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
 
@@ -31,9 +31,9 @@ def fly(
 
     Raises
     ------
-    bench.flight.FlightError
+    bench.errors.FlightError
         When the aircraft cannot be loaded, trimmed or flown.
-    bench.config.ConfigError
+    bench.errors.ConfigError
         When a trajectory table cannot be used.
     """
     if cache:
@@ -92,9 +92,9 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
 
     Raises
     ------
-    bench.navigation.estimator.EstimatorError
+    bench.errors.EstimatorError
         When there is no such estimator, it refuses its options, or its answer is no solution.
-    bench.navigation.estimator.EstimatorFailedError
+    bench.errors.EstimatorFailedError
         When its ``run`` raises.
     """
     return estimator.answer(build(choice), choice.label, data, initial)
@@ -105,7 +105,7 @@ def build(choice: EstimatorChoice) -> estimator.Estimator:
 
     Raises
     ------
-    bench.navigation.estimator.EstimatorError, bench.config.ConfigError
+    bench.errors.EstimatorError, bench.errors.ConfigError
         When there is no such estimator, file or program, or it refuses its options.
     """
     if choice.use.startswith(("file:", "command:")):

@@ -5,7 +5,7 @@ import pytest
 
 import bench
 from bench import pipeline
-from bench.config import ConfigError
+from bench.errors import ConfigError
 
 SHORT = {
     "duration_s": 20.0,

@@ -11,7 +11,8 @@ from types import FrameType
 import click
 
 from bench.cli import flights, records
-from bench.cli.group import BUG, DONE, INTERRUPTED, MACHINE, NOT_FLOWN, WRONG, commands
+from bench.cli.group import commands
+from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 
 __all__ = ["flights", "main", "records"]  # the two are here for their verbs
 
@@ -35,33 +36,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _fail(INTERRUPTED, "interrupted")
     except Exception as error:
-        failure = _failure(error)
-        if failure is None:
-            traceback.print_exc()
-            return BUG
-        return _fail(*failure)
+        if isinstance(error, BenchError) and error.status != BUG:
+            return _fail(error.status, "\nerror: ".join(error.messages))
+        if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
+            place = f"{error.filename}: " if error.filename else ""
+            return _fail(MACHINE, f"{place}{error.strerror or error}")
+        traceback.print_exc()
+        return BUG
     finally:
         gc.set_threshold(*often)
         signal.signal(signal.SIGTERM, before)
-
-
-def _failure(error: Exception) -> tuple[int, str] | None:
-    """Return the exit status and message of a failure that is no bug, None of one that is."""
-    from bench.config import ConfigError
-    from bench.flight.model import FlightError
-    from bench.navigation.estimator import EstimatorError
-    from bench.workbench.view import ViewerError
-
-    if isinstance(error, ConfigError | EstimatorError):
-        return WRONG, "\nerror: ".join(getattr(error, "messages", None) or [str(error)])
-    if isinstance(error, FlightError):
-        return NOT_FLOWN, str(error)
-    if isinstance(error, ViewerError):
-        return MACHINE, str(error)
-    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
-        place = f"{error.filename}: " if error.filename else ""
-        return MACHINE, f"{place}{error.strerror or error}"
-    return None
 
 
 def _fail(status: int, message: str) -> int:

@@ -8,8 +8,6 @@ from typing import Any
 import click
 
 from bench.cli.group import (
-    DONE,
-    NEGATIVE,
     STATUS,
     commands,
     estimator_option,
@@ -18,6 +16,7 @@ from bench.cli.group import (
     seed_option,
     set_option,
 )
+from bench.errors import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

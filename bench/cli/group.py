@@ -16,9 +16,6 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 if TYPE_CHECKING:
     from rich.console import Console
 
-DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
-"""Exit statuses, as the help of every verb lists them."""
-
 STATUS = """\b
 Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
 diverged); 2 the command line, a file or the results folder is wrong; 3 the

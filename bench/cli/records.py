@@ -7,16 +7,8 @@ from typing import Any
 
 import click
 
-from bench.cli.group import (
-    DONE,
-    NEGATIVE,
-    STATUS,
-    commands,
-    durations,
-    estimator_option,
-    new_console,
-    out_option,
-)
+from bench.cli.group import STATUS, commands, durations, estimator_option, new_console, out_option
+from bench.errors import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

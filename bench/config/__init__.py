@@ -4,6 +4,5 @@ from __future__ import annotations
 
 from bench.config.library import list_aircraft, list_profiles, list_sensors
 from bench.config.profile import load_profile
-from bench.config.tables import ConfigError
 
-__all__ = ["ConfigError", "list_aircraft", "list_profiles", "list_sensors", "load_profile"]
+__all__ = ["list_aircraft", "list_profiles", "list_sensors", "load_profile"]

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.config.sheet import Figure, Rate, Sheet, reported, unsourced
-from bench.config.tables import ConfigError, Table, between, checked, read
+from bench.config.tables import Table, between, checked, read
+from bench.errors import ConfigError
 from bench.specs import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
 
 _DEG = math.pi / 180

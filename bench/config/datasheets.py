@@ -19,7 +19,8 @@ from bench.config.air_sheets import (
 )
 from bench.config.sheet import Figure, Rate, Sheet, reported, unsourced
 from bench.config.sky_sheet import SkyTable, read_sky
-from bench.config.tables import ROWS, ConfigError, Table, between, checked, noting, quantity, read
+from bench.config.tables import ROWS, Table, between, checked, noting, quantity, read
+from bench.errors import ConfigError
 from bench.specs import (
     AirspeedSpec,
     BaroSpec,

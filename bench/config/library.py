@@ -14,7 +14,8 @@ from bench.config import brought
 from bench.config.datasheets import SENSORS, absent
 from bench.config.leg_tables import Altitude, Speed
 from bench.config.profile_tables import Category
-from bench.config.tables import ROWS, ConfigError, Table, between, checked, quantity, read, suggest
+from bench.config.tables import ROWS, Table, between, checked, quantity, read, suggest
+from bench.errors import ConfigError
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
 

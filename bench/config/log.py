@@ -17,7 +17,8 @@ from bench.config.datasheets import SENSORS
 from bench.config.library import sensor_file
 from bench.config.profile import asked_for, choice_of
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
-from bench.config.tables import NOT_NEGATIVE, ROWS, ConfigError, Table, between, checked, noting, read
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, checked, noting, read
+from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
 
 FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")

@@ -24,7 +24,8 @@ from bench.config.library import (
     sensor_file,
 )
 from bench.config.profile_tables import SEVERITY, ExperimentTable, ProfileTable, RunwayTable, StartTable
-from bench.config.tables import ConfigError, checked, noting, read
+from bench.config.tables import checked, noting, read
+from bench.errors import ConfigError
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
 from bench.specs import (

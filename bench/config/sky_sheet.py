@@ -8,7 +8,8 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from bench.config.tables import ROWS, ConfigError, Table, between, noting
+from bench.config.tables import ROWS, Table, between, noting
+from bench.errors import ConfigError
 from bench.specs import SkySpec
 
 if TYPE_CHECKING:

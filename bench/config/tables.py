@@ -12,20 +12,10 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from bench.errors import ConfigError
 from bench.unit_names import unit_of
 
 _T = TypeVar("_T", bound=BaseModel)
-
-
-class ConfigError(Exception):
-    """What is wrong with the command line or a file: one message for each thing."""
-
-    def __init__(self, *messages: str) -> None:
-        super().__init__(*messages)
-        self.messages = messages
-
-    def __str__(self) -> str:
-        return "\n".join(self.messages)
 
 
 @contextmanager

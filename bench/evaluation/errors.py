@@ -147,15 +147,26 @@ def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
     nees = np.full(len(error), np.nan)
     if error.shape[1] == 0:
         return nees
-    variance = np.einsum("kii->ki", cov)
-    usable = np.isfinite(error).all(axis=1) & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
-    sd = np.sqrt(variance[usable])
-    scaled = cov[usable] / sd[:, :, None] / sd[:, None, :]
-    factor, good = _cholesky(scaled)
-    rows = np.flatnonzero(usable)[good]
-    y = np.linalg.solve(factor, (error[usable] / sd)[good][:, :, None])[:, :, 0]
+    rows, factor, sd = _scaled_factors(cov, np.array(np.isfinite(error).all(axis=1)))
+    y = np.linalg.solve(factor, (error[rows] / sd)[:, :, None])[:, :, 0]
     nees[rows] = np.sum(y * y, axis=1)
     return nees
+
+
+def positive_definite(cov: FloatArray) -> BoolArray:
+    """Return which covariances (M, n, n) are finite and positive definite, in the scale of their own sd."""
+    good = np.zeros(len(cov), np.bool_)
+    good[_scaled_factors(cov, ~good)[0]] = True
+    return good
+
+
+def _scaled_factors(cov: FloatArray, wanted: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the wanted rows that are positive definite, the factors of D^-1 P D^-1 there, and D."""
+    variance = np.einsum("kii->ki", cov)
+    usable = wanted & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
+    sd = np.sqrt(variance[usable])
+    factors, good = _cholesky(cov[usable] / sd[:, :, None] / sd[:, None, :])
+    return np.flatnonzero(usable)[good], factors, sd[good]
 
 
 def _cholesky(P: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -223,10 +234,11 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
     claimed = claimed_blocks(solution)
     if claimed:
         counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in claimed])
-        bad = _not_finite(solution.cov[:, counted][:, :, counted])
+        cov = solution.cov[:, counted][:, :, counted]
+        bad = _not_finite(cov)
         if bad.any():
             return False, f"covariance is not finite at {_when(solution, bad)}"
-        bad = np.isnan(errors.nees)
+        bad = ~positive_definite(cov)
         if bad.any():
             return False, f"covariance is not positive definite at {_when(solution, bad)}"
     if "pos" in blocks:

@@ -88,8 +88,6 @@ def judge(
     begun = aligning(at, evaluation_from) if len(rows) else 0
     judged, at = from_row(errors, begun), from_row(at, begun)
     sound, reason = converged(judged, at) if len(at) else (True, None)
-    if reason is not None and "positive definite" in reason and np.isfinite(at.cov).all():
-        sound, reason = True, None  # a fix without a velocity has no NEES
     if len(at) and aligning(at, np.inf):
         sound, reason = False, f"no solution before the metrics begin at {evaluation_from:g} s"
     values: dict[str, Any] = {"converged": sound, "reason": reason, "withheld_fixes": len(rows)}

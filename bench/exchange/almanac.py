@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.rinex import Lines, opened
 from bench.signals.orbits import KEPLER, WEEK, KeplerSets
 

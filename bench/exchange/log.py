@@ -13,8 +13,8 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, SourceSpec
-from bench.config.tables import ConfigError
 from bench.data import BaroData, GnssFixes, ImuData
+from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
 from bench.exchange.tables import read_table

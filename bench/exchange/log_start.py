@@ -6,8 +6,8 @@ import numpy as np
 
 from bench import earth
 from bench.config.log import LogSpec
-from bench.config.tables import ConfigError
 from bench.data import InitialState
+from bench.errors import ConfigError
 from bench.exchange.log import Recording
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.rotation import from_euler, matrix

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 
 MOST_BYTES = 1_000_000_000
 """Of all variables of a file when unpacked."""

@@ -18,12 +18,11 @@ import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.config.tables import ConfigError
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.errors import FAILED, NOT_COVERED
 from bench.exchange.tables import Columns, described, group, read_table
 from bench.exchange.trajectory import KINDS
-from bench.navigation.estimator import EstimatorError
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte

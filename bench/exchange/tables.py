@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.mat_file import read_mat, vector
 from bench.unit_names import split_unit
 

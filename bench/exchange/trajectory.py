@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
 from bench.data import Events, Trajectory, no_air, no_controls
 from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
+from bench.errors import ConfigError
 from bench.exchange.tables import FACTORS, Columns, described, group, read_table
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec

@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from bench.data import Trajectory
 from bench.flight import recorder
 from bench.flight.child import fly_in_child
-from bench.flight.model import FlightError
 from bench.flight.summary import Summary, summarise
 from bench.specs import FlightSpec, ScriptSpec
 
-__all__ = ["FlightError", "Summary", "fly", "fly_pieces", "summarise"]
+__all__ = ["Summary", "fly", "fly_pieces", "summarise"]
 
 
 def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from bench.data import Trajectory
-from bench.flight.model import FlightError
+from bench.errors import FlightError
 
 PATIENCE = 60.0
 """Longest silence of a child before it is ended [s]."""

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from bench.earth import matrix_en, to_ecef
-from bench.flight.model import INTEGRATORS, ON_WHEELS, FlightError, node
+from bench.errors import FlightError
+from bench.flight.model import INTEGRATORS, ON_WHEELS, node
 from bench.flight.shaping import RATE, smoothstep
 from bench.flight.units import FT
 from bench.specs import AircraftSpec, Runway

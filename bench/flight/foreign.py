@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.flight.model import NAME, FlightError
+from bench.errors import FlightError
+from bench.flight.model import NAME
 
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
 _MOST_FILES = 500

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.model import FlightError
 from bench.flight.shaping import (
     RATE,
     G,

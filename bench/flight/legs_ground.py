@@ -6,9 +6,9 @@ import math
 from collections.abc import Generator
 from itertools import chain, repeat
 
+from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs_air import climb_ramp, level_off
-from bench.flight.model import FlightError
 from bench.flight.paths import Follower, Path
 from bench.flight.shaping import Steps, clip, roll_time, smooth, ticks, wait
 from bench.legs import Approach, LandingRoll, Static, TakeOff

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.model import FlightError
 from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
 from bench.legs import Holding, Survey, Waypoints

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
+from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.model import FlightError
 from bench.flight.shaping import RATE, Steps, clip, smooth, smoothstep, ticks, wait
 from bench.legs import AileronRoll, Doublet, WindUpTurn
 

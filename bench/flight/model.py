@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.errors import FlightError
 from bench.flight.units import FT
 from bench.flight.wind import set_wind
 from bench.rotation import conjugate, from_euler, rotate
@@ -49,10 +50,6 @@ _ACCELERATIONS = (
     ("accelerations/qdot-rad_sec2", 1.0),
     ("accelerations/rdot-rad_sec2", 1.0),
 )
-
-
-class FlightError(Exception):
-    """The aircraft cannot be loaded, trimmed or kept in the air; one line says why."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit, Plane
-from bench.flight.model import FlightError
 from bench.flight.shaping import G, Steps, clip, roll_time, smoothstep, ticks
 
 Point = tuple[float, float]

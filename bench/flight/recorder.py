@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import Controls, Events, Trajectory
+from bench.errors import FlightError
 from bench.flight.increments import (
     Motion,
     at_point,
@@ -25,7 +26,7 @@ from bench.flight.increments import (
     step_increments,
     true_integrals,
 )
-from bench.flight.model import Condition, FlightError, Trim, load, node, settle, trim
+from bench.flight.model import Condition, Trim, load, node, settle, trim
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.standing import stand

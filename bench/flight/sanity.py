@@ -16,8 +16,8 @@ import numpy as np
 
 from bench.arrays import BoolArray
 from bench.earth import RATE
+from bench.errors import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
-from bench.flight.model import FlightError
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.tape import Ticks
 from bench.flight.units import FT

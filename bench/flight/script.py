@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.data import Trajectory
+from bench.errors import FlightError
 from bench.flight import sanity
 from bench.flight.foreign import copy_aircraft, copy_script, executive
-from bench.flight.model import FlightError, one_line, silent_log
+from bench.flight.model import one_line, silent_log
 from bench.flight.recorder import simulation_step
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.tape import Tape, motion_of, motion_of_cg, pieces, truth_of, with_air

@@ -13,9 +13,10 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from bench.errors import FlightError
 from bench.flight import legs_air, legs_ground, legs_path, legs_surface
 from bench.flight.cockpit import SURFACES, Cockpit
-from bench.flight.model import FlightError, Trim
+from bench.flight.model import Trim
 from bench.flight.shaping import RATE, wait
 from bench.flight.wind import Weather
 from bench.legs import (

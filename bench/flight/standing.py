@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES
-from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, FlightError, place
+from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, place
 from bench.flight.units import FT
 from bench.flight.wind import set_wind
 

@@ -26,6 +26,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import AirData, Controls, Events, Trajectory, no_air, no_controls
 from bench.earth import matrix_en, to_geodetic
+from bench.errors import FlightError
 from bench.flight.increments import (
     Motion,
     derivative,
@@ -34,7 +35,6 @@ from bench.flight.increments import (
     step_increments,
     true_integrals,
 )
-from bench.flight.model import FlightError
 from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.units import FT, KT, PSF, RANKINE
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate

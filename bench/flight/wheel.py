@@ -18,11 +18,11 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import Trajectory
+from bench.errors import FlightError
 from bench.flight import sanity
 from bench.flight.foreign import copy_aircraft, executive, read_xml, write_xml
 from bench.flight.model import (
     Condition,
-    FlightError,
     Trim,
     node,
     one_line,

@@ -28,8 +28,8 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, InitialState, SensorData
+from bench.errors import EstimatorError
 from bench.navigation import timeline
-from bench.navigation.estimator import EstimatorError
 from bench.navigation.mechanization import propagate
 from bench.navigation.state_model import fix_variance, known
 from bench.specs import TriadSpec

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError, EstimatorFailedError
 
 
 class Estimator(Protocol):
@@ -97,10 +98,6 @@ RECORDS: Mapping[str, str] = {
 """Record of `SensorData` that an estimator may need -> the sensor that gives it."""
 
 
-class EstimatorError(ValueError):
-    """An estimator cannot be built, or cannot start, as asked."""
-
-
 def load(use: str, options: Mapping[str, Any]) -> Estimator:
     """Build an estimator from a built-in name or ``module:Class`` and the keywords of its constructor.
 
@@ -178,10 +175,6 @@ def check_needs(estimator: Estimator, name: str, records: Collection[str], place
             raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
         if need not in records:
             raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
-
-
-class EstimatorFailedError(RuntimeError):
-    """An estimator's ``run`` raised; what it raised is the cause."""
 
 
 def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:

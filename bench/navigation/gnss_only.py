@@ -21,7 +21,7 @@ from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.options import is_count, is_number
-from bench.navigation.state_model import fix_variance, unmodelled
+from bench.navigation.state_model import fix_variance, gnss_unmodelled
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
@@ -124,8 +124,7 @@ class GnssOnly:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of the receiver that the state has no room for, in words."""
-        named = unmodelled(specs, gnss=True, baro=False, gnss_markov=False)
-        return tuple(text for text in named if "GNSS" in text and text != "GNSS latency")
+        return gnss_unmodelled(specs, latency=True)
 
 
 def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:

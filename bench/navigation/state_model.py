@@ -240,29 +240,8 @@ def unmodelled(
     shaking = specs.imu.vibration
     if max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel) > 0:
         found.append("vibration")
-    if gnss and specs.gnss is not None:
-        sky = specs.gnss.sky if tight else None
-        if sky is not None:
-            slow = {
-                "satellite orbit and clock error": max(sky.gps_space_sd, sky.glonass_space_sd),
-                "ionosphere beyond the broadcast model": sky.ionosphere_sd if sky.bands == 1 else 0.0,
-                "troposphere beyond the model": sky.troposphere_sd,
-                "multipath": max(sky.multipath_zenith_sd, sky.multipath_horizon_sd),
-                "flicker of the receiver's clock": sky.clock_h_m1,
-                "g-sensitivity of the receiver's clock": abs(sky.clock_g),
-            }
-            found += [what for what, sd in slow.items() if sd > 0]
-        elif tight:
-            found.append("GNSS at all: tight coupling needs a receiver with [sky]")
-        elif not gnss_markov:
-            if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0:
-                found.append("time-correlated GNSS position error")
-            if specs.gnss.vel_markov_sd > 0:
-                found.append("time-correlated GNSS velocity error")
-        if specs.gnss.latency > 0 and not latency:
-            found.append("GNSS latency")
-        if specs.gnss.jumps and not tight:
-            found.append("jumps of the GNSS error where the satellites change")
+    if gnss:
+        found += gnss_unmodelled(specs, markov=gnss_markov, tight=tight, latency=latency)
     if airspeed and specs.airspeed is not None:
         a = specs.airspeed
         if max(a.bias_sd, a.pressure_bias_sd, a.scale_factor_sd) > 0:
@@ -277,6 +256,42 @@ def unmodelled(
         found.append("barometer quantization")
     if baro and specs.baro is not None and specs.baro.physical is not None:
         found.append("barometer errors with height, airspeed and incidence")
+    return tuple(found)
+
+
+def gnss_unmodelled(
+    specs: AssumedSpecs, *, markov: bool = False, tight: bool = False, latency: bool = False
+) -> tuple[str, ...]:
+    """Name the errors of the receiver that a filter has no room for, in words.
+
+    ``markov`` says that it estimates the correlated part, ``tight`` that it takes every satellite by itself,
+    ``latency`` that it allows for the latency.
+    """
+    if specs.gnss is None:
+        return ()
+    found: list[str] = []
+    sky = specs.gnss.sky if tight else None
+    if sky is not None:
+        slow = {
+            "satellite orbit and clock error": max(sky.gps_space_sd, sky.glonass_space_sd),
+            "ionosphere beyond the broadcast model": sky.ionosphere_sd if sky.bands == 1 else 0.0,
+            "troposphere beyond the model": sky.troposphere_sd,
+            "multipath": max(sky.multipath_zenith_sd, sky.multipath_horizon_sd),
+            "flicker of the receiver's clock": sky.clock_h_m1,
+            "g-sensitivity of the receiver's clock": abs(sky.clock_g),
+        }
+        found += [what for what, sd in slow.items() if sd > 0]
+    elif tight:
+        found.append("GNSS at all: tight coupling needs a receiver with [sky]")
+    elif not markov:
+        if max(specs.gnss.pos_h_markov_sd, specs.gnss.pos_v_markov_sd) > 0:
+            found.append("time-correlated GNSS position error")
+        if specs.gnss.vel_markov_sd > 0:
+            found.append("time-correlated GNSS velocity error")
+    if specs.gnss.latency > 0 and not latency:
+        found.append("GNSS latency")
+    if specs.gnss.jumps and not tight:
+        found.append("jumps of the GNSS error where the satellites change")
     return tuple(found)
 
 

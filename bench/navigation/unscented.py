@@ -111,7 +111,7 @@ class Unscented:
         ------
         ValueError
             When a sensor in use has no assumed spec.
-        bench.navigation.estimator.EstimatorError
+        bench.errors.EstimatorError
             When the record does not allow the alignment that is asked for.
         """
         initial, aligned = alignment.complete(sensors, initial)

@@ -50,7 +50,7 @@ def write(
     ------
     OSError
         When the file cannot be written.
-    bench.recording.plots.NothingToShowError
+    bench.errors.NothingToShowError
         Without a truth, when no estimator has a motion to show.
     """
     recorded = _record(profile, truth, sensed, solutions, errors, metrics, more)

@@ -23,6 +23,7 @@ from bench.data import (
     no_controls,
     no_events,
 )
+from bench.errors import NothingToShowError
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
 
 TIMELINE = "flight_time"
@@ -44,10 +45,6 @@ class Carrier:
 
 
 Motion = Trajectory | Carrier
-
-
-class NothingToShowError(Exception):
-    """There is no truth, and no estimator has position, velocity and attitude at any instant."""
 
 
 def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:

@@ -15,10 +15,10 @@ from scipy.special import gammaincinv
 
 from bench import report
 from bench.arrays import FloatArray, IntArray
-from bench.config import ConfigError
 from bench.config.datasheets import read_imu
 from bench.config.library import sensor_file
 from bench.data import AirData, Controls, Trajectory, no_events
+from bench.errors import ConfigError
 from bench.sensors import imu
 from bench.sensors.processes import noise_terms
 from bench.signals import allan

@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench import baselines
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
+from bench.errors import ConfigError
 from bench.workbench import show
 
 

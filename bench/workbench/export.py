@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench import store
-from bench.config import ConfigError
-from bench.exchange.exports import README, ExportError, gather, write
+from bench.errors import ConfigError, ExportError
+from bench.exchange.exports import README, gather, write
 from bench.workbench.run import check_folder
 
 _TITLE = "Export of"

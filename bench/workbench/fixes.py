@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.config import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.rinex import NavigationFile, ObservationFile, merged, read_navigation, read_observations
 from bench.signals import least_squares, receiver
 from bench.signals.orbits import DAY

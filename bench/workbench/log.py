@@ -15,7 +15,6 @@ from rich.table import Table
 
 from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
-from bench.config import ConfigError
 from bench.config.log import LogSpec, load_log
 from bench.data import (
     Events,
@@ -26,6 +25,7 @@ from bench.data import (
     SensorData,
     SensorTruth,
 )
+from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.exchange.log import Recording, divided, read_log
@@ -83,7 +83,7 @@ def navigate(
 
     Raises
     ------
-    ConfigError, bench.navigation.estimator.EstimatorError, OSError
+    ConfigError, bench.errors.EstimatorError, OSError
         With nothing left behind.
     """
     if str(Path.cwd()) not in sys.path:
@@ -139,8 +139,8 @@ def navigate(
     with new_folder(folder, force=force) as partial:
         store.save(partial, result, None, sensed, more)
         if recording:
+            from bench.errors import NothingToShowError
             from bench.recording import write
-            from bench.recording.plots import NothingToShowError
 
             try:
                 write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.config import ConfigError
+from bench.errors import ConfigError
 
 _CLASS = "StartingPoint"
 

@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench import pipeline, store
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.data import RunResult
+from bench.errors import ConfigError
 from bench.specs import Profile
 from bench.workbench import show
 
@@ -69,7 +70,7 @@ def run(
 
     Raises
     ------
-    ConfigError, bench.navigation.estimator.EstimatorError, bench.flight.FlightError, OSError
+    ConfigError, bench.errors.EstimatorError, bench.errors.FlightError, OSError
         With nothing left behind.
     """
     if str(Path.cwd()) not in sys.path:

@@ -12,9 +12,10 @@ import numpy as np
 from rich.console import Console
 
 from bench import store
-from bench.config import ConfigError, fault_tables
+from bench.config import fault_tables
+from bench.errors import ConfigError, ExportError
 from bench.evaluation import metrics as judging
-from bench.exchange.exports import ExportError, reading
+from bench.exchange.exports import reading
 from bench.exchange.solutions import check_unit, read_solution, resampled
 from bench.sensors.timing import output_times
 from bench.workbench import show

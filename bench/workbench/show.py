@@ -14,6 +14,7 @@ from rich.text import Text
 from bench.baselines import Verdict
 from bench.config import list_aircraft, list_profiles, list_sensors
 from bench.data import NavSolution, RunResult
+from bench.evaluation.errors import FAILED
 from bench.evaluation.metrics import metric_of
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
@@ -63,8 +64,8 @@ def metrics(
         for begun, end, text in solutions[label].events.of("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
         if not values["converged"]:
-            reason = values["reason"]
-            text = reason if reason.startswith("failed: ") else f"diverged: {reason}"
+            failed = solutions[label].events.of(FAILED)
+            text = values["reason"] if failed else f"diverged: {values['reason']}"
             console.print(f"{label} {text}", style="bold red")
         elif values.get("program"):
             said = values["program"]["stderr"]

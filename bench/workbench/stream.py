@@ -13,8 +13,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.config import ConfigError
-from bench.exchange.exports import ExportError, gather
+from bench.errors import ConfigError, ExportError
+from bench.exchange.exports import gather
 from bench.exchange.frames import messages
 
 _ROUGH = 0.002  # a sleep is this much too long at times; the rest is waited for by looking at the clock [s]

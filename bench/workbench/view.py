@@ -14,16 +14,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.config import ConfigError
+from bench.errors import ConfigError, ViewerError
 from bench.store import RESULT
 from bench.workbench.run import RECORDING, RUNS
 
 _LOCAL = "127.0.0.1"
 _PATIENCE = 5.0  # between asking the viewer to end and ending it [s]
-
-
-class ViewerError(Exception):
-    """The machine has no viewer, or none that works here; one line says why."""
 
 
 def view(folder: Path | None, *, web: bool, console: Console) -> None:

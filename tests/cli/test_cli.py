@@ -19,7 +19,7 @@ import pytest
 
 from bench import pipeline, recording, store
 from bench.cli import main
-from bench.flight import FlightError
+from bench.errors import FlightError
 from bench.store import parquet
 from bench.workbench import view
 

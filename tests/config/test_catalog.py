@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.cli import main
-from bench.config import ConfigError
 from bench.config.air_sheets import read_baro
 from bench.config.datasheets import SENSORS, read_gnss, read_imu
+from bench.errors import ConfigError
 from bench.sensors import imu
 from bench.specs import ThermalSpec
 from tests.synthetic import still

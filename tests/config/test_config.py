@@ -15,6 +15,7 @@ import pytest
 
 from bench import config
 from bench.config.datasheets import ACCEL, GYRO, read_imu
+from bench.errors import ConfigError
 from bench.legs import Climb, FigureEight, Straight, Turn
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
@@ -59,7 +60,7 @@ def write(folder: Path, text: str = PROFILE, name: str = "own.toml") -> str:
 
 def errors(name: str, **keywords) -> list[str]:
     """The messages of a profile that is wrong, without the folder of its file."""
-    with pytest.raises(config.ConfigError) as caught:
+    with pytest.raises(ConfigError) as caught:
         config.load_profile(name, **keywords)
     return [message.replace(f"{Path(name).parent}/", "") for message in caught.value.messages]
 

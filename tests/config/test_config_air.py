@@ -11,6 +11,7 @@ import pytest
 from bench import config
 from bench.cli import main
 from bench.config.air_sheets import read_airspeed, read_baro, read_mag
+from bench.errors import ConfigError
 from bench.navigation.estimator import load
 from bench.specs import AirspeedSpec, MagSpec, StaticPressureSpec
 
@@ -43,7 +44,7 @@ def write(folder: Path, text: str, name: str) -> Path:
 
 
 def wrong(path: Path, **keywords) -> list[str]:
-    with pytest.raises(config.ConfigError) as caught:
+    with pytest.raises(ConfigError) as caught:
         config.load_profile(str(path), **keywords)
     return [message.replace(f"{path.parent}/", "") for message in caught.value.messages]
 

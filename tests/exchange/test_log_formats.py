@@ -23,8 +23,8 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from bench.cli import main
-from bench.config import ConfigError
 from bench.config.log import load_log
+from bench.errors import ConfigError
 from bench.exchange.imports import bags
 from bench.exchange.log import read_log
 from tests.exchange import drives

@@ -18,10 +18,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, pipeline, store
 from bench.cli import main
+from bench.errors import ConfigError, EstimatorError
 from bench.evaluation import metrics
 from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
-from bench.navigation.estimator import EstimatorError
 from bench.specs import EstimatorChoice
 from tests.cli.test_cli import PROFILE
 from tests.exchange.exported import make_run
@@ -333,5 +333,5 @@ def test_relative_paths_begin_at_the_profile_or_for_e_where_one_stands(tmp_path,
     assert (profile.estimators[1].label, profile.estimators[1].beside) == ("his", Path("there"))
     mine = config.load_profile("there/p.toml", estimators=["file:his.csv", "file:other/his.csv"])
     assert [(c.label, c.beside) for c in mine.estimators] == [("his", Path()), ("his-2", Path())]
-    with pytest.raises(config.ConfigError, match=r"his\.csv: No such file"):
+    with pytest.raises(ConfigError, match=r"his\.csv: No such file"):
         pipeline.build(mine.estimators[0])

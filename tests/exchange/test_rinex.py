@@ -17,7 +17,7 @@ from rich.console import Console
 
 from bench import earth
 from bench.cli import main
-from bench.config import ConfigError
+from bench.errors import ConfigError
 from bench.exchange import almanac, rinex
 from bench.signals import receiver
 from bench.workbench import fixes

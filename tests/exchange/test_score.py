@@ -17,8 +17,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, earth, rotation, store
 from bench.cli import main
-from bench.config import ConfigError, fault_tables
+from bench.config import fault_tables
 from bench.data import NavSolution
+from bench.errors import ConfigError
 from bench.evaluation import metrics
 from bench.exchange.solutions import FileEstimator, read_solution, resampled
 from bench.store import columns, parquet

@@ -17,9 +17,10 @@ from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
 from bench import cli
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.data import Trajectory
 from bench.earth import to_ecef
+from bench.errors import ConfigError
 from bench.exchange import trajectory
 from bench.rotation import multiply, to_rotvec
 from bench.specs import TableSpec

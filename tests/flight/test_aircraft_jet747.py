@@ -16,8 +16,9 @@ from numpy.testing import assert_allclose
 from bench import rotation
 from bench.config import load_profile
 from bench.config.library import read_aircraft
+from bench.errors import FlightError
 from bench.flight import fly
-from bench.flight.model import Condition, FlightError, linearize, load, place, trim
+from bench.flight.model import Condition, linearize, load, place, trim
 from bench.flight.recorder import record, to_trajectory
 from bench.flight.units import FT
 from bench.legs import Climb, Descend, Straight, Turn

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 
 from bench import cli
-from bench.config import ConfigError, list_aircraft, load_profile
+from bench.config import list_aircraft, load_profile
 from bench.data import Trajectory
 from bench.earth import difference_n, displace
-from bench.flight import FlightError, child, fly, fly_pieces, wheel
+from bench.errors import ConfigError, FlightError
+from bench.flight import child, fly, fly_pieces, wheel
 from bench.flight.foreign import read_xml
 from bench.legs import Approach, Flare, LandingRoll, Leg, Static, Straight, TakeOff
 from bench.rotation import rotate, to_euler

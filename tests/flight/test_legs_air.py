@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.config import load_profile
 from bench.data import Trajectory
-from bench.flight import FlightError, fly
+from bench.errors import FlightError
+from bench.flight import fly
 from bench.legs import (
     AileronRoll,
     Climb,

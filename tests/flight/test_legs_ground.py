@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from bench import earth, rotation
 from bench.config import load_profile
-from bench.flight import FlightError, fly
+from bench.errors import FlightError
+from bench.flight import fly
 from bench.legs import Approach, Flare, LandingRoll, Static, Straight, TakeOff
 from bench.specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan

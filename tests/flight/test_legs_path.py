@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation
-from bench.flight import FlightError, fly
+from bench.errors import FlightError
+from bench.flight import fly
 from bench.flight.paths import Path, Segment
 from bench.legs import Holding, Straight, Survey, Waypoint, Waypoints
 from tests.flight.plans import CALM, plan

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.flight.model import Condition, FlightError, linearize, load, place, trim
+from bench.errors import FlightError
+from bench.flight.model import Condition, linearize, load, place, trim
 from bench.flight.units import FT
 from bench.flight.wind import air_velocity, set_wind
 from tests.flight import modes

@@ -23,7 +23,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation
 from bench.data import Trajectory
-from bench.flight import FlightError, Summary, fly, fly_pieces, summarise
+from bench.errors import FlightError
+from bench.flight import Summary, fly, fly_pieces, summarise
 from bench.flight.increments import Motion, at_point, step_increments
 from bench.flight.recorder import Recording, record, simulation_step, to_trajectory
 from bench.legs import Straight, Turn

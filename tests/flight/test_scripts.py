@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from bench import cli
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.data import Trajectory
 from bench.earth import to_ecef
-from bench.flight import FlightError, fly
+from bench.errors import ConfigError, FlightError
+from bench.flight import fly
 from bench.flight.increments import from_states
 from bench.flight.model import silent_log
 from bench.flight.units import FT

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from bench import rotation
 from bench.data import Trajectory
-from bench.flight import FlightError, fly
+from bench.errors import FlightError
+from bench.flight import fly
 from bench.legs import Climb, Descend, FigureEight, Straight, Turn
 from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan
 

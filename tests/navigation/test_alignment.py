@@ -15,12 +15,13 @@ from scipy import stats
 
 import bench
 from bench import earth, pipeline, rotation, sensors
-from bench.config import ConfigError, load_profile
+from bench.config import load_profile
 from bench.data import Trajectory, no_air, no_controls, no_events
+from bench.errors import ConfigError, EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.errors import error_series
 from bench.navigation import alignment
-from bench.navigation.estimator import BUILT_IN, EstimatorError, load
+from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.navigation.state_model import Blocks, state_model
 from bench.specs import ImuSpec, TriadSpec

@@ -15,9 +15,10 @@ from numpy.testing import assert_allclose
 
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
+from bench.errors import EstimatorError
 from bench.navigation import aiding, classic, error_state, kalman
 from bench.navigation.classic import FRD_OF_FUR, NED_OF_ENU, R3, Classic22, Nav
-from bench.navigation.estimator import EstimatorError, load
+from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 

@@ -18,8 +18,9 @@ from numpy.testing import assert_array_equal
 import bench
 from bench import sensors
 from bench.data import NavSolution
+from bench.errors import EstimatorError
 from bench.evaluation import metrics
-from bench.navigation.estimator import BUILT_IN, EstimatorError, check_needs, load
+from bench.navigation.estimator import BUILT_IN, check_needs, load
 from bench.navigation.fusion import Loose
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 

@@ -14,12 +14,13 @@ import pytest
 from bench import earth, rotation, sensors
 from bench.cli import main
 from bench.config.log import load_log
+from bench.errors import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.errors import error_series
 from bench.exchange.log import read_log
 from bench.exchange.log_start import start
 from bench.navigation import alignment
-from bench.navigation.estimator import BUILT_IN, EstimatorError, load
+from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.specs import ImuSpec, TriadSpec
 from tests import twin

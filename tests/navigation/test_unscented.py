@@ -11,10 +11,11 @@ from scipy import stats
 
 import bench
 from bench import earth, rotation, sensors
+from bench.errors import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.errors import error_series
 from bench.navigation import unscented
-from bench.navigation.estimator import EstimatorError, load
+from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from bench.navigation.unscented import Unscented, _differences, _less
 from tests.navigation.test_layouts import standard_errors_from

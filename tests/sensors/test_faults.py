@@ -21,6 +21,7 @@ from bench.config.datasheets import read_gnss
 from bench.config.fault_tables import to_fault
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import checked
+from bench.errors import ConfigError
 from bench.sensors import faults, sense
 from bench.specs import (
     AirspeedSpec,
@@ -487,7 +488,7 @@ PROFILE = {
 
 def wrong(gnss="sky-l1", **fault):
     row = {"start_s": 10.0, "duration_s": 5.0, **fault}
-    with pytest.raises(config.ConfigError) as caught:
+    with pytest.raises(ConfigError) as caught:
         config.load_profile("figure-eight", {**PROFILE, "sensors.gnss": gnss, "fault": [row]})
     return str(caught.value)
 
@@ -536,21 +537,19 @@ def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_p
     )
     (tmp_path / "own.toml").write_text(text)
     row = {"kind": "baro-step", "start_s": 10.0, "duration_s": 5.0, "step_m": 5.0}
-    with pytest.raises(
-        config.ConfigError, match=r"\[\[fault\]\] 1 \(baro-step\): there is no baro in \[sensors\]"
-    ):
+    with pytest.raises(ConfigError, match=r"\[\[fault\]\] 1 \(baro-step\): there is no baro in \[sensors\]"):
         config.load_profile(str(tmp_path / "own.toml"), {"fault": [row]})
     ideal = 'source = "none"\n[accel]\nnoise_ug_sqrt_hz = 5.0\n'
     (tmp_path / "ideal.toml").write_text(ideal)
     row = {"kind": "noise-burst", "sensor": "gyro", "start_s": 10.0, "duration_s": 5.0, "times": 5.0}
-    with pytest.raises(config.ConfigError, match="'ideal' has no white noise of its gyro to multiply"):
+    with pytest.raises(ConfigError, match="'ideal' has no white noise of its gyro to multiply"):
         config.load_profile(str(tmp_path / "own.toml"), {"sensors.imu": "ideal.toml", "fault": [row]})
 
 
 def test_the_same_fault_twice_at_a_time_is_refused():
     row = {"kind": "jamming", "start_s": 10.0, "duration_s": 5.0, "cn0_loss_db": 5.0}
     overrides = {**PROFILE, "sensors.gnss": "sky-l1", "fault": [row, {**row, "start_s": 12.0}]}
-    with pytest.raises(config.ConfigError, match=r"start_s = 12 s overlaps \[\[fault\]\] 1, the same fault"):
+    with pytest.raises(ConfigError, match=r"start_s = 12 s overlaps \[\[fault\]\] 1, the same fault"):
         config.load_profile("figure-eight", overrides)
     rows = [{**row, "kind": "pseudorange", "satellites": [s]} for s in ("G06", "G07")]
     for r in rows:

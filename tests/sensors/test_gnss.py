@@ -16,8 +16,8 @@ from scipy.special import gammaincinv, ndtri
 
 import bench
 from bench import earth, rotation
-from bench.config import ConfigError
 from bench.config.datasheets import read_gnss
+from bench.errors import ConfigError
 from bench.sensors import gnss
 from bench.specs import GnssSpec
 from tests.synthetic import ORIGIN, still, turning

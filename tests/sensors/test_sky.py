@@ -15,9 +15,9 @@ from scipy.special import gammaincinv
 
 import bench
 from bench import config, earth, rotation
-from bench.config import ConfigError
 from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
+from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
 from bench.signals import allan, delays, orbits, receiver
 from bench.specs import SkySpec

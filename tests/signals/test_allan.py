@@ -21,8 +21,8 @@ from scipy.special import gammaincinv
 
 import bench
 from bench.cli import main
-from bench.config import ConfigError
 from bench.config.datasheets import read_imu
+from bench.errors import ConfigError
 from bench.sensors import processes
 from bench.signals import allan
 from bench.specs import ImuSpec, TriadSpec

@@ -14,8 +14,8 @@ import pytest
 
 from bench import baselines
 from bench.baselines import Statistic, check, compare, measure, read, record, write
-from bench.config import ConfigError
 from bench.data import RunResult
+from bench.errors import ConfigError
 
 PROFILE = SimpleNamespace(name="survey", seed=7)
 

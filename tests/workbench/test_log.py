@@ -19,10 +19,10 @@ from scipy.stats import chi2
 
 from bench import rotation, store
 from bench.cli import main
-from bench.config import ConfigError
 from bench.config.log import load_log
 from bench.data import ImuData
 from bench.earth import difference_n
+from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import judge
 from bench.exchange.log import divided, read_log

@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import fill
 
 from bench.exchange.exports.gather import gather, reading
-from bench.exchange.exports.outgoing import FRAMES, ExportError, Outgoing
+from bench.exchange.exports.outgoing import FRAMES, Outgoing
 
 FORMATS: Mapping[str, tuple[str, str]] = {
     "csv": ("tables", "CSV, a table per sensor, and start.json"),
@@ -68,4 +68,4 @@ def _wrapped(line: str) -> str:
     return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
-__all__ = ["FORMATS", "README", "ExportError", "Outgoing", "gather", "reading", "write"]
+__all__ = ["FORMATS", "README", "Outgoing", "gather", "reading", "write"]

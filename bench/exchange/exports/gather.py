@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench import store
-from bench.exchange.exports.outgoing import ExportError, Outgoing, Track
+from bench.errors import ExportError
+from bench.exchange.exports.outgoing import Outgoing, Track
 from bench.store import parquet
 
 TRUTH, SOLUTION = "truth", "solution:"

@@ -33,7 +33,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
         _track(document, out.calendar, name, track.t[kept], track.lla[kept])
         said.append(f"- {name}: {len(kept)} points of the IMU, {_TRACK_RATE:g} a second at most")
     if not said:
-        from bench.exchange.exports.outgoing import ExportError
+        from bench.errors import ExportError
 
         raise ExportError("the run has no GNSS receiver; ask for --with truth or --with solution:NAME")
     text = Xml.tostring(root, encoding="unicode")

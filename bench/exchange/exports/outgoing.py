@@ -20,6 +20,7 @@ from bench.data import (
     NavSolution,
     Trajectory,
 )
+from bench.errors import ExportError
 from bench.exchange.rinex import leap_seconds
 from bench.store import initial_state
 from bench.store.columns import AIRSPEED, BARO, GNSS, IMU, MAG, MOTION, Layout, observations, solution
@@ -34,10 +35,6 @@ FRAMES = (
 
 Track = Trajectory | NavSolution
 """Position, velocity and attitude of the IMU, column by column."""
-
-
-class ExportError(ValueError):
-    """What was asked for cannot go out in a format; one line says why."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.errors import ExportError
 from bench.exchange.exports.local import enu, flu, poses
-from bench.exchange.exports.outgoing import Calendar, ExportError, Outgoing
+from bench.exchange.exports.outgoing import Calendar, Outgoing
 
 FOLDER = "bag"
 _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from bench import rotation
+from bench.errors import ExportError
 from bench.exchange.exports.local import poses
-from bench.exchange.exports.outgoing import ExportError, Outgoing
+from bench.exchange.exports.outgoing import Outgoing
 from bench.store import parquet
 
 

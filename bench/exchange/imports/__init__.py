@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.rows import Rows
 
 _ADAPTERS = {

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.imports import broken
 from bench.exchange.rows import MOST_ROWS, Rows
 from bench.exchange.tables import MOST_BYTES

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.mat_file import read_mat, vector
 from bench.exchange.rows import MOST_ROWS, Rows
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, Rows, to_lla
 from bench.exchange.tables import MOST_BYTES
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.imports import broken
 from bench.exchange.rows import MOST_ROWS, Rows
 from bench.signals.air import pressure_altitude

@@ -11,7 +11,7 @@ from typing import TextIO
 
 import numpy as np
 
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.signals.orbits import DAY
 
 LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line

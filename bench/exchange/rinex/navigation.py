@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.config.tables import ConfigError
+from bench.errors import ConfigError
 from bench.exchange.rinex.lines import Lines, calendar, day_of, leap_seconds, opened, version_of
 from bench.signals.orbits import GLONASS as STATE
 from bench.signals.orbits import KEPLER, WEEK, GlonassSets, KeplerSets

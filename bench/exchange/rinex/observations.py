@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.config.tables import ConfigError
 from bench.data import GLONASS, GPS
+from bench.errors import ConfigError
 from bench.exchange.rinex.lines import LONGEST, Lines, calendar, day_of, leap_seconds, opened, version_of
 
 _MOST_SATELLITES = 200

@@ -1,0 +1,54 @@
+"""Failures that are no bugs: each has its messages and the exit status of the command line."""
+
+from __future__ import annotations
+
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
+"""Exit statuses, as the help of every verb lists them."""
+
+
+class BenchError(Exception):
+    """What went wrong, one message for each thing, each complete without the code."""
+
+    status = WRONG
+    """Exit status of the command line."""
+
+    def __init__(self, *messages: str) -> None:
+        super().__init__(*messages)
+        self.messages = messages
+
+    def __str__(self) -> str:
+        return "\n".join(self.messages)
+
+
+class ConfigError(BenchError):
+    """The command line or a file is wrong."""
+
+
+class ExportError(BenchError):
+    """A result cannot be written in the form asked for."""
+
+
+class NothingToShowError(BenchError):
+    """A solution holds nothing that a recording could show."""
+
+
+class EstimatorError(BenchError):
+    """An estimator cannot be built, or cannot start, as asked."""
+
+
+class EstimatorFailedError(BenchError):
+    """An estimator's ``run`` raised; what it raised is the cause."""
+
+    status = BUG
+
+
+class FlightError(BenchError):
+    """An aircraft cannot be loaded, trimmed or flown."""
+
+    status = NOT_FLOWN
+
+
+class ViewerError(BenchError):
+    """The viewer cannot be started on this machine."""
+
+    status = MACHINE

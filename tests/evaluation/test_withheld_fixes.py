@@ -1,0 +1,42 @@
+"""Judging a solution by fixes it was not given: what a broken covariance may not hide behind."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from weaving import units, weaving
+
+from bench import sensors
+from bench.evaluation import fixes
+from bench.navigation.fusion import Loose
+
+
+@pytest.fixture(scope="module")
+def case():
+    sensed = sensors.sense(weaving(40.0), units(), 1, 0)
+    return sensed.data, Loose().run(sensed.data, sensed.initial)
+
+
+def judged(case, *, variance=None, velocity=True):
+    data, solution = case
+    cov = solution.cov.copy()
+    if variance is not None:
+        cov[100:, 0, 0] = variance
+    vel_n = data.fixes.vel_n if velocity else np.full_like(data.fixes.vel_n, np.nan)
+    given = replace(data.fixes, vel_n=vel_n)
+    return fixes.judge(replace(solution, cov=cov), given, data, 10.0)[1]
+
+
+def test_a_negative_variance_is_a_broken_filter_whatever_the_fixes_lack(case):
+    assert judged(case)["converged"]
+    for velocity in (True, False):
+        found = judged(case, variance=-100.0, velocity=velocity)
+        assert not found["converged"]
+        assert "covariance is not positive definite" in found["reason"]
+
+
+def test_fixes_without_velocity_judge_the_position_of_a_sound_filter(case):
+    found = judged(case, velocity=False)
+    assert found["converged"]
+    assert found["reason"] is None
+    assert found["nees_states"] == 3.0
