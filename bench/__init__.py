@@ -52,25 +52,25 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_DOOR = {
-    "run": "bench.door",
-    "fly": "bench.door",
-    "sense": "bench.door",
-    "navigate": "bench.door",
-    "judge": "bench.door",
-    "load": "bench.door",
-    "load_profile": "bench.door",
+_PUBLIC = {
+    "run": "bench.api",
+    "fly": "bench.api",
+    "sense": "bench.api",
+    "navigate": "bench.api",
+    "judge": "bench.api",
+    "load": "bench.api",
+    "load_profile": "bench.api",
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",
     "track_solution": "bench.navigation.wrapping",
 }
 
-__all__ = ["__version__", *_DOOR]
+__all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _DOOR:
-        return getattr(import_module(_DOOR[name]), name)
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
     raise AttributeError(f"module 'bench' has no attribute {name!r}")
 
 

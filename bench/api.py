@@ -1,4 +1,4 @@
-"""The Python door: what ``bench run`` does, as functions.
+"""The public functions of Python: what ``bench run`` does.
 
 ``run`` is its four steps in a row; each can be called by itself, with any of its inputs exchanged:
 
