@@ -282,6 +282,22 @@ def test_nees_metrics(truth):
     assert metrics_of(truth, wrong_solution(truth))["nees_inside_95"] == 0.0  # too small is outside too
 
 
+@pytest.mark.parametrize(
+    ("blocks", "states", "inside"), [((), 9, 8.0), (("phi",), 6, 7.0), (("vel", "phi"), 3, 5.0)]
+)
+def test_nees_is_held_against_the_states_that_are_estimated(truth, blocks, states, inside):
+    """Errors north of 5, 7, 8 and 9 m with 2 m sd: NEES of 6.25, 12.25, 16 and 20.25.
+
+    The upper 97.5 % points are 9.35 for three states, 14.45 for six and 19.02 for nine.
+    """
+    pos_n = np.zeros((201, 3))
+    pos_n[:, 0] = np.resize([5.0, 7.0, 8.0, 9.0], 201)
+    solution = without(wrong_solution(truth, pos_n=pos_n), *blocks)
+    found = metrics_of(truth, solution)
+    assert found["nees_states"] == states
+    assert found["nees_inside_95"] == pytest.approx(np.mean(pos_n[:, 0] <= inside))
+
+
 def test_coverage_is_the_fraction_of_epochs_within_3_sigma_by_axis(truth):
     pos_n, vel_n, phi_n = np.zeros((3, 201, 3))
     pos_n[:20, 0] = 6.01  # sd 2

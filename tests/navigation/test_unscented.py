@@ -17,6 +17,7 @@ from bench.evaluation.errors import error_series
 from bench.navigation import unscented
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
+from bench.navigation.state_model import Blocks, state_model
 from bench.navigation.unscented import Unscented, _differences, _less
 from tests.navigation.test_layouts import standard_errors_from
 from tests.weaving import DEG, GNSS, units, weaving
@@ -110,6 +111,34 @@ def test_where_the_heading_is_hardly_known_it_beats_the_linear_filter():
     assert stats.wilcoxon(found["ukf"], found["loose-15"], alternative="less").pvalue < 0.001, found
 
 
+def test_a_gauss_markov_state_forgets_between_measurements(sensed):
+    """x' = -x / tau over ten seconds: the estimate decays, its variance goes to that of the process.
+
+    Exact, because nothing acts on the bias of the barometer and sigma points carry a linear state exactly.
+    The biases of the IMU, which are random walks here, stay.
+    """
+    tau, sd, T = 4.0, 3.0, 10.0
+    model = state_model(sensed.initial, sensed.data.specs, Blocks(baro_bias=True))
+    at = model.at("baro_bias")
+    decay_time, stationary = model.decay_time.copy(), model.stationary.copy()
+    decay_time[9:], stationary[9:] = 0.0, 0.0
+    decay_time[at], stationary[at] = 1 / tau, sd**2
+    model = replace(model, decay_time=decay_time, stationary=stationary)
+    flight = unscented._Flight(Unscented(), model, sensed.initial)
+    flight.P[at, :] = flight.P[:, at] = 0.0
+    flight.P[at, at] = 25.0
+    flight.rest = np.arange(1.0, len(flight.rest) + 1) * 1e-4
+    flight.rest[at - 9] = 7.0
+    before = flight.rest.copy()
+    n = 1000
+    quiet = np.zeros((n, 3)), np.tile([0.0, 0.0, -9.81 * T / n], (n, 1))
+    flight.predict(np.full(n, T / n), *quiet, np.zeros(2))
+    gone = np.exp(-T / tau)
+    assert flight.rest[at - 9] == pytest.approx(7.0 * gone, rel=1e-9)
+    assert flight.P[at, at] == pytest.approx(25.0 * gone**2 + sd**2 * (1 - gone**2), rel=1e-9)
+    assert_allclose(np.delete(flight.rest, at - 9), np.delete(before, at - 9), rtol=1e-9)
+
+
 def test_less_and_differences_are_inverse():
     rng = np.random.default_rng(5)
     nav = np.concatenate([[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3)])
@@ -128,7 +157,7 @@ def test_the_kernel_is_its_own_python(sensed):
             np.empty((3, 3)),
         )  # fmt: skip
         results.append(np.hstack([points, before]))
-    assert_allclose(results[0], results[1], rtol=1e-14, atol=1e-15)
+    assert_allclose(results[0], results[1], rtol=1e-12, atol=1e-13)
     assert not np.array_equal(results[0][0], results[0][1])
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from bench import earth
 from bench.exchange import almanac, rinex
@@ -62,6 +64,47 @@ def test_velocity_and_clock_rate_are_the_derivatives():
     assert_allclose((after.pos_e - before.pos_e) / (2 * h), here.vel_e, rtol=0, atol=1e-5)
     change = (after.clock + after.relativity - before.clock - before.relativity) / (2 * h)
     assert_allclose(C * change, C * here.clock_rate, rtol=0, atol=1e-5)
+
+
+def position_and_clock(sat, t):
+    """Position and clock of a set by IS-GPS-200, table 20-IV, with rotation matrices instead of formulas."""
+    dt = t - sat["t_oe"]
+    semi_axis = sat["sqrt_a"] ** 2
+    mean = sat["mean_anomaly"] + (np.sqrt(3.986005e14 / semi_axis**3) + sat["delta_n"]) * dt
+    anomaly = brentq(lambda E: E - sat["e"] * np.sin(E) - mean, mean - 0.1, mean + 0.1, xtol=1e-15)
+    true = 2 * np.arctan(np.sqrt((1 + sat["e"]) / (1 - sat["e"])) * np.tan(anomaly / 2))
+    phi = true + sat["perigee"]
+    wave = np.array([np.cos(2 * phi), np.sin(2 * phi)])
+    u = phi + wave @ [sat["c_uc"], sat["c_us"]]
+    r = semi_axis * (1 - sat["e"] * np.cos(anomaly)) + wave @ [sat["c_rc"], sat["c_rs"]]
+    incl = sat["i_0"] + wave @ [sat["c_ic"], sat["c_is"]] + sat["i_rate"] * dt
+    # the node in the Earth-fixed axes: node_0 is that of the start of the week
+    node = sat["node_0"] + sat["node_rate"] * dt - orbits.RATE * (sat["t_oe_week"] + dt)
+    turn = Rotation.from_euler("ZXZ", [node, incl, u])
+    since = t - sat["t_oc"]
+    return turn.apply([r, 0.0, 0.0]), sat["af_0"] + sat["af_1"] * since + sat["af_2"] * since**2
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"t_oe_week": 0.0}, {"af_1": 0.0}, {"t_oc": -3000.0}, {"af_2": 1e-15}]
+)
+def test_position_and_clock_are_those_of_the_interface_document(changed):
+    """Positions to 1e-6 m, a dozen roundings of 26 000 km; clocks to 1e-9 m of range."""
+    sets = eccentric(**changed)
+    values = dict(zip(KEPLER, sets.elements[0], strict=True))
+    times = np.linspace(0.0, 14400.0, 13)
+    found = at(sets, times)
+    for k, t in enumerate(times):
+        pos_e, clock = position_and_clock(values, t)
+        assert_allclose(found.pos_e[k], pos_e, rtol=0, atol=1e-6)
+        assert_allclose(C * found.clock[k], C * clock, rtol=0, atol=1e-9)
+
+
+def test_another_origin_of_time_moves_no_satellite():
+    """t_oe and t_oc count from the origin, t_oe_week from the start of the week: it stays."""
+    sets = eccentric()
+    assert_allclose(at(sets.since(5000.0), 3000.0).pos_e, at(sets, 8000.0).pos_e, rtol=0, atol=1e-6)
+    assert_allclose(at(sets.since(5000.0), 3000.0).clock, at(sets, 8000.0).clock, rtol=0, atol=1e-18)
 
 
 def test_without_harmonics_the_inertial_motion_keeps_keplers_laws():
