@@ -12,8 +12,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import radians
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
 from bench.config import load_profile
@@ -21,9 +22,14 @@ from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed
 from bench.errors import ConfigError
 from bench.specs import EstimatorChoice, Profile
 
+if TYPE_CHECKING:
+    from bench.exchange.rinex_fixes import RinexFixes
+    from bench.signals.delays import Troposphere
+    from bench.signals.receiver import Ionosphere, Systems
+
 load = store.load
 
-__all__ = ["fly", "judge", "load", "load_profile", "navigate", "run", "sense"]
+__all__ = ["fly", "judge", "load", "load_profile", "navigate", "run", "sense", "solve_rinex"]
 
 
 def run(
@@ -97,6 +103,70 @@ def judge(
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics."""
     return pipeline.judge(_read(profile), truth, solution)
+
+
+def solve_rinex(
+    observations: str | Path,
+    navigation: str | Path | Sequence[str | Path],
+    *,
+    systems: Systems = "both",
+    ionosphere: Ionosphere = "klobuchar",
+    troposphere: Troposphere = "saastamoinen",
+    mask_deg: float = 10.0,
+    without: Sequence[str] = (),
+) -> RinexFixes:
+    """Solve the observations of a GNSS receiver for its fixes, epoch by epoch.
+
+    Parameters
+    ----------
+    observations : str or Path
+        RINEX 2 or 3 observation file.
+    navigation : str, Path or a sequence of them
+        RINEX 2 or 3 navigation files.
+    systems : str
+        "gps", "glonass", "both", or "auto": the least PDOP times standard deviation at every epoch.
+    ionosphere : str
+        "klobuchar": the broadcast model on the first carrier; "free": the combination of two carriers.
+    troposphere : str
+        Model of the vertical delay: "saastamoinen" or "b-10".
+    mask_deg : float
+        Lowest elevation used [deg].
+    without : sequence of str
+        Corrections to leave out, of `bench.signals.receiver.CORRECTIONS`.
+
+    Returns
+    -------
+    solved : RinexFixes
+        ``fixes`` of the antenna [rad, rad, m; m/s, n], ``figures()`` of their errors, ``write_csv(path)``.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If a file is wrong, or the ephemerides do not serve the observations.
+    """
+    from bench.exchange import rinex_fixes
+    from bench.signals import delays, receiver
+
+    _one_of("systems", [systems], get_args(receiver.Systems))
+    _one_of("ionosphere", [ionosphere], get_args(receiver.Ionosphere))
+    _one_of("troposphere", [troposphere], get_args(delays.Troposphere))
+    _one_of("without", without, receiver.CORRECTIONS)
+    files = [navigation] if isinstance(navigation, str | Path) else navigation
+    processing = receiver.Processing(
+        systems=systems,
+        ionosphere=ionosphere,
+        troposphere=troposphere,
+        mask=radians(mask_deg),
+        without=frozenset(without),
+    )
+    return rinex_fixes.solve_rinex(Path(observations), [Path(file) for file in files], processing)
+
+
+def _one_of(name: str, values: Sequence[str], known: Sequence[str]) -> None:
+    """Raise ConfigError if a value is none of those there are."""
+    for value in values:
+        if value not in known:
+            raise ConfigError(f"{name} = {value!r} must be one of {', '.join(known)}")
 
 
 def _read(profile: str | Path | Profile) -> Profile:

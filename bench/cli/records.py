@@ -1,4 +1,4 @@
-"""Verbs of what others recorded, made or want: navigate, allan, export, score, stream."""
+"""Verbs of what others recorded, made or want: navigate, fixes, allan, export, score, stream."""
 
 from __future__ import annotations
 
@@ -8,17 +8,28 @@ from typing import Any
 import click
 
 from bench.cli.group import STATUS, commands, durations, estimator_option, new_console, out_option
-from bench.errors import DONE, NEGATIVE
+from bench.errors import DONE, NEGATIVE, ConfigError
 
 
-@commands.command(epilog=STATUS)
-@click.argument("log", required=False, metavar="[LOG.toml]")
-@estimator_option("of a log: use only this one, of the file, built in")
+class _LogCommand(click.Command):
+    """Says what the verb for RINEX files is when their options are given."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if any(arg.partition("=")[0] in ("--observations", "--navigation") for arg in args):
+            raise ConfigError(
+                "bench navigate takes a LOG.toml; for RINEX files use: bench fixes OBSERVATIONS NAVIGATION..."
+            )
+        return super().parse_args(ctx, args)
+
+
+@commands.command(cls=_LogCommand, epilog=STATUS)
+@click.argument("log", metavar="LOG.toml")
+@estimator_option("use only this one, of the file, built in")
 @click.option(
     "--outages",
     callback=durations,
     metavar="S,S,...",
-    help="of a log: cut GNSS for so many seconds and judge by the fixes that were cut out",
+    help="cut GNSS for so many seconds and judge by the fixes that were cut out",
 )
 @click.option(
     "--places",
@@ -26,23 +37,61 @@ from bench.errors import DONE, NEGATIVE
     default=10,
     show_default=True,
     metavar="N",
-    help="of a log: places where each outage is cut",
+    help="places where each outage is cut",
 )
-@click.option("--no-rrd", is_flag=True, help="of a log: write no recording")
-@click.option("--force", is_flag=True, help="of a log: replace an existing results folder")
-@click.option("--allow-commands", is_flag=True, help="of a log: let it start the programs it names")
+@click.option("--no-rrd", is_flag=True, help="write no recording")
+@click.option("--force", is_flag=True, help="replace an existing results folder")
+@click.option("--allow-commands", is_flag=True, help="let the log start the programs it names")
+@out_option("folder for the results  [default: runs/<log>]")
 @click.option(
-    "--observations",
-    type=click.Path(path_type=Path),
-    metavar="FILE.obs",
-    help="RINEX 2 or 3 observation file",
+    "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
 )
-@click.option(
-    "--navigation",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="FILE.nav",
-    help="RINEX 2 or 3 navigation file; repeat for more",
+def navigate(
+    log: str,
+    estimators: tuple[str, ...],
+    outages: tuple[float, ...],
+    places: int,
+    no_rrd: bool,
+    force: bool,
+    allow_commands: bool,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Run estimators on a recording of real sensors.
+
+    LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
+    mounted, and the datasheets the filters believe (README, "Your own log"). What looks
+    wrong in the recording is said first. Every fifth fix is kept from the filters and judges
+    them; --outages cuts GNSS at several places and judges the drift by what was cut out.
+    Writes the folder of bench run, without truth.
+
+    \b
+    Example:
+      bench navigate drive.toml -e loose-15 --outages 10,30,60
+    """
+    from bench.store import to_json
+    from bench.workbench.log import navigate as navigate_log
+
+    summary = navigate_log(
+        log,
+        console=new_console(stderr=as_json),
+        estimators=estimators or None,
+        durations=outages,
+        places=places,
+        out=out,
+        recording=not no_rrd,
+        force=force,
+        allow_commands=allow_commands,
+    )
+    if as_json:
+        click.echo(to_json(summary), nl=False)
+    return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("observations", type=click.Path(path_type=Path))
+@click.argument(
+    "navigation", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="NAVIGATION..."
 )
 @click.option(
     "--systems",
@@ -81,104 +130,36 @@ from bench.errors import DONE, NEGATIVE
     show_default=True,
     help="of the positions in --out",
 )
-@out_option("folder for the results of a log, or file for the fixes", "DIR|FILE.csv")
+@out_option("file for the fixes", "FILE.csv")
 @click.option(
     "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
 )
-@click.pass_context
-def navigate(
-    ctx: click.Context,
-    log: str | None,
-    estimators: tuple[str, ...],
-    outages: tuple[float, ...],
-    places: int,
-    no_rrd: bool,
-    force: bool,
-    allow_commands: bool,
-    observations: Path | None,
+def fixes(
+    observations: Path,
     navigation: tuple[Path, ...],
-    systems: Any,
-    ionosphere: Any,
-    troposphere: Any,
-    mask_deg: float,
-    without: tuple[str, ...],
     datum: str,
     out: Path | None,
     as_json: bool,
+    **options: Any,
 ) -> int:
-    """Run estimators on a recording, or solve the observations of a GNSS receiver.
+    """Solve the observations of a GNSS receiver for its fixes.
 
-    LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
-    mounted, and the datasheets the filters believe (README, "Your own log"). What looks
-    wrong in the recording is said first. Every fifth fix is kept from the filters and judges
-    them; --outages cuts GNSS at several places and judges the drift by what was cut out.
-    Writes the folder of bench run, without truth.
-
-    With --observations and --navigation the RINEX files of a receiver are solved: position
-    from the code, velocity from the Doppler where there is one, GPS and GLONASS. Errors are
-    against the position in the header of the file.
+    OBSERVATIONS is a RINEX 2 or 3 observation file, NAVIGATION one or more navigation
+    files: position from the code, velocity from the Doppler where there is one, GPS and
+    GLONASS. Errors are against the position in the header of the file.
 
     \b
-    Examples:
-      bench navigate drive.toml -e loose-15 --outages 10,30,60
-      bench navigate --observations site.rnx --navigation brdc.rnx -o fixes.csv
+    Example:
+      bench fixes site.rnx brdc.rnx -o fixes.csv
     """
     from bench.store import to_json
+    from bench.workbench.record_verbs import solve_fixes
 
     console = new_console(stderr=as_json)
-    given = {
-        name
-        for name in ctx.params
-        if ctx.get_parameter_source(name) == click.core.ParameterSource.COMMANDLINE
-    }
-    if log is not None:
-        _refuse(given - {"log", "out", "as_json", *_OF_A_LOG}, "does not go with a LOG.toml")
-        from bench.workbench.log import navigate as navigate_log
-
-        summary = navigate_log(
-            log,
-            console=console,
-            estimators=estimators or None,
-            durations=outages,
-            places=places,
-            out=out,
-            recording=not no_rrd,
-            force=force,
-            allow_commands=allow_commands,
-        )
-        if as_json:
-            click.echo(to_json(summary), nl=False)
-        return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
-    if observations is None or not navigation:
-        raise click.UsageError("give a LOG.toml, or --observations and --navigation")
-    _refuse(given & _OF_A_LOG, "goes with a LOG.toml only")
-    from math import radians
-
-    from bench.signals.receiver import Processing
-    from bench.workbench.fixes import navigate as navigate_files
-
-    processing = Processing(
-        systems=systems,
-        ionosphere=ionosphere,
-        troposphere=troposphere,
-        mask=radians(mask_deg),
-        without=frozenset(without),
-    )
-    figures = navigate_files(console, observations, navigation, processing, datum, out)
+    figures = solve_fixes(observations, navigation, console=console, datum=datum, out=out, **options)
     if as_json:
         click.echo(to_json(figures), nl=False)
     return DONE if figures["fixes"] else NEGATIVE
-
-
-_OF_A_LOG = frozenset({"estimators", "outages", "places", "no_rrd", "force", "allow_commands"})
-"""Options of bench navigate that need a LOG.toml."""
-
-
-def _refuse(given: set[str], why: str) -> None:
-    """Raise UsageError when an option was given that would not be read."""
-    if given:
-        name = min(given).replace("estimators", "estimator").replace("_", "-")
-        raise click.UsageError(f"--{name} {why}")
 
 
 @commands.command(epilog=STATUS)

@@ -13,14 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from rich.console import Console
 
+import bench
 from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac, rinex
-from bench.signals import receiver
-from bench.workbench import fixes
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real GNSS files are not beside the repository")
@@ -107,25 +105,27 @@ def written(folder, text, name="file"):
 
 @cache
 def solved(files, **options):
-    without = frozenset(filter(None, [options.pop("without", None)]))
-    processing = receiver.Processing(**options, without=without)
-    raw, solution, dop = fixes.solve_files(DATA / files[0], [DATA / files[1]], processing)
-    return raw, solution, fixes.summary(raw, solution, dop)
+    without = [*filter(None, [options.pop("without", None)])]
+    return bench.solve_rinex(DATA / files[0], DATA / files[1], without=without, **options)
+
+
+def figures_of(files, **options):
+    return solved(files, **options).figures()
 
 
 @needs_data
 def test_esbc_and_0759_reach_the_medians():
-    gps = solved(ESBC, systems="gps")[2]
+    gps = figures_of(ESBC, systems="gps")
     assert gps["fixes"] == gps["epochs"] == 720
     assert gps["horizontal_median_m"] < 1.5
     assert gps["vertical_median_m"] < 1.2
-    both = solved(ESBC)[2]
+    both = figures_of(ESBC)
     assert both["horizontal_median_m"] <= gps["horizontal_median_m"]
     assert both["vertical_95_m"] <= gps["vertical_95_m"]
     assert both["vertical_median_m"] < 1.2
     assert both["speed_median_mps"] < 0.020
     assert abs(both["glonass_minus_gps_clock_m"] - 6.2) < 0.1
-    japan = solved(JAPAN)[2]
+    japan = figures_of(JAPAN)
     assert japan["horizontal_median_m"] < 0.6
     assert japan["vertical_median_m"] < 0.6
 
@@ -142,7 +142,7 @@ def test_esbc_and_0759_reach_the_medians():
 @needs_data
 def test_esbc_as_an_independent_computation(options, horizontal, vertical):
     """Its weights and its every third epoch differ: 0.2 m."""
-    figures = solved(ESBC, **options)[2]
+    figures = figures_of(ESBC, **options)
     assert abs(figures["horizontal_median_m"] - horizontal) < 0.2
     assert abs(figures["vertical_median_m"] - vertical) < 0.2
 
@@ -162,15 +162,15 @@ def test_esbc_as_an_independent_computation(options, horizontal, vertical):
 @needs_data
 def test_each_correction_left_out_costs_what_it_is_worth(left_out, figure, expected, within):
     """Figures of the independent computation; its weights differ."""
-    worse = solved(ESBC, systems="gps", without=left_out)[2][figure]
+    worse = figures_of(ESBC, systems="gps", without=left_out)[figure]
     assert abs(worse - expected) < within
-    assert worse > 1.5 * solved(ESBC, systems="gps")[2][figure]
+    assert worse > 1.5 * figures_of(ESBC, systems="gps")[figure]
 
 
 @needs_data
 def test_one_clock_for_both_systems_costs_a_third():
     """1.4 m and 1.75 m against 1.06 and 0.84 of the independent computation."""
-    right, wrong = solved(ESBC)[2], solved(ESBC, without="clocks")[2]
+    right, wrong = figures_of(ESBC), figures_of(ESBC, without="clocks")
     assert wrong["horizontal_median_m"] > 1.2 * right["horizontal_median_m"]
     assert wrong["vertical_median_m"] > 1.2 * right["vertical_median_m"]
 
@@ -178,8 +178,8 @@ def test_one_clock_for_both_systems_costs_a_third():
 @needs_data
 def test_claimed_covariance_covers_the_real_errors():
     """95 % containment of the horizontal error by the claimed ellipse: the budget is no optimist."""
-    raw, solution, _ = solved(ESBC)
-    error, cov = fixes.errors(raw, solution)[:, :2], solution.fixes.cov_pos_n[:, :2, :2]
+    found = solved(ESBC)
+    error, cov = found.errors()[:, :2], found.fixes.cov_pos_n[:, :2, :2]
     d2 = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cov), error)
     assert np.mean(d2 < 5.991) > 0.93
 
@@ -211,26 +211,19 @@ def test_memory_grows_with_what_is_kept():
 
 
 @needs_data
-def test_bench_navigate(tmp_path, capsys):
+def test_bench_fixes(tmp_path, capsys):
     out = tmp_path / "fixes.csv"
-    asked = ["navigate", "--observations", str(DATA / JAPAN[0]), "--navigation", str(DATA / JAPAN[1])]
-    assert main([*asked, "-o", str(out), "--datum", "SK-42", "--json"]) == 0
+    asked = ["fixes", str(DATA / JAPAN[0])]
+    assert main([*asked, str(DATA / JAPAN[1]), "-o", str(out), "--datum", "SK-42", "--json"]) == 0
     assert '"fixes": 120' in capsys.readouterr().out
     rows = out.read_text().splitlines()
     assert len(rows) == 121
     assert rows[1].startswith("2005-04-02T00:00:00,1,")
-    _, solution, _ = solved(JAPAN)
+    fixes = solved(JAPAN).fixes
     lat = float(rows[1].split(",")[2])
-    assert_allclose(lat, np.rad2deg(earth.to_datum(solution.fixes.lla[0], "SK-42")[0]), atol=1e-8)
-    assert abs(lat - np.rad2deg(solution.fixes.lla[0, 0])) > 5e-5
-    wrong_day = [
-        "navigate",
-        "--observations",
-        str(DATA / JAPAN[0]),
-        "--navigation",
-        str(DATA / "brdc3050.12n"),
-    ]
-    assert main(wrong_day) == 2
+    assert_allclose(lat, np.rad2deg(earth.to_datum(fixes.lla[0], "SK-42")[0]), atol=1e-8)
+    assert abs(lat - np.rad2deg(fixes.lla[0, 0])) > 5e-5
+    assert main([*asked, str(DATA / "brdc3050.12n")]) == 2
     said = capsys.readouterr().err
     assert "its ephemerides, 2012-10-31 to 2012-10-31, serve no satellite of" in said
     assert said.strip().count("\n") == 0
@@ -238,11 +231,20 @@ def test_bench_navigate(tmp_path, capsys):
 
 @needs_data
 def test_no_ionosphere_in_the_navigation_file_is_said():
-    processing = receiver.Processing()
     with pytest.raises(ConfigError, match="gives no ionosphere parameters"):
-        fixes.navigate(
-            Console(quiet=True), DATA / ESBC[0], [DATA / "brdc3050.12g"], processing, "WGS-84", None
-        )
+        bench.solve_rinex(DATA / ESBC[0], DATA / "brdc3050.12g")
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ({"systems": "galileo"}, "systems = 'galileo' must be one of gps, glonass, both, auto"),
+        ({"without": ["sagnak"]}, "without = 'sagnak' must be one of sagnac, "),
+    ],
+)
+def test_an_option_that_does_not_exist_is_refused_from_python_too(option, words):
+    with pytest.raises(ConfigError, match=words):
+        bench.solve_rinex("a.obs", "a.nav", **option)
 
 
 # --- small files -------------------------------------------------------------------------------------------

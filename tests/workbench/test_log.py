@@ -615,11 +615,10 @@ def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "give a LOG.toml"),
-        (["x.toml", "--mask-deg", "5"], "--mask-deg does not go with a LOG.toml"),
+        ([], "Missing argument 'LOG.toml'"),
         (
-            ["--observations", "a", "--navigation", "b", "--outages", "5"],
-            "--outages goes with a LOG",
+            ["--observations", "a", "--navigation=b", "--mask-deg", "5"],
+            "error: bench navigate takes a LOG.toml; for RINEX files use: bench fixes OBSERVATIONS NAV",
         ),
         (["x.toml", "--outages", "5,no"], "must be seconds"),
         (["x.toml"], "x.toml: no such file"),
