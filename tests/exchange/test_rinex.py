@@ -1,14 +1,13 @@
 """RINEX and YUMA files: real ones solve to the medians of an independent computation, broken ones one line.
 
 Real data: stations ESBC (EUREF, via nav-solutions/data) and 0759 (GSI, via RTKLIB), broadcast ephemerides of
-CDDIS (via RTKLIB); read from beside the repository, skipped without them.
+CDDIS (via RTKLIB), in tests/data/gnss.
 """
 
 from __future__ import annotations
 
 import tracemalloc
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +18,9 @@ from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac, rinex
+from tests.data import gnss_file
 
-DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real GNSS files are not beside the repository")
-ESBC = ("ESBC00DNK_2020177_GR_120s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
+ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
 JAPAN = ("07590920.05o", "07590920.05n")
 
 OBS_3 = """\
@@ -106,17 +104,16 @@ def written(folder, text, name="file"):
 @cache
 def solved(files, **options):
     without = [*filter(None, [options.pop("without", None)])]
-    return bench.solve_rinex(DATA / files[0], DATA / files[1], without=without, **options)
+    return bench.solve_rinex(gnss_file(files[0]), gnss_file(files[1]), without=without, **options)
 
 
 def figures_of(files, **options):
     return solved(files, **options).figures()
 
 
-@needs_data
 def test_esbc_and_0759_reach_the_medians():
     gps = figures_of(ESBC, systems="gps")
-    assert gps["fixes"] == gps["epochs"] == 720
+    assert gps["fixes"] == gps["epochs"] == 240
     assert gps["horizontal_median_m"] < 1.5
     assert gps["vertical_median_m"] < 1.2
     both = figures_of(ESBC)
@@ -139,9 +136,8 @@ def test_esbc_and_0759_reach_the_medians():
         ({}, 1.06, 0.84),
     ],
 )
-@needs_data
 def test_esbc_as_an_independent_computation(options, horizontal, vertical):
-    """Its weights and its every third epoch differ: 0.2 m."""
+    """Over the same epochs; its weights differ: 0.2 m."""
     figures = figures_of(ESBC, **options)
     assert abs(figures["horizontal_median_m"] - horizontal) < 0.2
     assert abs(figures["vertical_median_m"] - vertical) < 0.2
@@ -159,7 +155,6 @@ def test_esbc_as_an_independent_computation(options, horizontal, vertical):
         ("ionosphere", "vertical_median_m", 2.5, 0.5),
     ],
 )
-@needs_data
 def test_each_correction_left_out_costs_what_it_is_worth(left_out, figure, expected, within):
     """Figures of the independent computation; its weights differ."""
     worse = figures_of(ESBC, systems="gps", without=left_out)[figure]
@@ -167,7 +162,6 @@ def test_each_correction_left_out_costs_what_it_is_worth(left_out, figure, expec
     assert worse > 1.5 * figures_of(ESBC, systems="gps")[figure]
 
 
-@needs_data
 def test_one_clock_for_both_systems_costs_a_third():
     """1.4 m and 1.75 m against 1.06 and 0.84 of the independent computation."""
     right, wrong = figures_of(ESBC), figures_of(ESBC, without="clocks")
@@ -175,7 +169,6 @@ def test_one_clock_for_both_systems_costs_a_third():
     assert wrong["vertical_median_m"] > 1.2 * right["vertical_median_m"]
 
 
-@needs_data
 def test_claimed_covariance_covers_the_real_errors():
     """95 % containment of the horizontal error by the claimed ellipse: the budget is no optimist."""
     found = solved(ESBC)
@@ -184,37 +177,35 @@ def test_claimed_covariance_covers_the_real_errors():
     assert np.mean(d2 < 5.991) > 0.93
 
 
-@needs_data
 def test_the_real_files_are_read_whole():
-    raw = rinex.read_observations(DATA / ESBC[0])
-    assert len(raw.t) == 720
-    assert raw.t[1] - raw.t[0] == 120.0
+    raw = rinex.read_observations(gnss_file(ESBC[0]))
+    assert len(raw.t) == 240
+    assert raw.t[1] - raw.t[0] == 360.0
     assert raw.marker == "ESBC00DNK"
     assert_allclose(raw.antenna_hen, [0.216, 0.0, 0.0])
-    japan = rinex.read_observations(DATA / JAPAN[0])
+    japan = rinex.read_observations(gnss_file(JAPAN[0]))
     assert len(japan.t) == 120
     assert japan.t[-1] == 3570.005  # the receiver's clock is 5 ms ahead by then
     assert np.isnan(japan.doppler).all()
-    day = rinex.read_navigation(DATA / "brdc3050.12n")
+    day = rinex.read_navigation(gnss_file("brdc3050.12n"))
     assert len(np.unique(day.kepler.sat)) == 32
-    assert len(np.unique(rinex.read_navigation(DATA / "brdc3050.12g").glonass.sat)) == 24
+    assert len(np.unique(rinex.read_navigation(gnss_file("brdc3050.12g")).glonass.sat)) == 24
 
 
-@needs_data
 def test_memory_grows_with_what_is_kept():
-    """A repeated file needs in proportion; per satellite and epoch no more than 300 bytes."""
+    """At most 300 bytes per satellite and epoch while a file is read."""
+    rinex.read_observations(gnss_file(ESBC[0]))  # what is imported and cached on the way does not count
     tracemalloc.start()
-    raw = rinex.read_observations(DATA / ESBC[0])
+    raw = rinex.read_observations(gnss_file(ESBC[0]))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 300 * len(raw.sat) + 2e6
+    assert peak < 300 * len(raw.sat)
 
 
-@needs_data
 def test_bench_fixes(tmp_path, capsys):
     out = tmp_path / "fixes.csv"
-    asked = ["fixes", str(DATA / JAPAN[0])]
-    assert main([*asked, str(DATA / JAPAN[1]), "-o", str(out), "--datum", "SK-42", "--json"]) == 0
+    asked = ["fixes", str(gnss_file(JAPAN[0]))]
+    assert main([*asked, str(gnss_file(JAPAN[1])), "-o", str(out), "--datum", "SK-42", "--json"]) == 0
     assert '"fixes": 120' in capsys.readouterr().out
     rows = out.read_text().splitlines()
     assert len(rows) == 121
@@ -223,16 +214,15 @@ def test_bench_fixes(tmp_path, capsys):
     lat = float(rows[1].split(",")[2])
     assert_allclose(lat, np.rad2deg(earth.to_datum(fixes.lla[0], "SK-42")[0]), atol=1e-8)
     assert abs(lat - np.rad2deg(fixes.lla[0, 0])) > 5e-5
-    assert main([*asked, str(DATA / "brdc3050.12n")]) == 2
+    assert main([*asked, str(gnss_file("brdc3050.12n"))]) == 2
     said = capsys.readouterr().err
     assert "its ephemerides, 2012-10-31 to 2012-10-31, serve no satellite of" in said
     assert said.strip().count("\n") == 0
 
 
-@needs_data
 def test_no_ionosphere_in_the_navigation_file_is_said():
     with pytest.raises(ConfigError, match="gives no ionosphere parameters"):
-        bench.solve_rinex(DATA / ESBC[0], DATA / "brdc3050.12g")
+        bench.solve_rinex(gnss_file(ESBC[0]), gnss_file("brdc3050.12g"))
 
 
 @pytest.mark.parametrize(

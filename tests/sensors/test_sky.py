@@ -21,10 +21,10 @@ from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
 from bench.signals import allan, delays, orbits, receiver
 from bench.specs import SkySpec
+from tests.data import gnss_file
 from tests.synthetic import ORIGIN, still, turning
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
-DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
 LEVER = (0.4, -0.2, -0.5)
 SPEC = read_gnss(CATALOG / "sky-l1.toml", "sky-l1.toml")
 FULL = SPEC.sky
@@ -418,11 +418,9 @@ def test_latency_and_a_receiver_without_sky(turn):
 
 def test_real_satellites_fly_too(turn, tmp_path):
     """With the almanac of 2022-02-17 PRN 11 is unhealthy and not seen; broadcast files serve both."""
-    if not DATA.is_dir():
-        pytest.skip("the real GNSS files are not beside the repository")
     text = (CATALOG / "sky-l1.toml").read_text(encoding="utf-8")
     for name in ("yuma_2022-02-17.txt", "brdc3050.12n", "brdc3050.12g"):
-        (tmp_path / name).write_bytes((DATA / name).read_bytes())
+        (tmp_path / name).write_bytes(gnss_file(name).read_bytes())
     sheets = {
         "yuma": text.replace("[sky]\n", '[sky]\nalmanac = "yuma_2022-02-17.txt"\n'),
         "brdc": text.replace("[sky]\n", '[sky]\nnavigation = ["brdc3050.12n", "brdc3050.12g"]\n').replace(

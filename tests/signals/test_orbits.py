@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -14,10 +12,8 @@ from bench import earth
 from bench.exchange import almanac, rinex
 from bench.signals import least_squares, orbits
 from bench.signals.orbits import KEPLER, C
+from tests.data import gnss_file
 from tests.signals.test_least_squares import view
-
-DATA = Path(__file__).parents[3] / "shared" / "data" / "gnss"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real GNSS files are not beside the repository")
 
 
 def eccentric(**elements):
@@ -178,10 +174,9 @@ def test_glonass_motion_keeps_its_energy_in_the_rotating_frame():
 @pytest.mark.parametrize(
     ("name", "median", "most"), [("brdc3050.12n", 0.28, 3.0), ("brdc3050.12g", 0.96, 5.1)]
 )
-@needs_data
 def test_two_consecutive_broadcast_sets_meet_half_way(name, median, most):
     """Independent computation of the same files: median 0.28 m (max 3.0) GPS, 0.96 m (max 5.1) GLONASS."""
-    nav = rinex.read_navigation(DATA / name)
+    nav = rinex.read_navigation(gnss_file(name))
     sets = nav.kepler if len(nav.kepler) else nav.glonass
     sets = sets.since(float(sets.t.min()))
     apart, longest = [], 7200.0 if len(nav.kepler) else 1800.0
@@ -271,11 +266,10 @@ def test_dop_table_of_the_nominal_constellations(which):
     ("name", "day", "week", "sick"),
     [("yuma_2015-05-06.txt", (2015, 5, 6), 1843, []), ("yuma_2022-02-17.txt", (2022, 2, 17), 2197, [11])],
 )
-@needs_data
 def test_yuma_almanacs_fly_like_gps(name, day, week, sick):
     """Weeks count modulo 1024; radii of 26 560 km, 55 deg, a repeat after a sidereal day, six planes."""
     near = rinex.gps_seconds(*day)
-    sets = almanac.read_yuma(DATA / name, near)
+    sets = almanac.read_yuma(gnss_file(name), near)
     assert len(sets) == 31
     assert sets.sat[~sets.healthy].tolist() == sick
     assert (sets.t // orbits.WEEK == week).all()

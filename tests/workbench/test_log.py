@@ -32,7 +32,7 @@ from bench.recording import column
 from bench.workbench.log import Session
 from tests.exchange import drives
 
-DRIVE = Path(__file__).parents[3] / "shared" / "data" / "drive_0708"
+LOGS = Path(__file__).parents[1] / "logs"
 
 
 @pytest.fixture(scope="module")
@@ -631,17 +631,14 @@ def test_options_that_would_not_be_read_are_refused(arguments, words, capsys):
 
 # --- data nobody simulated ----------------------------------------------------------------------------
 
-needs_drive = pytest.mark.skipif(
-    not DRIVE.is_dir(), reason="needs the recorded drive, shared/data/drive_0708"
-)
 ROOF = ('imu = "icm-45686"', 'imu = "icm-45686-on-the-roof.toml"')
 
 
 def real(tmp_path, *changes):
-    """The log of the drive in tests/logs beside its tables."""
-    for path in (*DRIVE.glob("*.csv"), *(Path(__file__).parents[1] / "logs").glob("icm*.toml")):
+    """Return the log of the drive in tests/logs with some lines changed."""
+    for path in (*LOGS.glob("*.parquet"), *LOGS.glob("icm*.toml")):
         (tmp_path / path.name).symlink_to(path)
-    text = (Path(__file__).parents[1] / "logs" / "drive.toml").read_text()
+    text = (LOGS / "drive.toml").read_text()
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
@@ -649,7 +646,6 @@ def real(tmp_path, *changes):
     return tmp_path / "drive.toml"
 
 
-@needs_drive
 def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
     """The velocity of this receiver is that of the middle of its epoch of 0.25 s."""
     said = checks(real(tmp_path, ("velocity_offset_s = -0.125\n", "")))
@@ -662,7 +658,6 @@ def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
     assert [c.name for c in said.values() if not c.good] == ["gnss_invalid_rows"]  # of no fixed ambiguities
 
 
-@needs_drive
 @pytest.mark.parametrize(
     ("changes", "rmse", "medians"),
     [  # the intervals of the README
@@ -689,7 +684,6 @@ def test_the_drive_is_navigated_as_well_as_the_readme_says(tmp_path, changes, rm
         assert metrics["cep95_m"] < 0.05
 
 
-@needs_drive
 def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
     """What the motion says and what the filter says agree: the offset of the log halves the error."""
     found = []
