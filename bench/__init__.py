@@ -60,6 +60,7 @@ _PUBLIC = {
     "judge": "bench.api",
     "load": "bench.api",
     "load_profile": "bench.api",
+    "measure_allan": "bench.api",
     "solve_rinex": "bench.api",
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",

@@ -23,13 +23,14 @@ from bench.errors import ConfigError
 from bench.specs import EstimatorChoice, Profile
 
 if TYPE_CHECKING:
+    from bench.evaluation.noise_curves import AllanResult
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
 
 load = store.load
 
-__all__ = ["fly", "judge", "load", "load_profile", "navigate", "run", "sense", "solve_rinex"]
+__all__ = ["fly", "judge", "load", "load_profile", "measure_allan", "navigate", "run", "sense", "solve_rinex"]
 
 
 def run(
@@ -103,6 +104,62 @@ def judge(
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics."""
     return pipeline.judge(_read(profile), truth, solution)
+
+
+def measure_allan(
+    unit: str | None = None,
+    *,
+    log: str | Path | None = None,
+    seed: int = 1,
+    picture: str | Path | None = None,
+) -> AllanResult:
+    """Measure the Allan deviation of an IMU and compare it with its datasheet.
+
+    Parameters
+    ----------
+    unit : str or None
+        Name in the catalog or path of a datasheet: its model is measured, or a log is compared with it.
+    log : str, Path or None
+        CSV of a unit at rest, as `bench.exchange.resting_log.read_resting_log` takes it.
+    seed : int
+        Of the noise of the model.
+    picture : str, Path or None
+        Drawn there, a .png, .svg or .pdf.
+
+    Returns
+    -------
+    measured : AllanResult
+        ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with their 99.9 % bands, and those of
+        each term of the datasheet.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the unit or the log is missing or wrong.
+    """
+    from bench import report
+    from bench.config.datasheets import read_imu
+    from bench.config.library import sensor_file
+    from bench.evaluation import noise_curves
+    from bench.exchange.resting_log import read_resting_log
+
+    if picture is not None:
+        report.check_picture(Path(picture))
+    spec = None if unit is None else read_imu(*sensor_file("imu", unit, Path()))
+    if log is not None:
+        curves = noise_curves.record_curves(*read_resting_log(Path(log)), spec)
+        name = Path(log).stem + (f" and {spec.name}" if spec else "")
+    elif spec is not None:
+        curves = noise_curves.model_curves(spec, seed)
+        name = spec.name
+    else:
+        raise ConfigError("measure_allan needs a unit of the catalog or a log")
+    if not curves:
+        raise ConfigError(f"{name}: it has no random error to measure")
+    measured = noise_curves.AllanResult(name, tuple(curves), spec, simulated=log is None)
+    if picture is not None:
+        report.draw_allan(Path(picture), measured)
+    return measured
 
 
 def solve_rinex(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.errors import ConfigError
+from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, noise_figures
+from bench.specs import ImuSpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,53 +21,47 @@ _LINES = {
     "rate random walk": "#a23b72",
     "quantization": "#8c6bb1",
 }
-"""How the text of a term begins -> colour of its line."""
+"""Term -> colour of its line."""
+_TITLES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 
 
-@dataclass(frozen=True, slots=True)
-class AllanPanel:
-    """What is drawn of a triad, in the unit it is drawn in."""
-
-    title: str
-    unit: str
-    tau: FloatArray  # (T,) [s]
-    measured: FloatArray  # (T,)
-    low: FloatArray  # (T,) band of a measurement
-    high: FloatArray  # (T,)
-    expected: FloatArray | None  # (T,) of the datasheet
-    terms: Mapping[str, FloatArray]  # of each of its terms, by the text of the legend
+def check_picture(path: Path) -> None:
+    """Raise ConfigError if the ending of a path is that of no picture."""
+    if path.suffix not in (".png", ".svg", ".pdf"):
+        raise ConfigError(f"{path}: a picture ends in .png, .svg or .pdf")
 
 
-def allan_picture(path: Path, title: str, panels: Sequence[AllanPanel]) -> None:
-    """Draw Allan deviations side by side into a PNG, SVG or PDF, by the ending of the path."""
+def draw_allan(path: Path, measured: AllanResult) -> None:
+    """Draw the Allan deviation of each triad into a PNG, SVG or PDF, by the ending of the path."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4 * len(panels), 5.2), dpi=130, layout="constrained")
-    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        _allan_panel(axes, panel)
-    figure.suptitle(title, color=_INK, fontsize=13)
+    curves = measured.curves
+    figure = Figure(figsize=(6.4 * len(curves), 5.2), dpi=130, layout="constrained")
+    for axes, curve in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
+        _draw_curve(axes, curve, measured.spec)
+    figure.suptitle(f"Allan deviation: {measured.name}", color=_INK, fontsize=13)
     figure.savefig(path)
 
 
-def _allan_panel(axes: Axes, panel: AllanPanel) -> None:
-    tau, measured = panel.tau, panel.measured
+def _draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
+    unit, factor = SHOWN_UNITS[curve.triad]
+    tau, measured, low, high = curve.tau, factor * curve.measured, factor * curve.low, factor * curve.high
     floor = 0.3 * measured.min()
-    colour = _ORANGE if panel.expected is None else _BLUE
-    axes.fill_between(tau, panel.low, panel.high, color=colour, alpha=0.2, lw=0, label="99.9 % band")
-    if panel.expected is not None:
-        axes.plot(tau, panel.expected, color=_BLUE, lw=1.6, label="datasheet, all terms")
-    for name, term in panel.terms.items():
-        shown = np.where(term > floor, term, np.nan)
-        label = name if (term > floor).any() else f"{name}, below the picture"
-        axes.plot(tau, shown, color=_LINES[name.partition(",")[0]], lw=1.2, ls="--", label=label)
+    colour = _BLUE if curve.terms else _ORANGE
+    axes.fill_between(tau, low, high, color=colour, alpha=0.2, lw=0, label="99.9 % band")
+    if curve.terms:
+        axes.plot(tau, factor * curve.expected, color=_BLUE, lw=1.6, label="datasheet, all terms")
+    texts = noise_figures(curve.triad, getattr(spec, curve.triad)) if spec else {}
+    for name, term in curve.terms.items():
+        shown = np.where(factor * term > floor, factor * term, np.nan)
+        label = f"{name}, {texts[name]}" + ("" if np.isfinite(shown).any() else ", below the picture")
+        axes.plot(tau, shown, color=_LINES[name], lw=1.2, ls="--", label=label)
     axes.plot(tau, measured, "o", ms=4.5, color=_ORANGE, mec="white", mew=0.6, label="measured, three axes")
     axes.set(xscale="log", yscale="log", xlabel="averaging time [s]")
-    axes.set(
-        ylabel=f"Allan deviation [{panel.unit}]", ylim=(floor, 2.0 * max(measured.max(), panel.high.max()))
-    )
+    axes.set(ylabel=f"Allan deviation [{unit}]", ylim=(floor, 2.0 * max(measured.max(), high.max())))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
-    axes.set_title(panel.title, loc="left", color=_INK)
+    axes.set_title(_TITLES[curve.triad], loc="left", color=_INK)
     axes.grid(which="major", color="#d8d8d8", lw=0.7)
     axes.grid(which="minor", color="#efefef", lw=0.5)
     axes.set_axisbelow(True)

@@ -190,9 +190,9 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     """
     if unit is None and log is None:
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
-    from bench.workbench.allan import allan_of
+    from bench.workbench.record_verbs import measure_allan
 
-    return DONE if allan_of(unit, log, out=out, seed=seed, console=new_console()) else NEGATIVE
+    return DONE if measure_allan(unit, log, out=out, seed=seed, console=new_console()) else NEGATIVE
 
 
 @commands.command(epilog=STATUS)

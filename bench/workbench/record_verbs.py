@@ -1,4 +1,4 @@
-"""What the verbs of records print: fixes."""
+"""What the verbs of records print: fixes, allan."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import api
+from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, noise_figures
+from bench.specs import TriadSpec
 
 
 def solve_fixes(
@@ -36,3 +38,46 @@ def solve_fixes(
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")
     return figures
+
+
+def measure_allan(
+    unit: str | None, log: Path | None, *, out: Path | None, seed: int, console: Console
+) -> bool:
+    """Print the Allan deviation of a unit or a log, draw it, and return whether the model holds its bands."""
+    source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
+    picture = out or Path(f"allan-{source}.png")
+    measured = api.measure_allan(unit, log=log, seed=seed, picture=picture)
+    for curve in measured.curves:
+        console.print(_allan_table(curve))
+        if log is not None:
+            console.print(_fitted(curve), soft_wrap=True)
+    console.print(f"picture: {picture}")
+    if measured.simulated:
+        console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band.")
+    return measured.held
+
+
+def _allan_table(curve: AllanCurve) -> Table:
+    unit, factor = SHOWN_UNITS[curve.triad]
+    table = Table(title=f"{curve.triad}, Allan deviation in {unit}", title_justify="left")
+    known = bool(curve.terms)
+    comparison = ["datasheet", "ratio", "99.9 % band"] if known else []
+    for name in ["tau [s]", "measured", *comparison, "degrees of freedom"]:
+        table.add_column(name, justify="right", no_wrap=True)
+    for k, tau in enumerate(curve.tau):
+        row = [f"{tau:g}", f"{factor * curve.measured[k]:.4g}"]
+        if known:
+            low, ratio, high = (x[k] / curve.expected[k] for x in (curve.low, curve.measured, curve.high))
+            row += [f"{factor * curve.expected[k]:.4g}", f"{ratio:.3f}", f"{low:.3f} to {high:.3f}"]
+        inside = not known or curve.low[k] <= curve.measured[k] <= curve.high[k]
+        table.add_row(*row, f"{curve.edf[k]:.0f}", style=None if inside else "bold red")
+    return table
+
+
+def _fitted(curve: AllanCurve) -> str:
+    """Say the figures of a measured curve in the units of datasheets."""
+    found = fit_noise(curve)
+    as_triad = TriadSpec(random_walk=found["N"], bias_instability=found["B"], rate_random_walk=found["K"])
+    texts = noise_figures(curve.triad, as_triad)
+    del texts["quantization"]
+    return f"{curve.triad}, fitted: " + ", ".join(f"{name} {text}" for name, text in texts.items())

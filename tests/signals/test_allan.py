@@ -23,10 +23,11 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import read_imu
 from bench.errors import ConfigError
+from bench.evaluation.noise_curves import fit_noise, model_curves
+from bench.exchange.resting_log import read_resting_log
 from bench.sensors import processes
 from bench.signals import allan
 from bench.specs import ImuSpec, TriadSpec
-from bench.workbench import allan as workbench
 
 UNITS = sorted((Path(bench.__file__).parent / "catalog/imu").glob("*.toml"))
 OFF = TriadSpec()
@@ -145,7 +146,7 @@ def seed_of(name):
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.stem)
 def test_every_unit_has_the_allan_deviation_of_its_figures(path):
     spec = read_imu(path, path.name)
-    curves = workbench.of_unit(spec, seed_of(path.stem))
+    curves = model_curves(spec, seed_of(path.stem))
     assert curves
     for curve in curves:
         total = np.sqrt(sum(term**2 for term in curve.terms.values()))
@@ -179,7 +180,7 @@ FULL = ImuSpec(
 
 def test_all_four_terms_at_once():
     """Quantization is as large as the white noise at 5 ms; then that rules, the instability, the walk."""
-    for curve in workbench.of_unit(FULL, 3):
+    for curve in model_curves(FULL, 3):
         assert curve.outside == 0, curve.measured / curve.expected
         bits, white, instability, walk = curve.terms.values()
         assert bits[0] > 0.95 * white[0]
@@ -195,7 +196,7 @@ def test_a_wrong_figure_is_seen(figure, factor):
     for name in ("gyro", "accel"):
         triad = getattr(FULL, name)
         claimed = replace(FULL, **{name: replace(triad, **{figure: factor * getattr(triad, figure)})})
-        measured = next(curve for curve in workbench.of_unit(FULL, 3) if curve.triad == name)
+        measured = next(curve for curve in model_curves(FULL, 3) if curve.triad == name)
         terms = processes.noise_terms(getattr(claimed, name))
         expected = allan.deviation(allan.total(*terms.values()), measured.tau)
         low, high = (
@@ -216,7 +217,7 @@ def test_a_skewed_warm_shaken_unit_is_measured_at_rest_along_its_axes():
         accel_cone=0.6,
         accel_arms=((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)),
     )
-    for plain, with_rest in zip(workbench.of_unit(FULL, 3), workbench.of_unit(odd, 3), strict=True):
+    for plain, with_rest in zip(model_curves(FULL, 3), model_curves(odd, 3), strict=True):
         assert_allclose(plain.measured, with_rest.measured, rtol=1e-6)
 
 
@@ -260,11 +261,11 @@ def test_allan_of_a_unit_prints_the_table_and_draws_the_picture(here, capsys):
 def test_allan_of_a_log_finds_its_figures(here, capsys):
     """N within 1 %, K within 10 %: 20 s, where the walk begins to rule, have 300 degrees of freedom."""
     desk_log(here / "desk.csv")
-    t, triads = workbench.read_log(here / "desk.csv")
+    t, triads = read_resting_log(here / "desk.csv")
     assert list(triads) == ["gyro"]
     assert len(t) == 100_000
-    (curve,) = workbench.of_log(here / "desk.csv", None)
-    found = workbench.fit(curve)
+    (curve,) = bench.measure_allan(log=here / "desk.csv").curves
+    found = fit_noise(curve)
     assert_allclose(found["N"], 1e-3, rtol=0.01)
     assert_allclose(found["K"], 2e-4, rtol=0.1)
     assert main(["allan", "--log", "desk.csv"]) == 0
@@ -281,14 +282,14 @@ def test_a_log_in_other_units_gives_the_same(here):
     rows[:, 1:] = np.deg2rad(rows[:, 1:])
     head = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s"
     np.savetxt(here / "rad.csv", rows, delimiter=",", header=head, comments="", fmt="%.12g")
-    in_deg, in_rad = (workbench.of_log(here / name, None)[0] for name in ("deg.csv", "rad.csv"))
+    in_deg, in_rad = (bench.measure_allan(log=here / name).curves[0] for name in ("deg.csv", "rad.csv"))
     assert_allclose(in_deg.measured, in_rad.measured, rtol=1e-6)
     g = "t_s,accel_x_g,accel_y_g,accel_z_g"
     si = "t_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2"
     for name, header, factor in (("g.csv", g, 1.0), ("si.csv", si, 9.80665)):
         table = np.column_stack([rows[:, 0], factor * rows[:, 1:]])
         np.savetxt(here / name, table, delimiter=",", header=header, comments="", fmt="%.12g")
-    in_g, in_si = (workbench.of_log(here / name, None)[0] for name in ("g.csv", "si.csv"))
+    in_g, in_si = (bench.measure_allan(log=here / name).curves[0] for name in ("g.csv", "si.csv"))
     assert_allclose(in_g.measured, in_si.measured, rtol=1e-9)
     assert in_g.triad == "accel"
 
@@ -316,7 +317,7 @@ GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
 def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
     (here / "bad.csv").write_text(text)
     with pytest.raises(ConfigError, match=r"bad\.csv") as caught:
-        workbench.of_log(here / "bad.csv", None)
+        bench.measure_allan(log=here / "bad.csv")
     assert message in str(caught.value)
     assert len(caught.value.messages) == 1
 

@@ -1,0 +1,208 @@
+"""The Allan deviation of an IMU, measured on its own model or on a record at rest, against its datasheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from bench.arrays import FloatArray, IntArray
+from bench.data import AirData, Controls, Trajectory, no_events
+from bench.sensors import imu
+from bench.sensors.processes import noise_terms
+from bench.signals import allan
+from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+
+FAST, SLOW = (200.0, 300.0), (1.0, 65536.0)
+"""Rate [Hz] and length [s] of the two records of a unit: for white noise and quantization, for slow terms."""
+INDEPENDENT = 16
+"""Fewest averages that fit a record."""
+_CHANGE = 8.0  # averaging times from here on are those of the slow record [s]
+_TAIL = 0.0005  # each side of a 99.9 % band
+_GRAVITY = 9.80665  # [m/s^2]
+SHOWN_UNITS = {"gyro": ("deg/h", math.degrees(3600.0)), "accel": ("ug", 1e6 / _GRAVITY)}
+"""Triad -> unit it is shown in, and that unit per SI."""
+
+
+@dataclass(frozen=True, slots=True)
+class AllanCurve:
+    """The Allan deviation of one triad, its three axes pooled."""
+
+    triad: str  # "gyro" or "accel"
+    tau: FloatArray  # (T,) averaging time [s]
+    measured: FloatArray  # (T,) root of the mean Allan variance of the axes [unit/s]
+    edf: FloatArray  # (T,) effective degrees of freedom of the measured variance
+    low: FloatArray  # (T,) 99.9 % band of the measured value around what is expected [unit/s]
+    high: FloatArray  # (T,)
+    expected: FloatArray  # (T,) of all terms of the datasheet; NaN without one [unit/s]
+    terms: Mapping[str, FloatArray] = field(default_factory=dict)  # of each of them
+
+    @property
+    def outside(self) -> int:
+        """Number of measured values outside their band."""
+        return int(np.sum((self.measured < self.low) | (self.measured > self.high)))
+
+
+@dataclass(frozen=True, slots=True)
+class AllanResult:
+    """The Allan deviation of the triads of an IMU."""
+
+    name: str  # of the unit, of the log, or of both
+    curves: tuple[AllanCurve, ...]
+    spec: ImuSpec | None  # the datasheet it is compared with
+    simulated: bool  # of the model of the datasheet; otherwise of a log
+
+    @property
+    def points(self) -> int:
+        """Number of measured values."""
+        return sum(len(curve.tau) for curve in self.curves)
+
+    @property
+    def outside(self) -> int:
+        """Number of measured values outside their 99.9 % band."""
+        return sum(curve.outside for curve in self.curves)
+
+    @property
+    def held(self) -> bool:
+        """Whether at most one value in a hundred of a model lies outside its band; a log is not judged."""
+        return not self.simulated or self.outside <= max(1, self.points // 100)
+
+
+def model_curves(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
+    """Measure the model of a unit at rest and at one temperature, and compare it with its own figures.
+
+    Averaging times below 8 s come from a record at 200 Hz, the others from one of 18 h at 1 Hz. A skewed
+    triad is measured along its own axes. Biases are lines between instants 0.05 s (1 s) apart, which the
+    curve takes into account: it shows where little white noise covers it.
+    """
+    resting = replace(spec, thermal=ThermalSpec(), vibration=VibrationSpec(), accel_cone=0.0, accel_arms=())
+    triads = {"gyro": spec.gyro, "accel": spec.accel}
+    found: dict[str, list[AllanCurve]] = {name: [] for name, triad in triads.items() if noise_terms(triad)}
+    for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
+        record, _ = imu.measure(_still(rate, length), resting, seed, 0)
+        spans = allan.octaves(len(record), INDEPENDENT)
+        spans = spans[(spans / rate >= first) & (spans / rate < last)]
+        for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):
+            if name in found:
+                step = imu.bias_step(triads[name], 1 / rate)
+                found[name].append(_curve(name, increments, 1 / rate, spans, triads[name], step))
+    return [_joined(parts) for parts in found.values()]
+
+
+def _still(rate: float, length: float) -> Trajectory:
+    """Return a truth that does not turn and feels 1 g, at 25 degC in calm air."""
+    n = round(rate * length)
+    t = np.arange(n + 1) / rate
+    one = np.ones(2)
+    air = AirData(
+        t=np.array([0.0, t[-1]]),
+        pressure=101325.0 * one,
+        temperature=298.15 * one,
+        airspeed_true=0 * one,
+        airspeed_calibrated=0 * one,
+        alpha=0 * one,
+        beta=0 * one,
+        wind_n=np.zeros((2, 3)),
+        engine_speed=0 * one,
+    )
+    controls = Controls(t=air.t, aileron=0 * one, elevator=0 * one, rudder=0 * one, throttle=0 * one)
+    fixed, turn = np.zeros((n + 1, 3)), np.zeros((n + 1, 4))
+    turn[:, 0] = 1.0
+    force = np.zeros((n, 3))
+    force[:, 2] = -_GRAVITY / rate
+    return Trajectory(t, fixed, fixed, turn, np.zeros((n, 3)), force, air, controls, no_events())
+
+
+def _curve(
+    name: str,
+    increments: FloatArray,
+    interval: float,
+    spans: IntArray,
+    triad: TriadSpec | None,
+    step: float = 0.0,
+) -> AllanCurve:
+    """Return the curve of one record, axes pooled, and its band around the figures of a datasheet.
+
+    ``step`` is that of simulated biases [s].
+    """
+    by_axis = allan.overlapping(increments, interval, spans)
+    measured: FloatArray = np.sqrt(np.mean(by_axis**2, axis=1))
+    tau = np.multiply(spans, interval, dtype=float)
+    terms = noise_terms(triad, step) if triad is not None else {}
+    process = allan.total(*terms.values()) if terms else allan.white(1.0)
+    axes = increments.shape[1]
+    one_axis = [allan.degrees_of_freedom(process, len(increments), interval, int(m)) for m in spans]
+    edf: FloatArray = axes * np.array(one_axis)
+    expected = allan.deviation(process, tau) if terms else np.full(len(tau), np.nan)
+    centre = expected if terms else measured
+    low, high = centre * _quantile(edf, _TAIL), centre * _quantile(edf, 1 - _TAIL)
+    by_term = {key: allan.deviation(term, tau) for key, term in terms.items()}
+    return AllanCurve(name, tau, measured, edf, low, high, expected, by_term)
+
+
+def _quantile(edf: FloatArray, probability: float) -> FloatArray:
+    """Return that quantile of a measured over the expected Allan deviation."""
+    ratio: FloatArray = np.sqrt(2 * gammaincinv(edf / 2, probability) / edf)
+    return ratio
+
+
+def _joined(parts: list[AllanCurve]) -> AllanCurve:
+    """Return curves of one triad, one after the other, as one."""
+    columns = ("tau", "measured", "edf", "low", "high", "expected")
+    return AllanCurve(
+        parts[0].triad,
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns},
+        terms={name: np.concatenate([part.terms[name] for part in parts]) for name in parts[0].terms},
+    )
+
+
+def record_curves(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpec | None) -> list[AllanCurve]:
+    """Measure the record of a unit at rest; compare it with a datasheet when there is one.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Times, evenly spaced [s].
+    triads : mapping of (N, 3) arrays
+        "gyro" [rad/s], "accel" [m/s^2].
+    spec : ImuSpec or None
+        The datasheet.
+    """
+    interval = (t[-1] - t[0]) / (len(t) - 1)
+    spans = allan.octaves(len(t), INDEPENDENT)
+    return [
+        _curve(name, rates * interval, interval, spans, getattr(spec, name) if spec else None)
+        for name, rates in triads.items()
+    ]
+
+
+def fit_noise(curve: AllanCurve) -> dict[str, float]:
+    """Return N, B and K of a measured curve, in SI: white noise, flat part, rate random walk.
+
+    Least squares of the Allan variances with non-negative N^2, B^2, K^2 and a quantization, each variance
+    weighted by its degrees of freedom.
+    """
+    from scipy.optimize import nnls
+
+    tau = curve.tau
+    shapes = np.column_stack([3 / tau**2, 1 / tau, np.ones_like(tau), tau / 3])
+    weight = np.sqrt(curve.edf) / curve.measured**2
+    _, N2, B2, K2 = nnls(shapes * weight[:, None], curve.measured**2 * weight)[0]
+    return {"N": math.sqrt(N2), "B": math.sqrt(B2), "K": math.sqrt(K2)}
+
+
+def noise_figures(name: str, triad: TriadSpec) -> dict[str, str]:
+    """Write the figures of a triad's random errors in the units of datasheets, by the name of the error."""
+    unit, factor = SHOWN_UNITS[name]
+    root = "deg/sqrt(h)" if name == "gyro" else "m/s/sqrt(h)"
+    per_root = math.degrees(60.0) if name == "gyro" else 60.0
+    bit = f"{triad.quantization:.3g} {'rad' if name == 'gyro' else 'm/s'}"
+    return {
+        "quantization": bit,
+        "white noise": f"{per_root * triad.random_walk:.3g} {root}",
+        "bias instability": f"{factor * triad.bias_instability:.3g} {unit}",
+        "rate random walk": f"{60 * factor * triad.rate_random_walk:.3g} {unit}/sqrt(h)",
+    }
