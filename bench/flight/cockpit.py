@@ -9,7 +9,7 @@ from typing import Any
 from bench.earth import matrix_en, to_ecef
 from bench.errors import FlightError
 from bench.flight.model import INTEGRATORS, ON_WHEELS, node
-from bench.flight.shaping import RATE, smoothstep
+from bench.flight.shaping import GUIDANCE_RATE, smoothstep
 from bench.flight.units import FT
 from bench.specs import AircraftSpec, Runway
 
@@ -139,7 +139,7 @@ class Cockpit:
         """Begin to move the airspeed set-point to another airspeed [m/s]; :meth:`tick` goes on with it."""
         change = abs(speed - self.speed_wanted)
         if change > 0:
-            n = max(1, math.ceil(1.5 * change / _SPEED_CHANGE * RATE))
+            n = max(1, math.ceil(1.5 * change / _SPEED_CHANGE * GUIDANCE_RATE))
             self._plan = (self.speed_wanted, speed, 0, n)
 
     def tick(self) -> None:

@@ -7,7 +7,7 @@ import math
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.shaping import (
-    RATE,
+    GUIDANCE_RATE,
     G,
     Steps,
     roll_time,
@@ -29,9 +29,9 @@ def cruise(cockpit: Cockpit, leg: Cruise) -> Steps:
     """Hold what is held until the distance over ground is flown."""
     plane = cockpit.plane_here()
     flown = 0.0
-    while flown < leg.distance - 0.5 * plane.track()[1] / RATE:
+    while flown < leg.distance - 0.5 * plane.track()[1] / GUIDANCE_RATE:
         yield
-        flown += plane.track()[1] / RATE
+        flown += plane.track()[1] / GUIDANCE_RATE
         if not flown > 0:
             raise FlightError(f"no way is made over ground: {cockpit.state()}")
 

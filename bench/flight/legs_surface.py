@@ -7,7 +7,7 @@ from collections.abc import Generator
 
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.shaping import RATE, Steps, clip, smooth, smoothstep, ticks, wait
+from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, smoothstep, ticks, wait
 from bench.legs import AileronRoll, Doublet, WindUpTurn
 
 _HANDOVER = 0.4  # [s]
@@ -48,7 +48,7 @@ def aileron_roll(cockpit: Cockpit, leg: AileronRoll) -> Steps:
         elevator = yield from _take(cockpit, "elevator")
         rolled, last = 0.0, cockpit.roll()
         side = math.copysign(1.0, leg.aileron)
-        n, k, deflection = math.ceil(_EDGE * RATE), 0, 0.0
+        n, k, deflection = math.ceil(_EDGE * GUIDANCE_RATE), 0, 0.0
         for _ in ticks(_RECOVER):
             now = cockpit.roll()
             rolled += side * math.remainder(now - last, math.tau)
@@ -84,14 +84,16 @@ def wind_up_turn(cockpit: Cockpit, leg: WindUpTurn) -> Steps:
     roll_in = 1.5 * bank / _ROLL_RATE
     per_load, integral = cockpit.gain("elevator-turn-gain"), 0.0
     for k in ticks(roll_in + leg.rise + leg.hold):
-        t = (k + 1) / RATE  # rolls in first, at the load factor there is: the nose falls and airspeed comes
+        t = (
+            k + 1
+        ) / GUIDANCE_RATE  # rolls in first, at the load factor there is: the nose falls and airspeed comes
         rolled = smoothstep(min(1.0, t / roll_in))
         pulled = smoothstep(min(1.0, max(0.0, t - roll_in) / leg.rise))
         cockpit.set_bank(side * rolled * bank)
         wanted = begun + pulled * (leg.load - begun)
         load = cockpit.load_factor()
         reached = max(reached, load)
-        integral += _LOAD_QUICKNESS * (wanted - load) / RATE
+        integral += _LOAD_QUICKNESS * (wanted - load) / GUIDANCE_RATE
         cockpit.direct["elevator"](clip(elevator - per_load * (wanted - begun + integral), 1.0))
         yield
     if reached < leg.load - _NEAR_LOAD:

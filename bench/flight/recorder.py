@@ -27,8 +27,8 @@ from bench.flight.increments import (
     true_integrals,
 )
 from bench.flight.model import Condition, Trim, load, node, settle, trim
-from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
+from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.standing import stand
 from bench.flight.tape import AIR, MOTION, air_data, motion_of_cg
 from bench.flight.units import FT
@@ -106,9 +106,9 @@ def record(
     fdm, cockpit = prepare(spec, dt)
     read_motion = [node(fdm, name).get_double_value for name in MOTION]
     read_slow = [node(fdm, name).get_double_value for name, _ in _SLOW]
-    per_tick, run = round(1.0 / (TICK_RATE * dt)), fdm.run
+    per_tick, run = round(1.0 / (GUIDANCE_RATE * dt)), fdm.run
     steps = range(per_tick)
-    stretch = seconds * TICK_RATE
+    stretch = seconds * GUIDANCE_RATE
     flown: list[FlownLeg] = []
     states, slow = array("d"), array("d")  # not yet handed out
     keep = states.extend
@@ -181,8 +181,8 @@ def to_trajectory(recording: Recording) -> Trajectory:
     alpha, beta = (column[before:] for column in true_integrals(*step_increments(motion)))
     at = slice(before, before + len(alpha) + 1, substeps)
     lla, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
-    row = round(recording.first * recording.rate / TICK_RATE)
-    t_slow = (recording.first + before + np.arange(len(slow))) / TICK_RATE
+    row = round(recording.first * recording.rate / GUIDANCE_RATE)
+    t_slow = (recording.first + before + np.arange(len(slow))) / GUIDANCE_RATE
     return Trajectory(
         t=np.arange(row, row + len(lla)) / recording.rate,
         lla=lla,
@@ -209,8 +209,8 @@ def simulation_step(rate: float) -> tuple[int, float]:
     FlightError
         When rate is not a multiple of 20 Hz, the rate of set-points and air data.
     """
-    if rate <= 0 or rate % TICK_RATE:
-        raise FlightError(f"a truth rate of {rate:g} Hz is not a multiple of {TICK_RATE:g} Hz")
+    if rate <= 0 or rate % GUIDANCE_RATE:
+        raise FlightError(f"a truth rate of {rate:g} Hz is not a multiple of {GUIDANCE_RATE:g} Hz")
     substeps = max(1, math.ceil(_LEAST_RATE / rate))
     return substeps, 1.0 / (rate * substeps)
 

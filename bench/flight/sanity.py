@@ -18,7 +18,7 @@ from bench.arrays import BoolArray
 from bench.earth import RATE
 from bench.errors import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
-from bench.flight.sequencer import RATE as TICK_RATE
+from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.tape import Ticks
 from bench.flight.units import FT
 
@@ -114,10 +114,10 @@ def report(motion: Motion, ticks: Ticks, category: str) -> list[Row]:
     rate = np.abs(th).max(axis=1) / dt
     jump = np.linalg.norm(np.diff(force, axis=0), axis=1)
     most_jump = 0.5 * (limits.load_high - limits.load_low)
-    at = np.minimum(np.round(np.arange(len(ticks.rows)) / TICK_RATE / dt).astype(int), len(motion.epa) - 1)
+    t_slow = np.arange(len(ticks.rows)) / GUIDANCE_RATE
+    at = np.minimum(np.round(t_slow / dt).astype(int), len(motion.epa) - 1)
     _, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
-    t_slow = np.arange(len(at)) / TICK_RATE
     touched = np.diff(ticks.wheels.astype(int), prepend=int(ticks.wheels[0])) > 0
     sink = np.concatenate([ticks.sink[:1], ticks.sink[:-1]])  # before the touch
     of_class = f"of the class {category}"

@@ -13,7 +13,7 @@ from bench.flight import sanity
 from bench.flight.foreign import copy_aircraft, copy_script, executive
 from bench.flight.model import one_line, silent_log
 from bench.flight.recorder import simulation_step
-from bench.flight.sequencer import RATE as TICK_RATE
+from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.tape import Tape, motion_of, motion_of_cg, pieces, truth_of, with_air
 from bench.specs import ScriptSpec, stream
 
@@ -54,7 +54,7 @@ def fly_pieces(spec: ScriptSpec, progress: Callable[[float], None], seconds: flo
     columns = tape.columns()
     raw = motion_of_cg(dt, columns)
     steps, events = sanity.stretch(dt, raw, what)
-    per_tick = round(1.0 / (TICK_RATE * dt))
+    per_tick = round(1.0 / (GUIDANCE_RATE * dt))
     begun = math.ceil(steps.start / per_tick)  # truth begins on a tick
     first = begun * per_tick
     motion = motion_of(dt, columns[first : steps.stop])
@@ -70,7 +70,7 @@ def _run(spec: ScriptSpec, dt: float, progress: Callable[[float], None]) -> Tape
     tape = Tape(fdm, dt)
     tape.step()
     tape.tick()
-    per_tick = round(1.0 / (TICK_RATE * dt))
+    per_tick = round(1.0 / (GUIDANCE_RATE * dt))
     last = math.inf if spec.duration is None else round(spec.duration / dt)
     begin = fdm.get_sim_time()
     while len(tape) < last and _goes_on(fdm, tape):

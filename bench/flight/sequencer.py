@@ -17,7 +17,7 @@ from bench.errors import FlightError
 from bench.flight import legs_air, legs_ground, legs_path, legs_surface
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.model import Trim
-from bench.flight.shaping import RATE, wait
+from bench.flight.shaping import GUIDANCE_RATE, wait
 from bench.flight.wind import Weather
 from bench.legs import (
     AileronRoll,
@@ -44,7 +44,7 @@ from bench.legs import (
 )
 from bench.specs import FlightSpec
 
-__all__ = ["RATE", "Cockpit", "FlownLeg", "describe", "engage", "fly_legs"]
+__all__ = ["Cockpit", "FlownLeg", "describe", "engage", "fly_legs"]
 
 _UPSET = math.radians(100.0)  # bank guidance is not expected to come back from [rad]
 _LOW = 3.0  # the flight ends above the ground by less [m]
@@ -99,14 +99,14 @@ def fly_legs(
         Which leg failed, when and why.
     """
     begun = tick = 0
-    end = 0 if spec.duration is None else round(spec.duration * RATE)
+    end = 0 if spec.duration is None else round(spec.duration * GUIDANCE_RATE)
 
     def instant(leg: Leg) -> float:
         _watch(cockpit, leg)
         cockpit.tick()
         if weather is not None:
-            weather.blow(tick / RATE, cockpit.alt())
-        return tick / RATE
+            weather.blow(tick / GUIDANCE_RATE, cockpit.alt())
+        return tick / GUIDANCE_RATE
 
     for number, leg in enumerate(spec.legs, 1):
         text = describe(number, leg)
@@ -124,16 +124,18 @@ def fly_legs(
                 yield instant(leg)
                 tick += 1
             if number == len(spec.legs) and tick < end:
-                text += f", then held to {end / RATE:g} s"
+                text += f", then held to {end / GUIDANCE_RATE:g} s"
             while number == len(spec.legs) and tick < end:
                 yield instant(leg)
                 tick += 1
         except FlightError as error:
-            raise FlightError(f"leg {text}: at {tick / RATE:.1f} s: {error}") from None
-        flown.append(FlownLeg(begun / RATE, tick / RATE, f"{text}; {outcome}" if outcome else text))
+            raise FlightError(f"leg {text}: at {tick / GUIDANCE_RATE:.1f} s: {error}") from None
+        flown.append(
+            FlownLeg(begun / GUIDANCE_RATE, tick / GUIDANCE_RATE, f"{text}; {outcome}" if outcome else text)
+        )
         begun = tick
     if spec.duration is not None and tick > end:
-        raise FlightError(f"the legs need {tick / RATE:g} s; duration is {spec.duration:g} s")
+        raise FlightError(f"the legs need {tick / GUIDANCE_RATE:g} s; duration is {spec.duration:g} s")
 
 
 def describe(number: int, leg: Leg) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-RATE = 20.0
-"""Instants per second at which set-points are written [Hz]."""
+GUIDANCE_RATE = 20.0
+"""Instants per second at which set-points are written, and air data and controls recorded [Hz]."""
 
 G = 9.81  # [m/s^2]
 ROLL_RATE = math.radians(20.0)  # fastest change of a bank set-point [rad/s]
@@ -17,7 +17,7 @@ Steps = Iterator[None]
 
 def smooth(duration: float) -> Iterator[float]:
     """Yield 0 to 1 with zero slope at both ends, one value per instant, the last one 1."""
-    n = max(1, math.ceil(duration * RATE))
+    n = max(1, math.ceil(duration * GUIDANCE_RATE))
     for k in range(1, n + 1):
         yield smoothstep(k / n)
 
@@ -40,12 +40,12 @@ def clip(value: float, limit: float) -> float:
 
 def ticks(duration: float) -> range:
     """Return the instants of a duration [s]."""
-    return range(math.ceil(duration * RATE))
+    return range(math.ceil(duration * GUIDANCE_RATE))
 
 
 def wait(duration: float) -> Steps:
     """Let a duration [s] pass."""
-    for _ in range(round(duration * RATE)):
+    for _ in range(round(duration * GUIDANCE_RATE)):
         yield
 
 

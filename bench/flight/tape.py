@@ -35,7 +35,7 @@ from bench.flight.increments import (
     step_increments,
     true_integrals,
 )
-from bench.flight.sequencer import RATE as TICK_RATE
+from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.units import FT, KT, PSF, RANKINE
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate
 
@@ -143,7 +143,7 @@ class Ticks:
 
     def air(self) -> tuple[AirData, Controls]:
         """Return the records of truth, from t = 0; what is not finite is 0, and reported by sanity."""
-        t = np.arange(len(self.rows)) / TICK_RATE
+        t = np.arange(len(self.rows)) / GUIDANCE_RATE
         rows = np.where(np.isfinite(self.rows), self.rows, 0.0)
         return air_data(t, rows, rows[:, 15]), Controls(t, *rows[:, 9:13].T)
 
@@ -239,7 +239,7 @@ def truth_of(motion: Motion, substeps: int, events: list[tuple[float, float, str
 
 def with_air(truth: Trajectory, ticks: Ticks) -> Trajectory:
     """Return truth with the air data and controls of its own duration."""
-    last = math.floor(truth.t[-1] * TICK_RATE + 1e-9)
+    last = math.floor(truth.t[-1] * GUIDANCE_RATE + 1e-9)
     air, controls = ticks.between(0, last + 1).air()
     return replace(truth, air=air, controls=controls)
 

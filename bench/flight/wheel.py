@@ -33,8 +33,8 @@ from bench.flight.model import (
     wait,
 )
 from bench.flight.recorder import begin, simulation_step
-from bench.flight.sequencer import RATE as TICK_RATE
 from bench.flight.sequencer import Cockpit, FlownLeg, fly_legs
+from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.tape import Tape, motion_of, pieces, truth_of, with_air
 from bench.flight.wind import Weather
 from bench.specs import AircraftSpec, FlightSpec, ForeignSpec
@@ -75,7 +75,7 @@ def fly_pieces(spec: FlightSpec, progress: Callable[[float], None], seconds: flo
     substeps, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt)
     tape = Tape(fdm, dt)
-    steps = range(round(1.0 / (TICK_RATE * dt)))
+    steps = range(round(1.0 / (GUIDANCE_RATE * dt)))
     flown: list[FlownLeg] = []
     tape.step()
     for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
