@@ -11,26 +11,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
-from bench.config import load_profile
+from bench.config import list_aircraft, list_estimators, list_profiles, list_sensors, load_profile
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
 from bench.specs import EstimatorChoice, Profile
 
 if TYPE_CHECKING:
+    from bench.baselines import Verdict
     from bench.evaluation.noise_curves import AllanResult
     from bench.exchange.rinex_fixes import RinexFixes
+    from bench.exchange.scoring import Score
+    from bench.exchange.streaming import Streamed
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
 
 load = store.load
 
-__all__ = ["fly", "judge", "load", "load_profile", "measure_allan", "navigate", "run", "sense", "solve_rinex"]
+__all__ = [
+    "check_limits",
+    "export_run",
+    "fly",
+    "judge",
+    "list_aircraft",
+    "list_estimators",
+    "list_profiles",
+    "list_sensors",
+    "load",
+    "load_profile",
+    "measure_allan",
+    "navigate",
+    "record_limits",
+    "run",
+    "score_solution",
+    "sense",
+    "solve_rinex",
+    "stream_run",
+]
 
 
 def run(
@@ -217,6 +240,212 @@ def solve_rinex(
         without=frozenset(without),
     )
     return rinex_fixes.solve_rinex(Path(observations), [Path(file) for file in files], processing)
+
+
+def export_run(
+    folder: str | Path,
+    kind: str,
+    *,
+    out: str | Path | None = None,
+    include: Sequence[str] = (),
+    force: bool = False,
+) -> Path:
+    """Write the sensors of a run in the format another tool reads.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder.
+    kind : str
+        One of `bench.exchange.exports.FORMATS`: "csv", "kf-gins", "tum" ...
+    out : str, Path or None
+        Where to; beside the results folder, with the format in its name, when None.
+    include : sequence of str
+        What goes out beside the sensors: "truth", "solution:NAME".
+    force : bool
+        Replace an export that is there.
+
+    Returns
+    -------
+    out : Path
+        The folder of the files and of a README.md that says what is in them.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If it cannot be done; nothing is left behind.
+    """
+    from bench.exchange import exports
+
+    _one_of("kind", [kind], list(exports.FORMATS))
+    folder = Path(folder)
+    # "." and ".." have no name of their own
+    beside = folder.resolve() if folder.name in ("", "..") else folder
+    out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
+    exports.check_export_folder(out, force=force)
+    outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
+    with store.new_folder(out, force=force) as partial:
+        exports.write(partial, kind, outgoing, folder.resolve().name)
+    return out
+
+
+def stream_run(
+    folder: str | Path,
+    *,
+    udp: str | None = None,
+    tcp: str | None = None,
+    rate: float = 1.0,
+    allow_remote: bool = False,
+    say: Callable[[str], object] = lambda text: None,
+) -> Streamed:
+    """Send the sensors of a run to a socket as they would arrive, for a filter in the loop.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder.
+    udp, tcp : str or None
+        One of them, ``IP:PORT``: a datagram per message goes there, or one connection is waited for there;
+        TCP port 0 is any that is free.
+    rate : float
+        Seconds of the run per second; 0 or infinity: as fast as it goes.
+    allow_remote : bool
+        Let the messages out to another machine.
+    say : callable
+        Told the address before the first message.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If the folder, the address or the rate is wrong.
+    OSError
+        If the address cannot be used, or the other side closes the connection before the end.
+    """
+    from bench.exchange import exports, streaming
+
+    if (udp is None) == (tcp is None):
+        raise ConfigError("stream_run needs one of udp and tcp")
+    kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
+    run = exports.gather(Path(folder))
+    return streaming.stream(run, kind, address, rate=rate, remote=allow_remote, say=say)
+
+
+def score_solution(
+    solution: str | Path,
+    folder: str | Path,
+    *,
+    label: str | None = None,
+    t_0: float = 0.0,
+    longest: float | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> Score:
+    """Judge anyone's solution on a run, as if an estimator of the bench had given it.
+
+    Parameters
+    ----------
+    solution : str or Path
+        Table of the motion of the IMU on its own times, as `bench.exchange.solutions` reads it.
+    folder : str or Path
+        A results folder.
+    label : str or None
+        What the solution is called; the name of its file when None.
+    t_0 : float
+        What the file calls the start of the run [s].
+    longest : float or None
+        The longest interval between rows that is interpolated [s]; None: twice the usual one, 2 s at most.
+    out : str, Path or None
+        Where to write the results folder with the solution added, without the recording.
+    force : bool
+        Replace an existing results folder.
+
+    Returns
+    -------
+    score : Score
+        ``metrics``, ``errors`` and ``solution``, and the ``run`` it was judged on.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If the solution, the folder or a number is wrong; nothing is written.
+    """
+    from bench.exchange import scoring
+
+    folder = Path(folder)
+    if out is not None:
+        store.check_folder(Path(out), force=force)
+    score = scoring.score(Path(solution), folder, label, t_0, longest)
+    if out is not None:
+        with store.new_folder(Path(out), force=force) as partial:
+            without = shutil.ignore_patterns(store.RECORDING)
+            shutil.copytree(folder, partial, dirs_exist_ok=True, ignore=without)
+            store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
+    return score
+
+
+def check_limits(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = "tests/baselines",
+    runs: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[Verdict]:
+    """Fly profiles and compare their accuracy with its limits.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        By the name of their file of limits; all there are when empty.
+    directory : str or Path
+        Folder of the limits, ``<profile>.json`` each.
+    runs : int or None
+        Noise draws of each profile; as many as its limits are from when None.
+    progress : callable or None
+        Told the profile, the run and the number of runs.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If limits or a profile are missing or wrong; before anything flies.
+    """
+    from bench import baselines
+
+    return baselines.check(Path(directory), profiles or None, runs, progress)
+
+
+def record_limits(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = "tests/baselines",
+    runs: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[Path]:
+    """Fly profiles and write what they measure as their limits; return the files.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        By shipped name or path; those that have limits when empty.
+    directory, runs, progress
+        As for :func:`check_limits`; `bench.baselines.RUNS` runs when None.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If a profile is missing or wrong, or there is none to record.
+    """
+    from bench import baselines
+
+    directory = Path(directory)
+    sources = list(profiles) or [baselines.read(path)["profile"] for path in sorted(directory.glob("*.json"))]
+    if not sources:
+        raise ConfigError(f"{directory}: no baseline to record again; name a profile")
+    read = [load_profile(source) for source in sources]
+    draws = baselines.RUNS if runs is None else runs
+    return [
+        baselines.write(directory, baselines.record(profile, draws, source=source, progress=progress))
+        for source, profile in zip(sources, read, strict=True)
+    ]
 
 
 def _one_of(name: str, values: Sequence[str], known: Sequence[str]) -> None:

@@ -76,7 +76,7 @@ def run(
     if then_view and no_rrd:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
     from bench.store import to_json
-    from bench.workbench.run import run as run_profile
+    from bench.workbench.flight_verbs import run as run_profile
     from bench.workbench.view import view as view_folder
 
     result, folder = run_profile(
@@ -109,7 +109,7 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
     truth is kept in the cache, where bench run finds it. The last line says how
     far an error-free strapdown strays from it.
     """
-    from bench.workbench.run import fly as fly_profile
+    from bench.workbench.flight_verbs import fly as fly_profile
 
     fly_profile(profile, console=new_console(), overrides=overrides, seed=seed)
     return DONE
@@ -187,8 +187,7 @@ def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: 
     PROFILE names those to check, all that have limits when none is given; with
     --record also a profile that has none yet.
     """
-    from bench.workbench.check import check as check_limits
-    from bench.workbench.check import record as record_limits
+    from bench.workbench.flight_verbs import check_limits, record_limits
 
     if record:
         record_limits(baselines, profiles, console=new_console(), runs=runs)

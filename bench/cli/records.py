@@ -238,9 +238,9 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     Writes to DIR the files of the format and a README.md that says what is in
     them: columns, units, frames, row counts.
     """
-    from bench.workbench.export import export as export_run
+    from bench.workbench.record_verbs import export_run
 
-    export_run(folder, kind, console=new_console(), out=out, wanted=wanted, force=force)
+    export_run(folder, kind, console=new_console(), out=out, include=wanted, force=force)
     return DONE
 
 
@@ -299,7 +299,7 @@ def score(
       bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
     """
     from bench.store import to_json
-    from bench.workbench.score import score as score_solution
+    from bench.workbench.record_verbs import score_solution
 
     measured = score_solution(
         solution,
@@ -355,8 +355,7 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
     """
     if (udp is None) == (tcp is None):
         raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
-    from bench.workbench.stream import stream as stream_run
+    from bench.workbench.record_verbs import stream_run
 
-    kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
-    stream_run(folder, kind, address, console=new_console(), rate=rate, remote=allow_remote)
+    stream_run(folder, console=new_console(), udp=udp, tcp=tcp, rate=rate, allow_remote=allow_remote)
     return DONE

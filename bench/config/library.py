@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -16,6 +16,7 @@ from bench.config.leg_tables import Altitude, Speed
 from bench.config.profile_tables import Category
 from bench.config.tables import ROWS, Table, between, checked, quantity, read, suggest
 from bench.errors import ConfigError
+from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
 
@@ -113,7 +114,7 @@ def aircraft_folder(name: str, beside: Path) -> Path:
     folder = next((place / name for place in places if (place / name).is_dir()), None)
     if folder is None:
         searched = ", ".join(str(place) for place in places)
-        known = [row[0] for row in list_aircraft(beside)]
+        known = [row.name for row in list_aircraft(beside)]
         raise ConfigError(
             f"aircraft = {name!r} is not found{suggest(name, known, 'aircraft')}\n  searched: {searched}"
         )
@@ -268,22 +269,35 @@ def _aircraft_places(beside: Path | None = None) -> list[Path]:
     return [*beside_profile, *tree, PACKAGE / "aircraft"]
 
 
-def list_profiles() -> list[tuple[str, str]]:
-    """Return the name and title of every shipped profile."""
+class CatalogEntry(NamedTuple):
+    """What can be asked for by its name."""
+
+    name: str
+    title: str
+    kind: str  # "profile", "aircraft", "estimator", or a kind of sensor: "imu", "gnss" ...
+    note: str = ""  # what it can do, where its figures are from, and which of them are assumed
+
+
+def list_profiles() -> list[CatalogEntry]:
+    """Return every shipped profile."""
     return [
-        (path.stem, str(read(path, path.name).get("title", ""))) for path in sorted(_PROFILES.glob("*.toml"))
+        CatalogEntry(path.stem, str(read(path, path.name).get("title", "")), "profile")
+        for path in sorted(_PROFILES.glob("*.toml"))
     ]
 
 
-def list_aircraft(beside: Path | None = None) -> list[tuple[str, str, str]]:
-    """Return name, title and figures of every aircraft that a profile can ask for, sorted by name."""
+def list_aircraft(beside: Path | None = None) -> list[CatalogEntry]:
+    """Return every aircraft that a profile can ask for, sorted by name."""
     found = {}
     for place in reversed(_aircraft_places(beside)):
         for path in place.glob("*/aircraft.toml"):
             found[path.parent.name] = read(path, f"{path.parent.name}/aircraft.toml")
         for path in place.glob("jsbsim/*.toml"):
             found[f"{JSBSIM}{path.stem}"] = read(path, f"jsbsim/{path.name}")
-    return [(name, str(sheet.get("title", "")), _figures(sheet)) for name, sheet in sorted(found.items())]
+    return [
+        CatalogEntry(name, str(sheet.get("title", "")), "aircraft", _figures(sheet))
+        for name, sheet in sorted(found.items())
+    ]
 
 
 def _figures(sheet: Mapping[str, Any]) -> str:
@@ -299,18 +313,19 @@ def _figures(sheet: Mapping[str, Any]) -> str:
     return "; ".join(said)
 
 
-def list_sensors() -> list[tuple[str, str, str, str]]:
-    """Return kind, name, title and provenance of every sensor of the catalog.
-
-    The provenance: class, where the figures were read, which of them no source states, and what the
-    entry leaves out.
-    """
+def list_sensors() -> list[CatalogEntry]:
+    """Return every sensor of the catalog."""
     return [
-        (kind, path.stem, str(sheet.get("title", "")), _provenance(kind, sheet))
+        CatalogEntry(path.stem, str(sheet.get("title", "")), kind, _provenance(kind, sheet))
         for kind in SENSORS
         for path in sorted((_CATALOG / kind).glob("*.toml"))
         for sheet in [read(path, path.name)]
     ]
+
+
+def list_estimators() -> list[CatalogEntry]:
+    """Return every built-in estimator."""
+    return [CatalogEntry(name, what, "estimator") for name, (what, _, _) in BUILT_IN.items()]
 
 
 def _provenance(kind: str, sheet: Mapping[str, Any]) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from bench.store.folders import check_folder, new_folder
 from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
+    RECORDING,
     RESULT,
     TRUTH,
     add_solution,
@@ -22,10 +24,12 @@ from bench.store.start import START, initial_state, load_start, start_document
 from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth_said
 
 __all__ = [
+    "RECORDING",
     "RESULT",
     "START",
     "TRUTH",
     "add_solution",
+    "check_folder",
     "initial_state",
     "load",
     "load_observations",
@@ -33,6 +37,7 @@ __all__ = [
     "load_solution",
     "load_start",
     "load_truth",
+    "new_folder",
     "provenance",
     "results_folder",
     "save",

@@ -37,6 +37,7 @@ from bench.store.start import START, start_document
 
 _T = TypeVar("_T")
 RESULT = "result.json"
+RECORDING = "flight.rrd"
 TRUTH = "truth.parquet"
 OBSERVATIONS = "sensors-observations.parquet"
 

@@ -32,7 +32,7 @@ from bench.exchange.log import Recording, divided, read_log
 from bench.exchange.log_start import start
 from bench.navigation import estimator
 from bench.workbench import show
-from bench.workbench.run import RECORDING, RUNS, check_folder, new_folder
+from bench.workbench.flight_verbs import RUNS
 
 PLACES = 10
 """Places of the recording where each outage is cut, when not told."""
@@ -74,7 +74,7 @@ def navigate(
     durations : sequence of float
         GNSS outages to cut [s]; each at ``places`` places, each in a run of its own.
     out, recording, force, allow_commands
-        As `bench.workbench.run.run` takes them; the folder is ``runs/<log>`` when not told.
+        As `bench.workbench.flight_verbs.run` takes them; the folder is ``runs/<log>`` when not told.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def navigate(
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     folder = out or RUNS / spec.name
-    check_folder(folder, force=force)
+    store.check_folder(folder, force=force)
     begun, clock = time.perf_counter(), time.process_time()
     recorded = read_log(spec)
     checks = validity.check(recorded.imu, recorded.fixes, recorded.baro, np.asarray(spec.antenna_b))
@@ -136,14 +136,14 @@ def navigate(
     show.metrics(console, metrics, solutions)
     if table:
         _drifts(console, table)
-    with new_folder(folder, force=force) as partial:
+    with store.new_folder(folder, force=force) as partial:
         store.save(partial, result, None, sensed, more)
         if recording:
             from bench.errors import NothingToShowError
             from bench.recording import write
 
             try:
-                write(partial / RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))
+                write(partial / store.RECORDING, spec, None, sensed, solutions, errors, metrics, _page(table))
             except NothingToShowError as error:
                 recording = False
                 console.print(f"No recording: {error}.")

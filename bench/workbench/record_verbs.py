@@ -1,4 +1,4 @@
-"""What the verbs of records print: fixes, allan."""
+"""What the verbs of records print: fixes, allan, export, score, stream."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rich.table import Table
 from bench import api
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, noise_figures
 from bench.specs import TriadSpec
+from bench.workbench import show
 
 
 def solve_fixes(
@@ -55,6 +56,42 @@ def measure_allan(
     if measured.simulated:
         console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band.")
     return measured.held
+
+
+def export_run(
+    folder: Path, kind: str, *, console: Console, out: Path | None, include: Sequence[str], force: bool
+) -> None:
+    """Write a run in the format of another tool and print the names of the files."""
+    out = api.export_run(folder, kind, out=out, include=include, force=force)
+    names = sorted(path.name for path in out.iterdir())
+    console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
+
+
+def score_solution(solution: Path, folder: Path, *, console: Console, **options: Any) -> dict[str, Any]:
+    """Judge a solution on a run, print it beside the run's own estimators, and return its metrics.
+
+    ``options`` are those of `bench.api.score_solution`.
+    """
+    score = api.score_solution(solution, folder, **options)
+    run, label = score.run, score.label
+    begun = run.profile["evaluation"]["from_s"]
+    console.print(f"{run.profile['title']}: seed {run.seed}, run {run.run}, from {begun:g} s on")
+    show.metrics(console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution})
+    instants = f"{len(score.solution)} instants, {score.rows} rows"
+    console.print(f"{label} covers {100 * score.coverage:.4g} % of the {instants}")
+    for kind in ("table", "interpolated"):
+        for _, _, text in score.solution.events.of(kind):
+            console.print(f"{label}: {text}")
+    if options["out"] is not None:
+        console.print(f"Wrote {options['out']}")
+    return dict(score.metrics)
+
+
+def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
+    """Send the sensors of a run, and print the address and how it went; options of `bench.api.stream_run`."""
+    sent = api.stream_run(folder, say=console.print, **options)
+    pace = "" if sent.latest is None else f", none more than {1e3 * sent.latest:.3g} ms late"
+    console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
 def _allan_table(curve: AllanCurve) -> Table:

@@ -11,12 +11,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench import api
 from bench.baselines import Verdict
-from bench.config import list_aircraft, list_profiles, list_sensors
+from bench.config.library import CatalogEntry
 from bench.data import NavSolution, RunResult
 from bench.evaluation.errors import FAILED
 from bench.evaluation.metrics import metric_of
-from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
 
 _DEG = 180 / math.pi
@@ -179,17 +179,14 @@ def choices(console: Console, kind: str | None = None) -> None:
 
     Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed.
     """
-    sensors, aircraft = list_sensors(), list_aircraft()
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
-        "Profiles (bench run NAME)": list_profiles(),
-        "Aircraft (aircraft = NAME)": [row[:2] for row in aircraft]
-        if kind is None
-        else [(name, f"{title}: {figures}") for name, title, figures in aircraft],
-        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [row[:3] for row in sensors]
-        if kind is None
-        else [(*row[:2], f"{row[2]}: {row[3]}") for row in sensors],
+        "Profiles (bench run NAME)": [(row.name, row.title) for row in api.list_profiles()],
+        "Aircraft (aircraft = NAME)": [(row.name, _titled(row, kind)) for row in api.list_aircraft()],
+        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [
+            (row.kind, row.name, _titled(row, kind)) for row in api.list_sensors()
+        ],
         "Estimators (use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...')": [
-            (name, what) for name, (what, _, _) in BUILT_IN.items()
+            (row.name, row.title) for row in api.list_estimators()
         ],
     }
     for title, rows in shelves.items():
@@ -202,6 +199,10 @@ def choices(console: Console, kind: str | None = None) -> None:
             table.add_row(*row)
         console.print(table)
         console.print()
+
+
+def _titled(row: CatalogEntry, kind: str | None) -> str:
+    return row.title if kind is None else f"{row.title}: {row.note}"
 
 
 def _table(first: str, *others: str) -> Table:

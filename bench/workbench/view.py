@@ -15,8 +15,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.errors import ConfigError, ViewerError
-from bench.store import RESULT
-from bench.workbench.run import RECORDING, RUNS
+from bench.store import RECORDING, RESULT
+from bench.workbench.flight_verbs import RUNS
 
 _LOCAL = "127.0.0.1"
 _PATIENCE = 5.0  # between asking the viewer to end and ending it [s]

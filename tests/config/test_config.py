@@ -20,7 +20,7 @@ from bench.legs import Climb, FigureEight, Straight, Turn
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 
-SHIPPED = [name for name, _ in config.list_profiles()]
+SHIPPED = [row.name for row in config.list_profiles()]
 
 PROFILE = """
 aircraft = "aerosonde"
@@ -563,9 +563,8 @@ def test_an_override_that_leads_nowhere(tmp_path, key, message):
 
 
 def test_shipped_files_parse_and_have_titles():
-    shelves = [*config.list_profiles(), *(row[:2] for row in config.list_aircraft())]
-    shelves += [row[1:3] for row in config.list_sensors()]
-    assert all(name and title for name, title in shelves)
+    shelves = [*config.list_profiles(), *config.list_aircraft(), *config.list_sensors()]
+    assert all(row.name and row.title for row in shelves)
     for path in PACKAGE.glob("profiles/*.toml"):
         assert tomllib.loads(path.read_text())
         config.load_profile(path.stem)

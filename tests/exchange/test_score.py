@@ -347,7 +347,7 @@ def test_a_huge_table_is_refused_in_bounded_memory(tmp_path):
             file.write("".join(f"{n},47,11,1\n" for n in range(k, k + 100_000)))
     code = (
         "import resource, sys; from pathlib import Path; from bench.exchange.solutions import read_solution\n"
-        "from bench.config import ConfigError\n"
+        "from bench.errors import ConfigError\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         f"try: read_solution(Path({str(path)!r}))\n"
         "except ConfigError as error: print(error)\n"

@@ -242,7 +242,7 @@ import resource, jsbsim, scipy.optimize, rich.console
 from bench import pipeline
 from bench.evaluation.replay import Replay
 from bench.navigation import mechanization
-from bench.workbench import run
+from bench.workbench import flight_verbs
 from bench.config import load_profile
 mechanization.propagate([0.8, 0, 0], [1, 0, 0], [1, 0, 0, 0], [1], [[0, 0, 0]], [[0, 0, 0]])  # its kernel
 def peak():

@@ -9,6 +9,7 @@ from textwrap import fill
 
 from bench.exchange.exports.gather import gather, reading
 from bench.exchange.exports.outgoing import FRAMES, Outgoing
+from bench.store import check_folder
 
 FORMATS: Mapping[str, tuple[str, str]] = {
     "csv": ("tables", "CSV, a table per sensor, and start.json"),
@@ -25,10 +26,18 @@ FORMATS: Mapping[str, tuple[str, str]] = {
 """Format -> (module, what it is)."""
 
 README = "README.md"
+_TITLE = "Export of"
 _WIDTH = 110
 
 
-def write(folder: Path, kind: str, outgoing: Outgoing, title: str) -> None:
+def check_export_folder(folder: Path, *, force: bool) -> None:
+    """Raise ConfigError if an export cannot go to a folder; one without our README is not replaced."""
+    readme = folder / README
+    ours = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())
+    check_folder(folder, force=force, ours=ours)
+
+
+def write(folder: Path, kind: str, outgoing: Outgoing, name: str) -> None:
     """Write a run into an existing, empty folder in one of `FORMATS`, with a README that says what is what.
 
     Raises
@@ -41,7 +50,7 @@ def write(folder: Path, kind: str, outgoing: Outgoing, title: str) -> None:
     module = import_module(f"bench.exchange.exports.{FORMATS[kind][0]}")
     said: str = module.write(folder, outgoing, kind)
     clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."
-    text = _filled(f"# {title}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
+    text = _filled(f"# {_TITLE} {name} to {kind}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
 
 
@@ -68,4 +77,4 @@ def _wrapped(line: str) -> str:
     return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
-__all__ = ["FORMATS", "README", "Outgoing", "gather", "reading", "write"]
+__all__ = ["FORMATS", "README", "Outgoing", "check_export_folder", "gather", "reading", "write"]

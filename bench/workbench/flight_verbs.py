@@ -1,11 +1,9 @@
-"""``bench run`` and ``bench fly``: the pipeline, the results folder, the recording, the table."""
+"""What the verbs of flights print: run, fly, check."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,17 +12,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import pipeline, store
+from bench import api, pipeline, store
 from bench.config import load_profile
 from bench.data import RunResult
-from bench.errors import ConfigError
 from bench.specs import Profile
 from bench.workbench import show
 
 RUNS = Path("runs")
 """Where results go when not told."""
-
-RECORDING = "flight.rrd"
 
 
 def run(
@@ -78,7 +73,7 @@ def run(
     profile = load_profile(name, overrides, seed, estimators, allow_commands)
     label = f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else "")
     folder = out or RUNS / label
-    check_folder(folder, force=force)
+    store.check_folder(folder, force=force)
     begun = time.perf_counter()
     with _progress(profile) as progress:
         flown = pipeline.run(profile, draw, progress=progress)
@@ -102,66 +97,40 @@ def fly(
     console.print(f"Next: bench run {name}")
 
 
-def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None:
-    """Raise ConfigError when results cannot go to a folder; before anything is flown.
-
-    ``ours`` says whether what is there may be replaced; None: when it is a results folder.
-    """
-    try:
-        folder.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except OSError as error:  # a name too long, a folder above that may not be searched
-        raise ConfigError(f"{folder}: no folder can be made there: {error.strerror}") from None
-    if folder.is_dir():
-        empty = not any(folder.iterdir())
-        if not force and not empty:
-            what = "results folder" if ours is None else "folder"
-            raise ConfigError(f"{folder}: the {what} exists; --force replaces it, -o names another")
-        if ours is False and not empty:
-            raise ConfigError(f"{folder}: not replaced, it is no export")
-        if ours is None and not empty and not (folder / store.RESULT).is_file():
-            raise ConfigError(f"{folder}: not replaced, it is no results folder (no {store.RESULT} in it)")
-    elif folder.exists() or folder.is_symlink():
-        raise ConfigError(f"{folder}: the results folder cannot be there, it is a file")
-    above = next(place for place in folder.absolute().parents if place.exists())
-    try:
-        tempfile.TemporaryDirectory(dir=above).cleanup()
-    except OSError as error:
-        raise ConfigError(f"{folder}: no folder can be made in {above}: {error.strerror}") from None
-
-
 def _write(folder: Path, profile: Profile, flown: pipeline.Run, *, recording: bool, force: bool) -> None:
     result = flown.result
-    with new_folder(folder, force=force) as partial:
+    with store.new_folder(folder, force=force) as partial:
         store.save(partial, result, flown.truth, flown.sensed)
         if recording:
             from bench.recording import write
 
             records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
-            write(partial / RECORDING, profile, *records)
+            write(partial / store.RECORDING, profile, *records)
+
+
+def check_limits(directory: Path, names: Sequence[str], *, console: Console, runs: int | None) -> bool:
+    """Fly the profiles that have limits, print the verdicts, and return whether every limit holds."""
+    with _counted() as progress:
+        verdicts = api.check_limits(names, directory=directory, runs=runs, progress=progress)
+    show.verdicts(console, verdicts)
+    return not any(row.regressed for row in verdicts)
+
+
+def record_limits(
+    directory: Path, names: Sequence[str], *, console: Console, runs: int | None = None
+) -> None:
+    """Fly profiles and write what they measure as their limits."""
+    with _counted() as progress:
+        paths = api.record_limits(names, directory=directory, runs=runs, progress=progress)
+    for path in paths:
+        console.print(f"Wrote {path}.")
 
 
 @contextlib.contextmanager
-def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
-    """Give a folder to write results to; it takes its place when all went well, or nothing does.
-
-    Raises
-    ------
-    ConfigError
-        When another run made the folder meanwhile.
-    OSError
-        When the disk does not take it.
-    """
-    replace = force or folder.is_dir()  # an empty one
-    try:
-        with store.results_folder(folder, replace=replace) as partial:
-            yield partial
-    except FileExistsError:
-        raise ConfigError(f"{folder}: the results folder was made by another run; not replaced") from None
-    except OSError as error:
-        what = os.strerror(error.errno) if error.errno else str(error)
-        raise OSError(error.errno, f"{what}; nothing was written", str(folder)) from error
+def _counted() -> Iterator[Callable[[str, int, int], None]]:
+    """Give what shows the run of a profile."""
+    with Console(stderr=True).status("") as status:
+        yield lambda name, k, n: status.update(f"{name}: run {k + 1} of {n}")
 
 
 @contextlib.contextmanager

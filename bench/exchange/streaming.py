@@ -1,4 +1,4 @@
-"""``bench stream``: the sensors of a run to a socket, at the pace at which they would arrive."""
+"""The sensors of a run to a socket, at the pace at which they would arrive."""
 
 from __future__ import annotations
 
@@ -9,65 +9,63 @@ import math
 import socket
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from dataclasses import dataclass
 
-from rich.console import Console
-
-from bench.errors import ConfigError, ExportError
-from bench.exchange.exports import gather
+from bench.errors import ConfigError
+from bench.exchange.exports import Outgoing
 from bench.exchange.frames import messages
 
 _ROUGH = 0.002  # a sleep is this much too long at times; the rest is waited for by looking at the clock [s]
 _HIGHEST = 65535
 
 
+@dataclass(frozen=True, slots=True)
+class Streamed:
+    """What was sent."""
+
+    messages: int
+    seconds: float  # that it took [s]
+    latest: float | None  # the most a message was late [s]; None: they were sent as fast as it goes
+
+
 def stream(
-    folder: Path,
-    kind: str,
-    address: str,
-    *,
-    console: Console,
-    rate: float = 1.0,
-    remote: bool = False,
-) -> int:
-    """Send the sensors of a run as messages and return their number.
+    run: Outgoing, kind: str, address: str, *, rate: float, remote: bool, say: Callable[[str], object]
+) -> Streamed:
+    """Send the sensors of a run as messages.
 
     Parameters
     ----------
-    folder : Path
-        A results folder.
+    run : Outgoing
+        The sensors.
     kind : str
         "udp": a datagram per message to the address; "tcp": one connection is waited for at the address.
     address : str
         ``IP:PORT``; a TCP port 0 is any that is free.
-    console : Console
-        Where the address and the summary go.
     rate : float
         Seconds of the run per second; 0 or infinity: as fast as it goes.
     remote : bool
         Allow another machine's address.
+    say : callable
+        Told the address before the first message.
 
     Raises
     ------
     ConfigError
-        When the folder, the address or the rate is wrong.
+        If the address or the rate is wrong.
     OSError
-        When the address cannot be used, or the other side closes the connection before the end.
+        If the address cannot be used, or the other side closes the connection before the end.
     """
     if math.isnan(rate) or rate < 0:
         raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as it goes")
     host, port = _address(kind, address, remote)
-    try:
-        run = gather(folder)
-    except ExportError as error:
-        raise ConfigError(str(error)) from None
+    paced = 0 < rate < math.inf
     sent, late = 0, 0.0
-    with _open(kind, host, port, console) as send:
+    with _open(kind, host, port, say) as send:
         begun = time.monotonic()
         first: float | None = None
         for arrival, message in messages(run):
             first = arrival if first is None else first
-            if 0 < rate < math.inf:
+            if paced:
                 due = begun + (arrival - first) / rate
                 _wait(due)
                 late = max(late, time.monotonic() - due)
@@ -79,10 +77,7 @@ def stream(
             except OSError as error:
                 raise OSError(error.errno, error.strerror, f"{kind} {address}") from None
             sent += 1
-        took = time.monotonic() - begun
-    pace = f", none more than {1e3 * late:.3g} ms late" if 0 < rate < math.inf else ""
-    console.print(f"{sent} messages in {took:.3g} s{pace}")
-    return sent
+        return Streamed(sent, time.monotonic() - begun, late if paced else None)
 
 
 def _address(kind: str, address: str, remote: bool) -> tuple[str, int]:
@@ -104,13 +99,15 @@ def _address(kind: str, address: str, remote: bool) -> tuple[str, int]:
 
 
 @contextlib.contextmanager
-def _open(kind: str, host: str, port: int, console: Console) -> Iterator[Callable[[bytes], object]]:
+def _open(
+    kind: str, host: str, port: int, say: Callable[[str], object]
+) -> Iterator[Callable[[bytes], object]]:
     """Give what sends one message."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     shown = f"[{host}]" if ":" in host else host
     if kind == "udp":
         with socket.socket(family, socket.SOCK_DGRAM) as out:
-            console.print(f"sending to {shown}:{port}, a datagram per message; Ctrl-C ends it")
+            say(f"sending to {shown}:{port}, a datagram per message; Ctrl-C ends it")
             yield lambda message: out.sendto(message, (host, port))
         return
     with socket.socket(family, socket.SOCK_STREAM) as server:
@@ -120,7 +117,7 @@ def _open(kind: str, host: str, port: int, console: Console) -> Iterator[Callabl
         except OSError as error:
             raise OSError(error.errno, error.strerror, f"tcp {shown}:{port}") from None
         server.listen(1)
-        console.print(f"waiting for a connection on {shown}:{server.getsockname()[1]}; Ctrl-C ends it")
+        say(f"waiting for a connection on {shown}:{server.getsockname()[1]}; Ctrl-C ends it")
         client, _ = server.accept()
         with client:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

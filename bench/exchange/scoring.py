@@ -1,0 +1,69 @@
+"""A solution from anywhere, judged on a run as if an estimator of the bench had given it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench import store
+from bench.config import fault_tables
+from bench.data import ErrorSeries, NavSolution, RunResult
+from bench.errors import ConfigError
+from bench.evaluation import metrics
+from bench.exchange.exports import reading
+from bench.exchange.solutions import check_unit, read_solution, resampled
+from bench.sensors.timing import output_times
+
+_LABEL = re.compile(r"[A-Za-z0-9_.-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A solution and how wrong it is, beside the run it is judged on."""
+
+    label: str
+    solution: NavSolution  # at the instants of the run's own solutions; NaN where it has none
+    errors: ErrorSeries
+    metrics: Mapping[str, Any]
+    run: RunResult
+    coverage: float  # share of those instants at which it says anything [1]
+    rows: int  # of its file
+
+
+def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
+    """Judge a solution on a run; parameters and errors as `bench.api.score_solution`."""
+    label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
+    if not _LABEL.fullmatch(label):
+        raise ConfigError(f"--label {label!r} must be a name of letters, digits, '-', '_' and '.'")
+    if not (folder / store.RESULT).is_file():
+        raise ConfigError(f"{folder}: no results folder, there is no {store.RESULT} in it")
+    for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
+        if seconds is not None and not math.isfinite(seconds):
+            raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
+    with reading(folder):
+        run, truth = store.load(folder), store.load_truth(folder)
+        profile = run.profile
+        rows = [
+            (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
+        ]
+        outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
+        faults = fault_tables.flown(profile.get("fault", []))
+        asked = output_times(truth.t, evaluation["output_hz"], outages)
+    if label in run.metrics:
+        raise ConfigError(f"{label!r} is in {folder} already; --label names the solution")
+    given = read_solution(path, t_0=t_0)
+    check_unit(given, float(truth.t[0]), truth.lla[0])
+    solution = resampled(given, asked, longest)
+    errors, measured = metrics.judge(
+        truth, solution, evaluation_from=evaluation["from_s"], outages=outages, faults=faults
+    )
+    blocks = (solution.lla, solution.vel_n, solution.q_nb)
+    silent = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
+    coverage = float(np.mean(np.isfinite(solution.t) & ~silent))
+    return Score(label, solution, errors, measured, run, coverage, len(given))
