@@ -1,10 +1,10 @@
-"""loose-22 against classic-22 on the shipped profiles: ``make oracle`` prints the table, and README gets it.
+"""loose-22 against classic-22 on the shipped profiles: ``make oracle`` writes the guide's table.
 
 The two are one estimator in other axes, coordinates and code, linearized at other points. The profile across
 the pole is left out: the reduced coordinates of classic-22 end at 85 deg (equations 1.5). Exit status 1 when
 a difference exceeds its limit.
 
-    python tests/oracle.py                    all profiles, README.md rewritten
+    python tests/oracle.py                    all profiles, bench/guide/accuracy.md rewritten
     python tests/oracle.py circuit survey     only these, nothing written
 """
 
@@ -24,7 +24,7 @@ from bench.navigation.fusion import Loose
 
 LIMITS = {"position": 0.05, "velocity": 0.005, "attitude": 20e-6}  # RMS [m], [m/s], [rad]
 EXEMPT = ("polar",)
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[1] / "bench" / "guide" / "accuracy.md"
 BEGIN, END = "<!-- make oracle writes this table -->", "<!-- to here -->"
 
 
@@ -70,13 +70,13 @@ def main(names: list[str]) -> int:
     limits = [f"{1e3 * LIMITS['position']:g} mm", f"{1e3 * LIMITS['velocity']:g} mm/s"]
     lines.append(row(["allowed", "", *limits, f"{1e6 * LIMITS['attitude']:g} microradian"]))
     if not names:
-        text = README.read_text(encoding="utf-8")
+        text = PAGE.read_text(encoding="utf-8")
         head, _, rest = text.partition(BEGIN)
         _, found_end, tail = rest.partition(END)
         if not found_end:
-            print(f"error: {README}: no lines {BEGIN!r} and {END!r} to write between", file=sys.stderr)
+            print(f"error: {PAGE}: no lines {BEGIN!r} and {END!r} to write between", file=sys.stderr)
             return 2
-        README.write_text("\n".join([head + BEGIN, *lines, END]) + tail, encoding="utf-8")
+        PAGE.write_text("\n".join([head + BEGIN, *lines, END]) + tail, encoding="utf-8")
     print("all within the limits" if within else "a limit is exceeded")
     return 0 if within else 1
 

@@ -1,4 +1,4 @@
-"""Verbs of simulated flights: run, fly, list, new, view, check."""
+"""Verbs of simulated flights, run, fly, list, new, view, check, and the guide."""
 
 from __future__ import annotations
 
@@ -131,6 +131,28 @@ def list_all(kind: str | None) -> int:
     from bench.workbench.show import choices
 
     choices(new_console(), kind)
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("topic", required=False, metavar="[TOPIC]")
+def guide(topic: str | None) -> int:
+    """Read the guide: profiles, sensors, filters, logs, results.
+
+    Without TOPIC it lists the topics. A topic is shown in a pager on a terminal, and
+    printed as Markdown elsewhere.
+
+    \b
+    Examples:
+      bench guide                 the topics
+      bench guide own-filter      how to write a filter and run it
+    """
+    from bench.workbench.guide import list_topics, show_topic
+
+    if topic is None:
+        list_topics(new_console())
+    else:
+        show_topic(topic, new_console())
     return DONE
 
 

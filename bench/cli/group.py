@@ -95,6 +95,7 @@ def commands(ctx: click.Context) -> None:
     Start here:
       bench run figure-eight      fly, sense, navigate, judge, record
       bench view                  look at the newest result
+      bench guide                 how to do everything else
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

@@ -60,7 +60,7 @@ def navigate(
     """Run estimators on a recording of real sensors.
 
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
-    mounted, and the datasheets the filters believe (README, "Your own log"). What looks
+    mounted, and the datasheets the filters believe (bench guide own-log). What looks
     wrong in the recording is said first. Every fifth fix is kept from the filters and judges
     them; --outages cuts GNSS at several places and judges the drift by what was cut out.
     Writes the folder of bench run, without truth.

@@ -92,7 +92,7 @@ def test_at_100_hz_within_five_and_increments_of_the_wrong_form_do_not_pass():
 
 
 def test_in_turbulence_the_increments_replay_in_the_form_they_were_made():
-    """Below 0.1 mm in ten minutes; README states what a two-sample navigator makes of it."""
+    """Below 0.1 mm in ten minutes; the guide states what a two-sample navigator makes of it."""
     recording = record_whole(replace(FIGURE_EIGHT, severity=4, rate=200.0))
     distance, angle = same_form_error(recording)
     assert distance < 0.1 * MM

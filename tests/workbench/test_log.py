@@ -660,7 +660,7 @@ def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "rmse", "medians"),
-    [  # the intervals of the README
+    [  # the intervals of the guide
         ((), (0.20, 0.33), {10.0: (1.5, 11.5), 30.0: (20.0, 108.0), 60.0: (73.0, 465.0)}),
         ((ROOF,), (0.0, 0.067), {10.0: (1.1, 3.2), 30.0: (18.0, 88.0), 60.0: (53.0, 449.0)}),
     ],

@@ -1,4 +1,4 @@
-"""`bench new` writes what works at once, and nothing over anything; the README's filterpy filter runs too."""
+"""`bench new` writes what works at once, and nothing over anything; the guide's filterpy filter runs too."""
 
 from __future__ import annotations
 
@@ -137,23 +137,24 @@ def test_a_disk_that_is_full_leaves_nothing(here, capsys, monkeypatch):  # noqa:
     assert left(here) == []
 
 
-# --- the README's class ------------------------------------------------------------------------------
+# --- the guide's class -------------------------------------------------------------------------------
 
 
-def test_the_filterpy_filter_of_the_readme_keeps_the_contract(truth, sensed, tmp_path, monkeypatch):
+def test_the_filterpy_filter_of_the_guide_keeps_the_contract(truth, sensed, tmp_path, monkeypatch):
     """As printed; and it finds its way: position to a receiver's noise, velocity in a turn less well."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    page = (ROOT / "bench" / "guide" / "own-filter.md").read_text()
+    blocks = re.findall(r"```python [^\n]+\n(.*?)```", page, re.DOTALL)
     (text,) = [block for block in blocks if "filterpy" in block]
-    (tmp_path / "readme_filter.py").write_text(text)
+    (tmp_path / "guide_filter.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
-    estimator = load("readme_filter:FixFilter", {})
+    estimator = load("guide_filter:FixFilter", {})
     bench.check_estimator(estimator, sensed.data, sensed.initial)
     solution = estimator.run(sensed.data, sensed.initial)
     _, judged = metrics.judge(truth, solution, evaluation_from=20.0, outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_3d_m"] < 6.0
     assert not [name for name in judged if "heading" in name]
-    rough = load("readme_filter:FixFilter", {"acceleration": 30.0}).run(sensed.data, sensed.initial)
+    rough = load("guide_filter:FixFilter", {"acceleration": 30.0}).run(sensed.data, sensed.initial)
     assert rough.cov[-1, 0, 0] > solution.cov[-1, 0, 0]
 
 

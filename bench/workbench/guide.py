@@ -1,0 +1,70 @@
+"""``bench guide``: the topics of the guide, and one of them in the terminal."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import pydoc
+import re
+
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.pager import Pager
+from rich.table import Table
+
+from bench.errors import ConfigError
+from bench.places import PACKAGE
+
+FOLDER = PACKAGE / "guide"
+"""One Markdown file per topic; its ``README.md`` lists them."""
+
+_WIDEST = 100  # columns of a rendered page
+_ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
+_LINK = re.compile(r"\[([^]\n]+)\]\([^)\s]+\.md\)")  # to another page, which a terminal cannot follow
+_COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
+
+
+def topics() -> dict[str, str]:
+    """Return what each topic is about, in the order of the guide's list."""
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    return {found["topic"]: found["about"] for found in _ENTRY.finditer(text)}
+
+
+def list_topics(console: Console) -> None:
+    """Print every topic with one line that says what it is about."""
+    table = Table(title="Topics (bench guide TOPIC)", title_justify="left", show_header=False, box=None)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for topic, about in topics().items():
+        table.add_row(topic, about)
+    console.print(table)
+
+
+def show_topic(topic: str, console: Console) -> None:
+    """Print one topic: rendered and in a pager on a terminal, as Markdown elsewhere.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such topic; the message has the nearest name and all of them.
+    """
+    known = list(topics())
+    if topic not in known:
+        near = difflib.get_close_matches(topic, known, n=1)
+        hint = f"Did you mean {near[0]!r}? " if near else ""
+        raise ConfigError(f"no topic {topic!r}. {hint}Topics: {', '.join(known)}")
+    text = (FOLDER / f"{topic}.md").read_text(encoding="utf-8")
+    if not console.is_terminal:
+        console.print(text, soft_wrap=True, end="")
+        return
+    page = Markdown(_COMMENT.sub("", _LINK.sub(r"\1", text)), code_theme="ansi_dark")
+    with console.pager(_ColourPager(), styles=True):
+        console.print(page, width=min(console.width, _WIDEST))
+
+
+class _ColourPager(Pager):
+    """The pager of the user; less shows colours, and ends at once when the page fits the screen."""
+
+    def show(self, content: str) -> None:
+        os.environ.setdefault("LESS", "FRX")
+        pydoc.pager(content)

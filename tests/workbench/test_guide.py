@@ -1,0 +1,383 @@
+"""Every command and every block of code in README.md and the guide runs, and their tables are complete."""
+
+from __future__ import annotations
+
+import gzip
+import inspect
+import io
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+import pytest
+from rich.console import Console
+
+import bench
+from bench.cli import main
+from bench.cli.group import commands
+from bench.config import (
+    air_sheets,
+    datasheets,
+    fault_tables,
+    leg_tables,
+    load_profile,
+    profile_tables,
+    sky_sheet,
+)
+from bench.config import log as log_tables
+from bench.config.datasheets import ACCEL, GYRO
+from bench.evaluation.metrics import METRICS
+from bench.exchange.exports import FORMATS
+from bench.navigation.estimator import BUILT_IN, RECORDS, load
+from bench.workbench import guide
+
+ROOT = Path(__file__).parents[2]
+PAGES = {path.stem: path for path in sorted(guide.FOLDER.glob("*.md")) if path.stem != "README"}
+ALL = {"README": ROOT / "README.md", **PAGES}
+
+PARSED = {
+    "view": "opens a window",
+    "stream": "sends for as long as the run lasted",
+    "check": "runs every profile that has limits",
+    "make": "sets up an environment",
+}
+"""Commands that are only parsed -> why."""
+
+CLONE = {"own-log": "tests"}
+"""Pages that show files of the repository -> the folder that has them."""
+GNSS = ROOT / "tests" / "data" / "gnss"
+RINEX = {"site.rnx": "ESBC00DNK_2020177_GR_360s.rnx.gz", "brdc.rnx": "ESBC00DNK_2020177_GR_MN.rnx.gz"}
+"""Files that a reader brings -> what stands in for them."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: what follows its fence, its text, and the line it begins at."""
+
+    kind: str
+    name: str
+    text: str
+    line: int
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    text = page.read_text(encoding="utf-8")
+    assert text.count("```") % 2 == 0, f"{page.name}: a fence is left open"
+    for found in re.finditer(r"^```(\w*) ?(\S*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        yield Block(*found.groups(), text[: found.start()].count("\n") + 1)
+
+
+def command_lines(block: Block) -> Iterator[list[str]]:
+    for line in block.text.replace("\\\n", "").splitlines():
+        words = shlex.split(line.replace("$PWD", str(Path.cwd())), comments=True)
+        if words:
+            yield words
+
+
+def parsed(arguments: list[str]) -> click.Context:
+    """The context of a bench command, with all its options checked."""
+    name, verb, rest = commands.resolve_command(click.Context(commands), arguments)
+    assert verb is not None
+    assert name is not None
+    return verb.make_context(name, rest, parent=click.Context(commands, info_name="bench"))
+
+
+def is_parsed_only(words: list[str]) -> bool:
+    return any(all(part in words for part in known.split()) for known in PARSED)
+
+
+# --- everything runs ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def figure_eight(tmp_path_factory) -> tuple[Path, str]:
+    """What README's first commands leave: the results of figure-eight, and the cache with its truth."""
+    folder = tmp_path_factory.mktemp("first")
+    cache = str(tmp_path_factory.mktemp("cache"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("BENCH_CACHE", cache)
+        assert main(["run", "figure-eight"]) == 0
+    return folder / "runs" / "figure-eight-20260101", cache
+
+
+@pytest.fixture
+def own_modules(tmp_path) -> Iterator[None]:
+    """Forget the modules that a page wrote: the next page may write others of their names."""
+    yield
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", "")).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+@pytest.mark.usefixtures("own_modules")
+@pytest.mark.parametrize("page", ALL)
+def test_every_block_of_a_page_runs_in_its_order(page, figure_eight, tmp_path, monkeypatch, capfd):
+    results, cache = figure_eight
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BENCH_CACHE", cache)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("runs").mkdir()
+    if page != "README":  # README makes it itself
+        (Path("runs") / results.name).symlink_to(results)
+    if page in CLONE:
+        Path(CLONE[page]).symlink_to(ROOT / CLONE[page])
+    for name, packed in RINEX.items():
+        Path(name).write_bytes(gzip.decompress((GNSS / packed).read_bytes()))
+    names: dict[str, Any] = {"__name__": page}
+    for block in blocks(ALL[page]):
+        where = f"{ALL[page].name}:{block.line}"
+        if block.name:
+            Path(block.name).write_text(block.text)
+        if block.kind == "sh":
+            for words in command_lines(block):
+                obey(words, where, capfd)
+        elif block.kind == "python" and not block.name:
+            exec(compile(block.text, where, "exec"), names)
+        elif block.kind == "toml":
+            tables = tomllib.loads(block.text)
+            if not block.name:
+                assert page in CLONE, f"{where}: name the file that this is"
+                check_real_log(tables)
+            elif "source" in tables:
+                load_profile("figure-eight", {"sensors.imu": str(tmp_path / block.name)})
+        else:
+            assert block.kind == "text" or block.name, f"{where}: a block of {block.kind!r} is not run"
+
+
+def check_real_log(tables: dict[str, Any]) -> None:
+    """It is the log of the repository, whose title and defaults may be left out."""
+    file = tomllib.loads((ROOT / "tests" / "logs" / "drive.toml").read_text())
+    shown, real = (log_tables.LogTable.model_validate(t) for t in (tables, file))
+    assert shown.model_dump(exclude={"title"}) == real.model_dump(exclude={"title"})
+
+
+def obey(words: list[str], where: str, capfd) -> None:
+    """Run one command, or parse it if it is of those that are only parsed."""
+    if words[0] == "make":
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE), where
+        return
+    assert words[0] == "bench", f"{where}: {words[0]} is not run by this test"
+    parsed(words[1:])
+    if not is_parsed_only(words):
+        status = main(words[1:])
+        assert status == 0, f"{where}: {shlex.join(words)}\n{''.join(capfd.readouterr())}"
+
+
+def test_the_files_that_toml_blocks_describe_are_used_by_a_command():
+    for page, path in ALL.items():
+        used = [
+            word for block in blocks(path) if block.kind == "sh" for word in shlex.split(block.text, True)
+        ]
+        for block in blocks(path):
+            if block.name:
+                stem = Path(block.name).stem
+                assert any(stem in word for word in used), f"{page}: {block.name} is not used"
+
+
+@pytest.mark.parametrize("page", ALL)
+def test_commands_within_sentences_exist(page):
+    text = re.sub(r"^```.*?^```$", "", ALL[page].read_text(), flags=re.DOTALL | re.MULTILINE)
+    for span in re.findall(r"`(bench [^`]+)`", text):
+        verb, *rest = shlex.split(span)[1:]
+        known = commands.commands.get(verb)
+        assert known is not None or verb in ("TOPIC", "VERB", "--help"), f"{page}: {span}"
+        options = {name for param in known.params for name in param.opts} | {"--help"} if known else set()
+        assert {word for word in rest if word.startswith("-")} <= options, f"{page}: {span}"
+    for span in re.findall(r"`make (\w+)`", text):
+        assert f"\n{span}:" in (ROOT / "Makefile").read_text(), f"{page}: make {span}"
+    for span in re.findall(r"`pytest ([^`]+)`", text):
+        assert (ROOT / span).is_file(), f"{page}: {span}"
+
+
+@pytest.mark.parametrize("page", ALL)
+def test_paths_and_links_exist(page):
+    text = ALL[page].read_text()
+    for span in re.findall(r"`((?:bench|tests|aircraft)/[\w./-]+)`", text):
+        assert (ROOT / span).exists(), f"{page}: {span}"
+    for name, target in re.findall(r"\[([^]]*)\]\(([^)\s]+)\)", text):
+        if not target.startswith("http"):
+            assert (ALL[page].parent / target).is_file(), f"{page}: {target}"
+            assert not target.endswith(".md") or name == Path(target).stem, f"{page}: {name}"
+
+
+# --- tables are complete --------------------------------------------------------------------------------
+
+
+def said(page: str) -> set[str]:
+    """Every word that stands in code on a page."""
+    spans = re.findall(r"`([^`\n]+)`", PAGES[page].read_text())
+    return {word for span in spans for word in re.findall(r"[\w{}-]+", span)}
+
+
+def test_the_page_of_profiles_names_every_key_and_leg():
+    legs = get_args(get_args(leg_tables.LegTable)[0])
+    tables = [
+        *legs,
+        leg_tables.PointTable,
+        profile_tables.ProfileTable,
+        profile_tables.StartTable,
+        profile_tables.RunwayTable,
+        profile_tables.WindTable,
+        profile_tables.LayerTable,
+        profile_tables.GustTable,
+        profile_tables.SensorsTable,
+        profile_tables.InitialErrorSdTable,
+        profile_tables.AlignmentTable,
+        profile_tables.EstimatorTable,
+        profile_tables.EvaluationTable,
+        profile_tables.AntennaTable,
+    ]
+    keys = {key for table in tables for key in table.model_fields}
+    assert keys - {"title", "kind", "leg", "assumed"} <= said("profiles") | {"title"}
+    assert {kind_of(leg) for leg in legs} <= said("profiles")
+
+
+def kind_of(table: Any) -> str:
+    return str(get_args(table.model_fields["kind"].annotation)[0])
+
+
+def test_the_page_of_faults_names_every_key_and_kind():
+    faults = get_args(fault_tables.FaultTable)
+    assert {kind_of(fault) for fault in faults} <= said("faults")
+    assert {key for fault in faults for key in fault.model_fields} <= said("faults")
+
+
+def test_the_page_of_logs_names_every_key_and_format():
+    tables = (
+        log_tables.ImuTable,
+        log_tables.GnssTable,
+        log_tables.LogAlignmentTable,
+        log_tables.LogEvaluationTable,
+    )
+    assert {key for table in tables for key in table.model_fields} <= said("own-log")
+    assert set(log_tables.FORMATS) <= said("own-log")
+
+
+def test_the_page_of_sensors_names_every_figure():
+    """A key stands whole, or as its ending (`_deg_s`) in the line of another key of the same figure."""
+    lines = [re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", line))) for line in lines_of("sensors")]
+    keys = {key for units in (GYRO, ACCEL) for spellings in units.values() for key in spellings}
+    keys |= {"bias_model", "dead_zone_kind"}
+    others = (
+        datasheets.ThermalTable,
+        datasheets.VibrationTable,
+        datasheets.LayoutTable,
+        datasheets.GnssTable,
+        sky_sheet.SkyTable,
+        air_sheets.BaroTable,
+        air_sheets.PhysicalTable,
+        air_sheets.MagTable,
+        air_sheets.AirspeedTable,
+    )
+    keys |= {key for table in others for key in table.model_fields}
+    missing = {key for key in keys if not any(stands(key, words) for words in lines)}
+    assert {key for key in missing if not key.startswith(BY_RULE) and "_jump_markov_sd_" not in key} == set()
+
+
+BY_RULE = ("nonorthogonality_sd_", "alignment_sd_")
+"""Keys that the page gives by a rule: the endings of misalignment, `_jump_markov_sd_` for `_jump_sd_`."""
+
+
+def lines_of(page: str) -> list[str]:
+    return PAGES[page].read_text().splitlines()
+
+
+def stands(key: str, words: list[str]) -> bool:
+    whole = [word for word in words if not word.startswith("_")]
+    ends = [word for word in words if word.startswith("_") and key.endswith(word)]
+    return key in words or any(w.startswith(key.removesuffix(end)) for end in ends for w in whole)
+
+
+def test_the_page_of_estimators_names_every_one_and_its_options():
+    assert set(BUILT_IN) <= said("estimators")
+    for name in BUILT_IN:
+        options = inspect.signature(type(load(name, {}))).parameters
+        assert set(options) - {"options"} <= said("estimators"), name
+
+
+def test_other_pages_name_every_format_record_and_metric():
+    assert set(FORMATS) <= said("other-tools")
+    assert set(RECORDS) <= said("own-filter")
+    assert set(bench.__all__) - {"__version__"} <= said("python")
+    assert {metric.name for metric in METRICS} <= said("results")
+
+
+# --- README -----------------------------------------------------------------------------------------------
+
+
+def test_readme_is_short_and_lists_every_page():
+    text = ALL["README"].read_text()
+    assert text.count("\n") <= 250
+    assert re.findall(r"\(bench/guide/([a-z-]+)\.md\) \|", text) == list(guide.topics())
+
+
+def test_the_tree_of_readme_is_true():
+    text = ALL["README"].read_text()
+    tree = text[text.index("## The tree") :].split("```")[1]
+    named, folder = set(), ""
+    for line in tree.splitlines()[1:]:
+        indent, entry = len(line) - len(line.lstrip()), line[:26].strip()
+        folder = folder if indent else entry.split()[0] if entry.endswith("/") else ""
+        named |= {(folder if indent else "") + word for word in entry.split()}
+    for path in named:
+        pattern = re.sub(r"<\w+>", "*", path)
+        assert list(ROOT.glob(pattern.rstrip("/"))), f"{path} is not there"
+    for path in (ROOT / "bench").iterdir():
+        name = f"bench/{path.name}{'/' if path.is_dir() else ''}"
+        assert name in named or path.name in ("__pycache__", "py.typed", "aircraft"), f"{name} is not named"
+
+
+def test_the_floors_of_readme_are_those_that_are_checked():
+    text = ALL["README"].read_text()
+    written = re.search(r"```text\n(cli > .*?)```", text, re.DOTALL)
+    assert written is not None
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    floors = [set(re.split(r" [|:] ", floor.strip())) for floor in written[1].split(">")]
+    assert floors == [set(re.split(r" [|:] ", floor)) for floor in contracts[0]["layers"]]
+
+
+# --- bench guide -------------------------------------------------------------------------------------------
+
+
+def test_the_list_has_every_page_with_a_line(capsys):
+    assert set(guide.topics()) == set(PAGES)
+    assert main(["guide"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for topic, about in guide.topics().items():
+        assert any(line.split() == [topic, *about.split()] for line in lines), topic
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("topic", PAGES)
+def test_a_topic_is_plain_markdown_where_there_is_no_terminal(topic, capsys):
+    assert main(["guide", topic]) == 0
+    assert capsys.readouterr().out == PAGES[topic].read_text()
+
+
+@pytest.mark.parametrize("topic", PAGES)
+def test_a_topic_is_rendered_on_a_terminal(topic, monkeypatch):
+    shown: list[str] = []
+    monkeypatch.setattr(guide.pydoc, "pager", shown.append)
+    guide.show_topic(topic, Console(file=io.StringIO(), force_terminal=True, width=80))
+    (text,) = shown
+    plain = re.sub(r"\x1b\[[\d;]*m", "", text)
+    assert text != plain
+    assert not re.search(r"^```|^#|\]\(|<!--|…", plain, re.MULTILINE)
+    assert max(map(len, plain.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("topic", "hint"), [("profile", "Did you mean 'profiles'? "), ("xyzzy", ""), ("../README", "")]
+)
+def test_an_unknown_topic_is_one_line_with_all_of_them(topic, hint, capsys):
+    assert main(["guide", topic]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == f"error: no topic {topic!r}. {hint}Topics: {', '.join(guide.topics())}\n"
