@@ -10,41 +10,24 @@ times and time going back are data there; the instants asked for increase.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, Shape, as_float, as_kind
+from bench.arrays import BoolArray, FloatArray, IntArray, as_float
+from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
+from bench.instruments import INSTRUMENTS, AirspeedData, BaroData, MagData
 from bench.specs import DEFAULT_DATE, AssumedSpecs
 
-
-def _freeze(record: object, *, finite: bool = False, **shapes: Shape) -> None:
-    """Replace each named field by a checked, read-only float64 view; equal first lengths."""
-    for name, shape in shapes.items():
-        _store(record, name, as_float(_label(record, name), getattr(record, name), shape, finite=finite))
-    _equal_lengths(record, shapes)
-
-
-def _freeze_kind(record: object, dtype: type, **shapes: Shape) -> None:
-    for name, shape in shapes.items():
-        _store(record, name, as_kind(_label(record, name), getattr(record, name), dtype, shape))
-
-
-def _store(record: object, name: str, column: np.ndarray[Any, Any]) -> None:
-    view = column.view()
-    view.flags.writeable = False
-    object.__setattr__(record, name, view)
-
-
-def _label(record: object, name: str) -> str:
-    return f"{type(record).__name__}.{name}"
-
-
-def _equal_lengths(record: object, names: Mapping[str, object]) -> None:
-    lengths = {name: len(getattr(record, name)) for name in names}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"{type(record).__name__}: columns differ in length: {lengths}")
+_LLA = ("lat_rad", "lon_rad", "alt_m")
+_Q_NB = ("q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z")
+STATES = tuple(
+    (f"{block}_{axis}", unit)
+    for block, unit in (("pos", "m"), ("vel", "m/s"), ("phi", "rad"))
+    for axis in NED
+)
+"""Names and units of the nine errors a covariance is of."""
 
 
 def _increasing(name: str, t: FloatArray) -> None:
@@ -53,26 +36,14 @@ def _increasing(name: str, t: FloatArray) -> None:
         raise ValueError(f"{name} must increase; row {k + 1} has {t[k + 1]:g} s after {t[k]:g} s")
 
 
-def _rebuild(record: Any) -> tuple[type, tuple[Any, ...]]:
-    """Pickle a record by its columns, so that a copy is checked and read-only too."""
-    return type(record), tuple(getattr(record, f.name) for f in fields(record))
-
-
-@dataclass(frozen=True, slots=True)
-class Events:
+@declared
+class Events(Record):
     """What happened when: legs, outages, faults, sensor rows left out. An instant has t_end = t."""
 
-    t: FloatArray  # (N,) start [s]
-    t_end: FloatArray  # (N,) end [s]
-    kind: tuple[str, ...]  # "leg", "gnss_outage", "wind", "timeline", ...
-    text: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        _freeze(self, t=(None,), t_end=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "t_end", "kind", "text")))
-
-    def __len__(self) -> int:
-        return len(self.t)
+    t: FloatArray = column("t_s")  # (N,) start [s]
+    t_end: FloatArray = column("t_end_s")  # (N,) end [s]
+    kind: tuple[str, ...] = column("kind", kind=str)  # "leg", "gnss_outage", "wind", "timeline", ...
+    text: tuple[str, ...] = column("text", kind=str)
 
     def of(self, kind: str) -> list[tuple[float, float, str]]:
         """Return (t, t_end, text) of every event of one kind."""
@@ -93,51 +64,45 @@ class Events:
             tuple(row[3] for row in rows),
         )
 
-    __reduce__ = _rebuild
-
 
 def no_events() -> Events:
     """Return an empty list of events."""
     return Events(np.empty(0), np.empty(0), (), ())
 
 
-@dataclass(frozen=True, slots=True)
-class AirData:
+@declared
+class AirData(Record):
     """The air around the aircraft, at 20 Hz on its own times."""
 
-    t: FloatArray  # (A,) [s]
-    pressure: FloatArray  # (A,) static [Pa]
-    temperature: FloatArray  # (A,) static [K]
-    airspeed_true: FloatArray  # (A,) [m/s]
-    airspeed_calibrated: FloatArray  # (A,) [m/s]
-    alpha: FloatArray  # (A,) angle of attack [rad]
-    beta: FloatArray  # (A,) sideslip [rad]
-    wind_n: FloatArray  # (A, 3) velocity of the air mass incl. turbulence [m/s], n
-    engine_speed: FloatArray  # (A,) [rad/s]
+    t: FloatArray = column("t_s")  # (A,) [s]
+    pressure: FloatArray = column("pressure_pa")  # (A,) static [Pa]
+    temperature: FloatArray = column("temperature_k")  # (A,) static [K]
+    airspeed_true: FloatArray = column("airspeed_true_mps")  # (A,) [m/s]
+    airspeed_calibrated: FloatArray = column("airspeed_calibrated_mps")  # (A,) [m/s]
+    alpha: FloatArray = column("alpha_rad")  # (A,) angle of attack [rad]
+    beta: FloatArray = column("beta_rad")  # (A,) sideslip [rad]
+    # (A, 3) velocity of the air mass incl. turbulence [m/s], n
+    wind_n: FloatArray = vector("wind", "mps", "n")
+    engine_speed: FloatArray = column("engine_speed_rad_s")  # (A,) [rad/s]
 
     def __post_init__(self) -> None:
-        n = dict.fromkeys([f.name for f in fields(self)], (None,))
-        _freeze(self, finite=True, **{**n, "wind_n": (None, 3)})
+        self._freeze(finite=True)
         _increasing("AirData.t", self.t)
 
-    __reduce__ = _rebuild
 
-
-@dataclass(frozen=True, slots=True)
-class Controls:
+@declared
+class Controls(Record):
     """Controls as flown, at 20 Hz; surfaces -1 to 1, JSBSim senses (right roll, nose down, nose left)."""
 
-    t: FloatArray  # (A,) [s]
-    aileron: FloatArray  # (A,)
-    elevator: FloatArray  # (A,)
-    rudder: FloatArray  # (A,)
-    throttle: FloatArray  # (A,) 0 to 1
+    t: FloatArray = column("t_s")  # (A,) [s]
+    aileron: FloatArray = column("aileron")  # (A,)
+    elevator: FloatArray = column("elevator")  # (A,)
+    rudder: FloatArray = column("rudder")  # (A,)
+    throttle: FloatArray = column("throttle")  # (A,) 0 to 1
 
     def __post_init__(self) -> None:
-        _freeze(self, finite=True, **dict.fromkeys([f.name for f in fields(self)], (None,)))
+        self._freeze(finite=True)
         _increasing("Controls.t", self.t)
-
-    __reduce__ = _rebuild
 
 
 def no_air() -> AirData:
@@ -152,119 +117,87 @@ def no_controls() -> Controls:
     return Controls(n, n, n, n, n)
 
 
-@dataclass(frozen=True, slots=True)
-class Trajectory:
+@declared
+class Trajectory(Record):
     """The truth: motion of the IMU, with the exact increments an error-free IMU would give."""
 
-    t: FloatArray  # (N,) since the start of the run [s]
-    lla: FloatArray  # (N, 3) geodetic latitude, longitude [rad], ellipsoidal height [m]
-    vel_n: FloatArray  # (N, 3) Earth-relative velocity [m/s], n
-    q_nb: FloatArray  # (N, 4) b to n, scalar first, sign-continuous
-    dtheta_b: FloatArray  # (N-1, 3) integral of w_ib_b over (t[k], t[k+1]] [rad], b
-    dvel_b: FloatArray  # (N-1, 3) integral of f_b over (t[k], t[k+1]] [m/s], b
+    t: FloatArray = column("t_s")  # (N,) since the start of the run [s]
+    # (N, 3) geodetic latitude, longitude [rad], ellipsoidal height [m]
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (N, 3) Earth-relative velocity [m/s], n
+    # (N, 4) b to n, scalar first, sign-continuous
+    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))
+    # (N-1, 3) integral of w_ib_b over (t[k], t[k+1]] [rad], b
+    dtheta_b: FloatArray = vector("dtheta", "rad", "b")
+    dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N-1, 3) integral of f_b over (t[k], t[k+1]] [m/s], b
     air: AirData
     controls: Controls
     events: Events
 
     def __post_init__(self) -> None:
-        _freeze(self, finite=True, t=(None,), lla=(None, 3), vel_n=(None, 3), q_nb=(None, 4))
-        n = len(self.t) - 1
-        _freeze(self, finite=True, dtheta_b=(n, 3), dvel_b=(n, 3))
+        between = (len(self.t) - 1, 3)
+        self._freeze(finite=True, besides={"dtheta_b": between, "dvel_b": between})
         _increasing("Trajectory.t", self.t)
 
-    def __len__(self) -> int:
-        return len(self.t)
 
-    __reduce__ = _rebuild
-
-
-@dataclass(frozen=True, slots=True)
-class ImuData:
+@declared
+class ImuData(Record):
     """Measured increments; row k covers the interval (t[k] - dt[k], t[k]]."""
 
-    t: FloatArray  # (N,) end of the interval [s]
-    dt: FloatArray  # (N,) length of the interval [s]
-    valid: BoolArray  # (N,) what the unit itself flags
-    dtheta_b: FloatArray  # (N, 3) [rad], b
-    dvel_b: FloatArray  # (N, 3) [m/s], b
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.bool_, valid=(None,))
-        _freeze(self, t=(None,), dt=(None,), dtheta_b=(None, 3), dvel_b=(None, 3))
-        _equal_lengths(self, dict.fromkeys(("t", "valid")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
+    t: FloatArray = column("t_s")  # (N,) end of the interval [s]
+    dt: FloatArray = column("dt_s")  # (N,) length of the interval [s]
+    valid: BoolArray = column("valid", kind=bool)  # (N,) what the unit itself flags
+    dtheta_b: FloatArray = vector("dtheta", "rad", "b")  # (N, 3) [rad], b
+    dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N, 3) [m/s], b
 
 
-@dataclass(frozen=True, slots=True)
-class GnssFixes:
+@declared
+class GnssFixes(Record):
     """Position and velocity of the GNSS antenna as the receiver reports them."""
 
-    t: FloatArray  # (M,) validity [s]
-    t_arrival: FloatArray  # (M,) when the fix reaches the filter [s]
-    valid: BoolArray  # (M,)
-    lla: FloatArray  # (M, 3) [rad, rad, m]
-    vel_n: FloatArray  # (M, 3) [m/s], n; NaN where it reports none
-    cov_pos_n: FloatArray  # (M, 3, 3) reported [m^2], n
-    cov_vel_n: FloatArray  # (M, 3, 3) reported [m^2/s^2], n
-    satellites: IntArray  # (M,) number used
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.bool_, valid=(None,))
-        _freeze_kind(self, np.int64, satellites=(None,))
-        _freeze(self, t=(None,), t_arrival=(None,), lla=(None, 3), vel_n=(None, 3))
-        _freeze(self, cov_pos_n=(None, 3, 3), cov_vel_n=(None, 3, 3))
-        _equal_lengths(self, dict.fromkeys(("t", "valid", "cov_pos_n", "satellites")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
+    t: FloatArray = column("t_s")  # (M,) validity [s]
+    t_arrival: FloatArray = column("t_arrival_s")  # (M,) when the fix reaches the filter [s]
+    valid: BoolArray = column("valid", kind=bool)  # (M,)
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) [rad, rad, m]
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n; NaN where it reports none
+    cov_pos_n: FloatArray = matrix(STATES[0:3], "n")  # (M, 3, 3) reported [m^2], n
+    cov_vel_n: FloatArray = matrix(STATES[3:6], "n")  # (M, 3, 3) reported [m^2/s^2], n
+    satellites: IntArray = column("satellites", kind=int)  # (M,) number used
 
 
 GPS, GLONASS = 0, 1
 """Codes of ``GnssObservations.system``."""
 
 
-@dataclass(frozen=True, slots=True)
-class GnssObservations:
+@declared
+class GnssObservations(Record):
     """What a receiver measures and computes of each satellite, a row per satellite and epoch."""
 
-    t: FloatArray  # (K,) validity of the epoch [s]
-    t_arrival: FloatArray  # (K,) [s]
-    sat: IntArray  # (K,) number within its system
-    system: IntArray  # (K,) GPS or GLONASS
-    frequency: FloatArray  # (K, bands) carrier [Hz]
-    pseudorange: FloatArray  # (K, bands) [m]; NaN where a band is missing
-    range_rate: FloatArray  # (K, bands) [m/s]
-    cn0: FloatArray  # (K, bands) [dB-Hz]
-    sat_pos_e: FloatArray  # (K, 3) at transmission, by the broadcast ephemeris [m], e at transmission
-    sat_vel_e: FloatArray  # (K, 3) [m/s], e at transmission
-    sat_clock: FloatArray  # (K,) with relativity; to be added to a pseudorange [m]
-    sat_clock_rate: FloatArray  # (K,) to be added to a range rate [m/s]
-    group_delay: FloatArray  # (K,) of the first band, to be taken off its pseudorange [m]
-    sd_pseudorange: FloatArray  # (K,) claimed, of the corrected pseudorange [m]
-    sd_range_rate: FloatArray  # (K,) claimed [m/s]
+    t: FloatArray = column("t_s")  # (K,) validity of the epoch [s]
+    t_arrival: FloatArray = column("t_arrival_s")  # (K,) [s]
+    sat: IntArray = column("sat", kind=int)  # (K,) number within its system
+    system: IntArray = column("system", kind=int)  # (K,) GPS or GLONASS
+    frequency: FloatArray = column(shape=(None,))  # (K, bands) carrier [Hz]
+    pseudorange: FloatArray = column(shape=(None,))  # (K, bands) [m]; NaN where a band is missing
+    range_rate: FloatArray = column(shape=(None,))  # (K, bands) [m/s]
+    cn0: FloatArray = column(shape=(None,))  # (K, bands) [dB-Hz]
+    # (K, 3) at transmission, by the broadcast ephemeris [m], e at transmission
+    sat_pos_e: FloatArray = vector("sat_pos", "m", "e at transmission")
+    sat_vel_e: FloatArray = vector("sat_vel", "mps", "e at transmission")  # (K, 3) [m/s], e at transmission
+    sat_clock: FloatArray = column("sat_clock_m")  # (K,) with relativity; to be added to a pseudorange [m]
+    sat_clock_rate: FloatArray = column("sat_clock_rate_mps")  # (K,) to be added to a range rate [m/s]
+    # (K,) of the first band, to be taken off its pseudorange [m]
+    group_delay: FloatArray = column("group_delay_m")
+    sd_pseudorange: FloatArray = column("sd_pseudorange_m")  # (K,) claimed, of the corrected pseudorange [m]
+    sd_range_rate: FloatArray = column("sd_range_rate_mps")  # (K,) claimed [m/s]
     epoch_start: IntArray  # (M + 1,) first row of each epoch, then K
     klobuchar: FloatArray  # (8,) broadcast alpha 0-3, beta 0-3
     gps_t0: float  # GPS time of t = 0, seconds since a GPS midnight [s]
 
     def __post_init__(self) -> None:
-        _freeze_kind(self, np.int64, sat=(None,), system=(None,), epoch_start=(None,))
-        bands = np.shape(self.pseudorange)[-1]
-        rows = ("t", "t_arrival", "sat_clock", "sat_clock_rate", "group_delay")
-        wide = ("frequency", "pseudorange", "range_rate", "cn0")
-        shapes: dict[str, Any] = {**dict.fromkeys(rows, (None,)), **dict.fromkeys(wide, (None, bands))}
-        _freeze(self, **shapes, sat_pos_e=(None, 3), sat_vel_e=(None, 3))
-        _freeze(self, sd_pseudorange=(None,), sd_range_rate=(None,))
-        _freeze(self, klobuchar=(8,))
-        _equal_lengths(self, dict.fromkeys(("t", "sat", "system", "sd_pseudorange")))
-
-    def __len__(self) -> int:
-        return len(self.t)
+        self._freeze(width=np.shape(self.pseudorange)[-1])
+        freeze_field(self, "epoch_start", int, (None,))
+        freeze_field(self, "klobuchar", float, (8,))
 
     @property
     def epoch(self) -> IntArray:
@@ -272,74 +205,9 @@ class GnssObservations:
         count: IntArray = np.repeat(np.arange(len(self.epoch_start) - 1), np.diff(self.epoch_start))
         return count
 
-    __reduce__ = _rebuild
-
 
 @dataclass(frozen=True, slots=True)
-class BaroData:
-    """Barometric altitude as the instrument reports it."""
-
-    t: FloatArray  # (M,) validity [s]
-    t_arrival: FloatArray  # (M,) [s]
-    valid: BoolArray  # (M,)
-    alt_baro: FloatArray  # (M,) [m]
-    sd: FloatArray  # (M,) white noise the instrument claims [m]
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.bool_, valid=(None,))
-        _freeze(self, t=(None,), t_arrival=(None,), alt_baro=(None,), sd=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "valid")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
-
-
-@dataclass(frozen=True, slots=True)
-class MagData:
-    """The magnetic field as a strapped-down magnetometer reports it."""
-
-    t: FloatArray  # (M,) validity [s]
-    t_arrival: FloatArray  # (M,) [s]
-    valid: BoolArray  # (M,)
-    field_b: FloatArray  # (M, 3) [T], b
-    sd: FloatArray  # (M,) white noise per axis the instrument claims [T]
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.bool_, valid=(None,))
-        _freeze(self, t=(None,), t_arrival=(None,), field_b=(None, 3), sd=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "valid")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
-
-
-@dataclass(frozen=True, slots=True)
-class AirspeedData:
-    """True airspeed as the air data computer reports it."""
-
-    t: FloatArray  # (M,) validity [s]
-    t_arrival: FloatArray  # (M,) [s]
-    valid: BoolArray  # (M,)
-    airspeed_true: FloatArray  # (M,) [m/s]
-    sd: FloatArray  # (M,) white noise the instrument claims [m/s]
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.bool_, valid=(None,))
-        _freeze(self, t=(None,), t_arrival=(None,), airspeed_true=(None,), sd=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "valid")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
-
-
-@dataclass(frozen=True, slots=True)
-class SensorData:
+class SensorData(Rebuilt):
     """Everything an estimator may know: measurements, and the specs it is told to assume."""
 
     imu: ImuData
@@ -354,15 +222,25 @@ class SensorData:
     date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
 
     def __post_init__(self) -> None:
-        _freeze(self, finite=True, antenna_b=(3,))
-        _freeze(self, finite=True, output_t=(None,))
+        freeze_field(self, "antenna_b", float, (3,), finite=True)
+        freeze_field(self, "output_t", float, (None,), finite=True)
         _increasing("SensorData.output_t", self.output_t)
 
-    __reduce__ = _rebuild
+    @property
+    def instruments(self) -> dict[str, Any]:
+        """The records of the instruments on board beside IMU and GNSS, by name."""
+        found = {name: getattr(self, name) for name in INSTRUMENTS}
+        return {name: record for name, record in found.items() if record is not None}
+
+    @property
+    def records(self) -> set[str]:
+        """Names of the aiding records there are: "fixes", "observations", and those of instruments."""
+        receiver = {name for name in ("fixes", "observations") if getattr(self, name) is not None}
+        return receiver | self.instruments.keys()
 
 
 @dataclass(frozen=True, slots=True)
-class InitialState:
+class InitialState(Rebuilt):
     """Where the estimator is told to start, and how well that is known.
 
     What it is not told is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
@@ -382,79 +260,59 @@ class InitialState:
     def __post_init__(self) -> None:
         shapes = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9), "bias_cov": (9, 6)}
         for name, shape in shapes.items():
-            told = self.alignment == "given"
-            _store(self, name, as_float(_label(self, name), getattr(self, name), shape, finite=told))
-
-    __reduce__ = _rebuild
+            freeze_field(self, name, float, shape, finite=self.alignment == "given")
 
 
-@dataclass(frozen=True, slots=True)
-class SensorTruth:
+@declared
+class SensorTruth(Record):
     """What the sensor models drew, on their own times: for the recording and the report, never a filter."""
 
-    t: FloatArray  # (B,) [s]
-    gyro_bias_b: FloatArray  # (B, 3) [rad/s], b
-    accel_bias_b: FloatArray  # (B, 3) [m/s^2], b
-    baro_bias: FloatArray  # (B,) [m]
-    mag_bias_b: FloatArray | None = None  # (B, 3) hard iron [T], b; None becomes NaN
-    airspeed_bias: FloatArray | None = None  # (B,) [m/s]; None becomes NaN
+    t: FloatArray = column("t_s")  # (B,)
+    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (B, 3)
+    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (B, 3)
+    bias: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Name of an instrument on board -> its slowly varying error (B, k), in its unit and frame."""
 
     def __post_init__(self) -> None:
-        if self.mag_bias_b is None:
-            object.__setattr__(self, "mag_bias_b", np.full((len(self.t), 3), np.nan))
-        if self.airspeed_bias is None:
-            object.__setattr__(self, "airspeed_bias", np.full(len(self.t), np.nan))
-        _freeze(self, t=(None,), gyro_bias_b=(None, 3), accel_bias_b=(None, 3), baro_bias=(None,))
-        _freeze(self, t=(None,), mag_bias_b=(None, 3), airspeed_bias=(None,))
+        self._freeze()
+        shaped = {
+            name: as_float(f"SensorTruth.bias[{name!r}]", values, (len(self.t), INSTRUMENTS[name].width))
+            for name, values in self.bias.items()
+        }
+        for values in shaped.values():
+            values.flags.writeable = False
+        object.__setattr__(self, "bias", shaped)
 
-    __reduce__ = _rebuild
 
-
-@dataclass(frozen=True, slots=True)
-class SkyView:
+@declared
+class SkyView(Record):
     """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
 
     Received or not. For the recording and the report, never a filter.
     """
 
-    t: FloatArray  # (K,) [s]
-    system: IntArray  # (K,) GPS or GLONASS
-    sat: IntArray  # (K,) number within its system
-    azimuth: FloatArray  # (K,) [rad]
-    elevation: FloatArray  # (K,) [rad]
-    cn0: FloatArray  # (K,) on the first carrier [dB-Hz]; NaN: not received
-    used: BoolArray  # (K,) in the fix of the epoch
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.int64, system=(None,), sat=(None,))
-        _freeze_kind(self, np.bool_, used=(None,))
-        _freeze(self, t=(None,), azimuth=(None,), elevation=(None,), cn0=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "system", "sat", "used")))
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
+    t: FloatArray = column("t_s")  # (K,) [s]
+    system: IntArray = column("system", kind=int)  # (K,) GPS or GLONASS
+    sat: IntArray = column("sat", kind=int)  # (K,) number within its system
+    azimuth: FloatArray = column("azimuth_rad", frame="n")  # (K,) [rad]
+    elevation: FloatArray = column("elevation_rad", frame="n")  # (K,) [rad]
+    cn0: FloatArray = column("cn0_dbhz")  # (K,) on the first carrier [dB-Hz]; NaN: not received
+    used: BoolArray = column("used", kind=bool)  # (K,) in the fix of the epoch
 
 
-@dataclass(frozen=True, slots=True)
-class Innovations:
+@declared
+class Innovations(Record):
     """Measurement minus prediction, a row per scalar component."""
 
-    t: FloatArray  # (K,) [s]
+    t: FloatArray = column("t_s")  # (K,) [s]
     sensor: tuple[str, ...]  # names, asked by ``code``
-    code: IntArray  # (K,) index into sensor: "gnss_position", "gnss_velocity", "baro"
-    component: IntArray  # (K,) 0, 1, 2 along n
-    z: FloatArray  # (K,) [unit of the sensor]
-    S: FloatArray  # (K,) predicted variance of z
-    nis: FloatArray  # (K,) of the whole sub-vector, repeated on its rows
-    accepted: BoolArray  # (K,)
-
-    def __post_init__(self) -> None:
-        _freeze_kind(self, np.int64, code=(None,), component=(None,))
-        _freeze_kind(self, np.bool_, accepted=(None,))
-        _freeze(self, t=(None,), z=(None,), S=(None,), nis=(None,))
-        _equal_lengths(self, dict.fromkeys(("t", "code", "component", "accepted")))
+    # (K,) index into sensor: "gnss_position", "gnss_velocity", "baro"
+    code: IntArray = column("sensor", kind=int)
+    component: IntArray = column("component", frame="n", kind=int)  # (K,) 0, 1, 2 along n
+    z: FloatArray = column("z", units=("of the sensor",), frame="n")  # (K,) [unit of the sensor]
+    S: FloatArray = column("S", units=("of the sensor, squared",), frame="n")  # (K,) predicted variance of z
+    nis: FloatArray = column("nis")  # (K,) of the whole sub-vector, repeated on its rows
+    accepted: BoolArray = column("accepted", kind=bool)  # (K,)
 
     @classmethod
     def from_rows(
@@ -473,83 +331,53 @@ class Innovations:
             accepted=table[:, 6].astype(np.bool_),
         )
 
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
-
 
 def no_innovations() -> Innovations:
     """Return an empty table, for an estimator without updates."""
     return Innovations.from_rows((), [])
 
 
-@dataclass(frozen=True, slots=True)
-class NavSolution:
+@declared
+class NavSolution(Record):
     """An estimator's answer at ``SensorData.output_t``, after any update at that instant.
 
     A block that is not estimated has NaN in its values and covariance rows.
     """
 
-    t: FloatArray  # (M,) [s]
-    lla: FloatArray  # (M, 3) of the IMU [rad, rad, m]
-    vel_n: FloatArray  # (M, 3) [m/s], n
-    q_nb: FloatArray  # (M, 4)
-    gyro_bias_b: FloatArray  # (M, 3) [rad/s], b
-    accel_bias_b: FloatArray  # (M, 3) [m/s^2], b
-    cov: FloatArray  # (M, 9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
+    t: FloatArray = column("t_s")  # (M,) [s]
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) of the IMU [rad, rad, m]
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n
+    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))  # (M, 4)
+    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (M, 3) [rad/s], b
+    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (M, 3) [m/s^2], b
+    cov: FloatArray = matrix(STATES, "n")  # (M, 9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
     extra_names: tuple[str, ...]  # names of the columns of extra_*, unit in the name
-    extra: FloatArray  # (M, n) values of the states beyond position, velocity, attitude
-    extra_sd: FloatArray  # (M, n) their standard deviations
+    # (M, n) values of the states beyond position, velocity, attitude
+    extra: FloatArray = column(shape=(None,))
+    extra_sd: FloatArray = column(shape=(None,))  # (M, n) their standard deviations
     innovations: Innovations = field(default_factory=no_innovations)
     events: Events = field(default_factory=no_events)
 
     def __post_init__(self) -> None:
-        n = len(self.extra_names)
-        _freeze(
-            self,
-            t=(None,),
-            lla=(None, 3),
-            vel_n=(None, 3),
-            q_nb=(None, 4),
-            gyro_bias_b=(None, 3),
-            accel_bias_b=(None, 3),
-            cov=(None, 9, 9),
-            extra=(None, n),
-            extra_sd=(None, n),
-        )
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
+        self._freeze(width=len(self.extra_names))
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorSeries:
+@declared
+class ErrorSeries(Record):
     """Estimate minus truth at the solution's times."""
 
-    t: FloatArray  # (M,) [s]
-    pos_n: FloatArray  # (M, 3) [m], n
-    vel_n: FloatArray  # (M, 3) [m/s], n
-    phi_n: FloatArray  # (M, 3) [rad], n: C_nb_est = exp([phi_n x]) C_nb_true
-    heading: FloatArray  # (M,) heading error, wrapped to +-pi [rad]
-    nees: FloatArray  # (M,) of the estimated blocks; NaN where the covariance is not positive definite
+    t: FloatArray = column("t_s")  # (M,) [s]
+    pos_n: FloatArray = vector("pos_err", "m", "n")  # (M, 3) [m], n
+    vel_n: FloatArray = vector("vel_err", "mps", "n")  # (M, 3) [m/s], n
+    phi_n: FloatArray = vector("phi", "rad", "n")  # (M, 3) [rad], n: C_nb_est = exp([phi_n x]) C_nb_true
+    heading: FloatArray = column("heading_err_rad")  # (M,) heading error, wrapped to +-pi [rad]
+    # (M,) of the estimated blocks; NaN where the covariance is not positive definite
+    nees: FloatArray = column("nees")
     states: int  # number of states that nees counts
-
-    def __post_init__(self) -> None:
-        _freeze(
-            self, t=(None,), pos_n=(None, 3), vel_n=(None, 3), phi_n=(None, 3), heading=(None,), nees=(None,)
-        )
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    __reduce__ = _rebuild
 
 
 @dataclass(frozen=True, slots=True)
-class Sensed:
+class Sensed(Rebuilt):
     """One draw of the sensors: what the estimators get, and what they must not see."""
 
     data: SensorData
@@ -558,11 +386,9 @@ class Sensed:
     events: Events  # outages and faults of this run
     sky: SkyView | None = None  # of a measurement-level receiver
 
-    __reduce__ = _rebuild
-
 
 @dataclass(frozen=True, slots=True)
-class RunResult:
+class RunResult(Rebuilt):
     """One run of one profile: metrics per estimator, with everything needed to repeat it."""
 
     profile: Mapping[str, Any]  # the profile as flown, in the units of its file
@@ -572,5 +398,3 @@ class RunResult:
     errors: Mapping[str, ErrorSeries]
     solutions: Mapping[str, NavSolution]
     provenance: Mapping[str, Any]  # versions, commit, CPU time
-
-    __reduce__ = _rebuild

@@ -11,6 +11,7 @@ from typing import Any
 from bench import store
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
+from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
 
@@ -213,7 +214,7 @@ def _check_times(profile: Profile, end: float) -> None:
 def _records(profile: Profile) -> set[str]:
     """Return the records of `SensorData` that the sensors of a profile give."""
     on_board = profile.sensors
-    found = {name for name in ("baro", "mag", "airspeed") if getattr(on_board, name) is not None}
+    found = {name for name in INSTRUMENTS if getattr(on_board, name) is not None}
     if on_board.gnss is not None:
         found |= {"fixes"} if on_board.gnss.sky is None else {"fixes", "observations"}
     return found

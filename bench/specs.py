@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.fields import declared, figure
+from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.legs import Leg
 
 if TYPE_CHECKING:
@@ -234,27 +236,29 @@ class TriadSpec:
         return self.bias_instability / GAUSS_MARKOV_PEAK
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class ThermalSpec:
     """The temperature of an IMU: it follows that of the air and its own heat, from that of the air on."""
 
-    reference: float = 298.15  # temperature without temperature error [K]
-    self_heating: float = 0.0  # final excess over the air [K]
-    time_constant: float = 0.0  # 0: at once [s]
+    reference: float = figure("degc", -60, 150, default=298.15)  # temperature without temperature error [K]
+    self_heating: float = figure("k", default=0.0)  # final excess over the air [K]
+    time_constant: float = figure("s", default=0.0)  # 0: at once [s]
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class VibrationSpec:
     """Shaking at the IMU's place in the aircraft; rms of each axis. What there is not is 0."""
 
-    engine_gyro: float = 0.0  # at the reference engine speed; grows with its square [rad/s]
-    engine_accel: float = 0.0  # [m/s^2]
-    engine_reference: float = 0.0  # [rad/s]
-    engine_order: float = 1.0  # periods per turn of the engine [1]
-    gust_gyro: float = 0.0  # per m/s of gust rms, of the structural mode [rad/s/(m/s)]
-    gust_accel: float = 0.0  # [m/s^2/(m/s)]
-    mode_frequency: float = 0.0  # of the structural mode that gusts excite, damped [Hz]
-    mode_damping: float = 0.0  # ratio to critical damping [1]
+    # at the reference engine speed; grows with its square [rad/s]
+    engine_gyro: float = figure("deg_s", default=0.0)
+    engine_accel: float = figure("mg", default=0.0)  # [m/s^2]
+    engine_reference: float = figure("rpm", default=0.0)  # [rad/s]
+    engine_order: float = figure(default=1.0)  # periods per turn of the engine [1]
+    # per m/s of gust rms, of the structural mode [rad/s/(m/s)]
+    gust_gyro: float = figure("deg_s_per_mps", default=0.0)
+    gust_accel: float = figure("mg_per_mps", default=0.0)  # [m/s^2/(m/s)]
+    mode_frequency: float = figure("hz", default=0.0)  # of the structural mode that gusts excite, damped [Hz]
+    mode_damping: float = figure("", 0, 1, default=0.0)  # ratio to critical damping [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +268,8 @@ class ImuSpec:
     name: str
     gyro: TriadSpec
     accel: TriadSpec
-    thermal: ThermalSpec = ThermalSpec()
-    vibration: VibrationSpec = VibrationSpec()
+    thermal: ThermalSpec = field(default_factory=ThermalSpec)
+    vibration: VibrationSpec = field(default_factory=VibrationSpec)
     accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: along b
     accel_arms: tuple[tuple[float, float, float], ...] = ()  # of the x, y, z accelerometer [m], b
 
@@ -322,29 +326,33 @@ class SkySpec:
     false_alarm: float  # of the residual test of one epoch [1]
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class GnssSpec:
     """Position-level GNSS errors (A-5.2.1, A-5.2.2); standard deviations are per horizontal axis."""
 
     name: str
-    rate: float  # [Hz]
-    pos_h_white_sd: float  # [m]
-    pos_v_white_sd: float  # [m]
-    vel_white_sd: float  # each axis [m/s]
-    pos_h_markov_sd: float = 0.0  # [m]
-    pos_v_markov_sd: float = 0.0  # [m]
-    vel_markov_sd: float = 0.0  # each axis [m/s]
-    pos_decay_distance: float = 0.0  # decorrelation by distance flown, lambda_s [1/m]
-    pos_decay_time: float = 0.0  # decorrelation by time, lambda_st [1/s]
-    vel_decay_time: float = 0.0  # lambda_V [1/s]
-    latency: float = 0.0  # from validity to arrival [s]
-    pos_h_jump_sd: float = 0.0  # where the satellites in use change, at that epoch only [m]
-    pos_v_jump_sd: float = 0.0  # [m]
-    vel_jump_sd: float = 0.0  # each axis [m/s]
-    pos_h_jump_markov_sd: float = 0.0  # the same, and it decays as the Markov error does [m]
-    pos_v_jump_markov_sd: float = 0.0  # [m]
-    vel_jump_markov_sd: float = 0.0  # each axis [m/s]
-    optimism: float = 1.0  # true over reported standard deviation of a fix [1]
+    rate: float = figure("hz", 0.01, 400)  # [Hz]
+    pos_h_white_sd: float = figure("m", reported=True)  # [m]
+    pos_v_white_sd: float = figure("m", reported=True)  # [m]
+    vel_white_sd: float = figure("mps", reported=True)  # each axis [m/s]
+    pos_h_markov_sd: float = figure("m", default=0.0)  # [m]
+    pos_v_markov_sd: float = figure("m", default=0.0)  # [m]
+    vel_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
+    # decorrelation by distance flown, lambda_s [1/m]
+    pos_decay_distance: float = figure("km", default=0.0, reciprocal=True)
+    # decorrelation by time, lambda_st [1/s]
+    pos_decay_time: float = figure("s", default=0.0, reciprocal=True)
+    vel_decay_time: float = figure("s", default=0.0, reciprocal=True)  # lambda_V [1/s]
+    latency: float = figure("s", default=0.0)  # from validity to arrival [s]
+    # where the satellites in use change, at that epoch only [m]
+    pos_h_jump_sd: float = figure("m", default=0.0)
+    pos_v_jump_sd: float = figure("m", default=0.0)  # [m]
+    vel_jump_sd: float = figure("mps", default=0.0)  # each axis [m/s]
+    # the same, and it decays as the Markov error does [m]
+    pos_h_jump_markov_sd: float = figure("m", default=0.0)
+    pos_v_jump_markov_sd: float = figure("m", default=0.0)  # [m]
+    vel_jump_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
+    optimism: float = figure("", 0.05, 20, default=1.0)  # true over reported standard deviation of a fix [1]
     sky: SkySpec | None = None  # measurement level; the errors above are then what filters assume
 
     @property
@@ -352,75 +360,6 @@ class GnssSpec:
         """Whether its error jumps where the satellites in use change."""
         passing = (self.pos_h_jump_sd, self.pos_v_jump_sd, self.vel_jump_sd)
         return any((*passing, self.pos_h_jump_markov_sd, self.pos_v_jump_markov_sd, self.vel_jump_markov_sd))
-
-
-@dataclass(frozen=True, slots=True)
-class StaticPressureSpec:
-    """An altimeter by what it feels: static pressure, its port, the weather. What there is not is 0."""
-
-    white_sd: float = 0.0  # of the pressure [Pa]
-    bias_sd: float = 0.0  # absolute accuracy of the pressure [Pa]
-    temperature_sd: float = 0.0  # pressure per kelvin of the air from 25 degC [Pa/K]
-    isa_deviation: float = 0.0  # what the air of the day is warmer than standard at every height [K]
-    isa_deviation_sd: float = 0.0  # of the same, drawn for each run [K]
-    qnh_sd: float = 0.0  # of the setting at the start [Pa]
-    qnh_walk: float = 0.0  # of the pressure at sea level since [Pa/sqrt(s)]
-    position_error: float = 0.0  # of the port, over the dynamic pressure, at no incidence [1]
-    position_error_alpha: float = 0.0  # the same, per angle of attack [1/rad]
-    position_error_beta2: float = 0.0  # the same, per squared sideslip [1/rad^2]
-    lag: float = 0.0  # time constant of ports and lines, first order [s]
-    quantization: float = 0.0  # least bit of the pressure [Pa]
-
-
-@dataclass(frozen=True, slots=True)
-class BaroSpec:
-    """Barometric altitude: white noise and a bias that walks (A-5.3.1, A-5.3.2)."""
-
-    name: str
-    rate: float  # [Hz]
-    white_sd: float  # [m]
-    bias_sd: float  # of the bias at the start [m]
-    bias_walk: float  # [m/sqrt(s)]
-    quantization: float = 0.0  # least bit [m]
-    latency: float = 0.0  # [s]
-    physical: StaticPressureSpec | None = None  # the errors above are then what filters assume
-
-
-@dataclass(frozen=True, slots=True)
-class MagSpec:
-    """A magnetometer where it is mounted, after its calibration. What it does not have is 0."""
-
-    name: str
-    rate: float  # [Hz]
-    white_sd: float  # each axis [T]
-    hard_iron_sd: float = 0.0  # offset left of the unit and of the iron around it, each axis [T]
-    soft_iron_sd: float = 0.0  # each element of the symmetric matrix left of the iron around it [1]
-    scale_factor_sd: float = 0.0  # each axis [1]
-    misalignment_sd: float = 0.0  # of each axis towards each other one [rad]
-    range: float = 0.0  # largest field of an axis, 0 none; beyond it the sample is clipped and flagged [T]
-    quantization: float = 0.0  # least bit [T]
-    latency: float = 0.0  # [s]
-
-
-@dataclass(frozen=True, slots=True)
-class AirspeedSpec:
-    """A pitot tube with its differential pressure sensor and the computer that makes true airspeed of it.
-
-    What it does not have is 0; ``bench.signals.air.airspeed_sd`` has the white noise as a speed.
-    """
-
-    name: str
-    rate: float  # [Hz]
-    pressure_white_sd: float = 0.0  # of the differential pressure [Pa]
-    white_sd: float = 0.0  # of the true airspeed [m/s]
-    pressure_bias_sd: float = 0.0  # zero of the differential pressure [Pa]
-    bias_sd: float = 0.0  # of the true airspeed [m/s]
-    scale_factor_sd: float = 0.0  # of the true airspeed [1]
-    lag: float = 0.0  # time constant of tube and lines, first order [s]
-    range: float = 0.0  # largest differential pressure, 0 none; beyond it the sample is clipped, flagged [Pa]
-    quantization: float = 0.0  # least bit of the differential pressure [Pa]
-    min_speed: float = 0.0  # true airspeed below which the unit flags its samples [m/s]
-    latency: float = 0.0  # [s]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bench.arrays import as_float, as_kind
-from bench.data import BaroData, Events, ImuData, NavSolution, SensorData, Trajectory, no_events
+from bench.data import Events, ImuData, NavSolution, SensorData, Trajectory, no_events
+from bench.instruments import BaroData
 from bench.specs import AssumedSpecs, ImuSpec, TriadSpec, stream
 from tests.synthetic import still
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import quantity, suggest
+from bench.instruments import INSTRUMENTS
 from bench.navigation.estimator import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
@@ -113,12 +114,15 @@ def units(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> lis
         )
     if not felt:
         imu = sensors["imu"]
-        feels = {"baro": physical, "airspeed": True, "imu": imu is not None and imu.feels_air}
+        feels = {"imu": imu is not None and imu.feels_air} | {
+            kind: sensors[kind] is not None and row.feels_air(sensors[kind])
+            for kind, row in INSTRUMENTS.items()
+        }
         wrong += [
             f"[sensors] {kind} = {getattr(table.sensors, kind)!r} feels the air, of which a trajectory table "
             "says nothing"
             for kind, does in feels.items()
-            if does and sensors[kind] is not None
+            if does
         ]
     return wrong
 

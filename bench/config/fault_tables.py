@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, TypeAdapter
+from pydantic import AfterValidator, Field, TypeAdapter, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between, quantity
 from bench.data import GLONASS, GPS
+from bench.fields import figures_of
+from bench.instruments import INSTRUMENTS
 from bench.specs import Fault, GnssSpec, ImuSpec
+from bench.units import to_si
 
-_G = 9.80665  # standard gravity [m/s^2]
-_DEG_H = math.pi / 180 / 3600
 _SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
 """Letter of a system -> its code, and the number of its last satellite."""
 
@@ -60,8 +62,17 @@ _DegH = Annotated[float, between(-1e6, 1e6)]
 _Mg = Annotated[float, between(-1e5, 1e5)]
 Axes = Annotated[tuple[Literal["x", "y", "z"], ...], ROWS, Field(min_length=1)]
 
-Timed = Literal["gnss", "baro", "mag", "airspeed"]
-"""Sensors whose rows have a time of arrival."""
+if TYPE_CHECKING:
+    Timed = str
+    Counted = str
+    Noisy = str
+else:
+    Timed = Literal[("gnss", *INSTRUMENTS)]
+    """Sensors whose rows have a time of arrival."""
+    Counted = Literal[("gnss", *INSTRUMENTS, "imu")]
+    """Sensors that put out samples."""
+    Noisy = Literal[("gnss", *INSTRUMENTS, "gyro", "accel")]
+    """Sensors that have noise of their own."""
 
 
 class _FaultTable(Table):
@@ -119,11 +130,17 @@ class ReceiverClockTable(_FaultTable):
     step_m: Metres
 
 
-class BaroStepTable(_FaultTable):
-    """The barometer is off by a step."""
-
-    kind: Literal["baro-step"]
-    step_m: Metres
+_STEPPED = {f"{name}-step": row for name, row in INSTRUMENTS.items() if row.step}
+_INSTRUMENT_STEPS: tuple[type[_FaultTable], ...] = tuple(
+    create_model(
+        f"{row.record.__name__}StepTable",
+        __base__=_FaultTable,
+        __doc__=f"The {row.title} is off by a step.",
+        kind=(Literal[kind], ...),
+        **{f"step_{row.step}": (Metres, ...)},  # type: ignore[call-overload]
+    )
+    for kind, row in _STEPPED.items()
+)
 
 
 class GyroStepTable(_FaultTable):
@@ -144,7 +161,7 @@ class FrozenTable(_FaultTable):
     """The output sticks at its last value; times go on."""
 
     kind: Literal["frozen"]
-    sensor: Literal["gnss", "baro", "mag", "airspeed", "gyro", "accel"]
+    sensor: Noisy
     axes: Axes | None = None  # of gyro or accel, all when left out
 
 
@@ -152,7 +169,7 @@ class NoiseBurstTable(_FaultTable):
     """More white noise, so many times that of the unit."""
 
     kind: Literal["noise-burst"]
-    sensor: Literal["gnss", "baro", "mag", "airspeed", "gyro", "accel"]
+    sensor: Noisy
     times: Times
 
 
@@ -168,7 +185,7 @@ class DroppedTable(_FaultTable):
     """Samples are left out, at random."""
 
     kind: Literal["dropped"]
-    sensor: Literal["gnss", "baro", "mag", "airspeed", "imu"]
+    sensor: Counted
     share: Share = 1.0
 
 
@@ -176,28 +193,32 @@ class RepeatedTable(_FaultTable):
     """Samples come twice, at random."""
 
     kind: Literal["repeated"]
-    sensor: Literal["gnss", "baro", "mag", "airspeed", "imu"]
+    sensor: Counted
     share: Share = 1.0
 
 
-FaultTable = (
-    SatellitesLostTable
-    | JammingTable
-    | SpoofingTable
-    | PseudorangeTable
-    | SatelliteClockTable
-    | ReceiverClockTable
-    | BaroStepTable
-    | GyroStepTable
-    | AccelStepTable
-    | FrozenTable
-    | NoiseBurstTable
-    | LatencyTable
-    | DroppedTable
-    | RepeatedTable
+FAULTS: tuple[type[_FaultTable], ...] = (
+    SatellitesLostTable,
+    JammingTable,
+    SpoofingTable,
+    PseudorangeTable,
+    SatelliteClockTable,
+    ReceiverClockTable,
+    *_INSTRUMENT_STEPS,
+    GyroStepTable,
+    AccelStepTable,
+    FrozenTable,
+    NoiseBurstTable,
+    LatencyTable,
+    DroppedTable,
+    RepeatedTable,
 )
+if TYPE_CHECKING:
+    FaultTable = Any
+else:
+    FaultTable = reduce(or_, FAULTS)
 
-_SENSOR = {"baro-step": "baro", "gyro-step": "gyro", "accel-step": "accel"}
+_SENSOR = {kind: row.name for kind, row in _STEPPED.items()} | {"gyro-step": "gyro", "accel-step": "accel"}
 """Kinds that strike one sensor; those without a key ``sensor`` strike the gnss otherwise."""
 
 _NEEDS_SKY = {
@@ -209,7 +230,10 @@ _NEEDS_SKY = {
 }
 """Kinds for a receiver at measurement level -> what one at position level has not."""
 
-_UNIT = {"step_deg_h": _DEG_H, "step_mg": 1e-3 * _G, "step_m": 1.0}
+_STEPS = dict.fromkeys(
+    ["step_deg_h", "step_mg", "step_m", *(f"step_{row.step}" for row in _STEPPED.values())]
+)
+"""Keys of a step, whatever its unit."""
 
 
 def sensor_of(table: _FaultTable) -> str:
@@ -233,8 +257,8 @@ def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
 def to_fault(table: FaultTable) -> Fault:
     """Return a fault in SI."""
     given = {key: value for key, value in table if value is not None}
-    step = next((_vector(given[key], unit) for key, unit in _UNIT.items() if key in given), ())
-    ramp = _vector(given["ramp_mps"], 1.0) if "ramp_mps" in given else (0.0,) * len(step)
+    step = next((_vector(key, given[key]) for key in _STEPS if key in given), ())
+    ramp = _vector("ramp_mps", given["ramp_mps"]) if "ramp_mps" in given else (0.0,) * len(step)
     said = [
         quantity(key, value)
         for key, value in given.items()
@@ -260,9 +284,9 @@ def to_fault(table: FaultTable) -> Fault:
     )
 
 
-def _vector(value: float | Sequence[float], unit: float) -> tuple[float, ...]:
+def _vector(key: str, value: float | Sequence[float]) -> tuple[float, ...]:
     values = value if isinstance(value, Sequence) else (value,)
-    return tuple(unit * float(part) for part in values)
+    return tuple(to_si(key, float(part)) for part in values)
 
 
 def wrong(tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: float | None) -> list[str]:
@@ -299,8 +323,8 @@ def _impossible(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
     unit = on_board.get("imu" if sensor in ("gyro", "accel") else sensor)
     if unit is None:
         return [f"there is no {sensor} in [sensors]"] if sensor not in ("imu", "gyro", "accel") else []
-    steps = [key for key in ("step_m", "step_deg_h", "step_mg", "ramp_mps") if hasattr(table, key)]
-    if steps and not any(any(_vector(getattr(table, key), 1.0)) for key in steps):
+    steps = [key for key in (*_STEPS, "ramp_mps") if hasattr(table, key)]
+    if steps and not any(any(_vector(key, getattr(table, key))) for key in steps):
         return [f"{' and '.join(steps)}: nothing happens; give one of them a value other than 0"]
     if isinstance(table, FrozenTable) and table.axes is not None and sensor not in ("gyro", "accel"):
         return [f"axes are those of sensor = 'gyro' or 'accel'; the {sensor} is frozen as a whole"]
@@ -330,5 +354,4 @@ def _has_noise(unit: Any, sensor: str) -> bool:
         return bool(getattr(unit, sensor).random_walk > 0)
     if isinstance(unit, GnssSpec) and unit.sky is not None:
         return unit.sky.dll_bandwidth > 0 or unit.sky.fll_bandwidth > 0
-    names = ("white_sd", "pressure_white_sd", "pos_h_white_sd", "pos_v_white_sd", "vel_white_sd")
-    return any(getattr(unit, name, 0.0) > 0 for name in names)
+    return any(getattr(unit, name) > 0 for name in figures_of(type(unit)) if name.endswith("white_sd"))

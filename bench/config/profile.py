@@ -291,11 +291,7 @@ def _sensors(
     initial = table.initial_error_sd
     outages = sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)
     return SensorsSpec(
-        imu=on_board["imu"],
-        gnss=on_board["gnss"],
-        baro=on_board["baro"],
-        mag=on_board["mag"],
-        airspeed=on_board["airspeed"],
+        **on_board,
         assumed=AssumedSpecs(**assumed),
         date=decimal_year(_day(table, on_board)),
         qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,

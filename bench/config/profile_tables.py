@@ -6,14 +6,15 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import date
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.fault_tables import FaultTable
 from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
 from bench.config.tables import ROWS, Table, between
+from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
@@ -132,26 +133,25 @@ class RunwayTable(Table):
     heading_deg: Heading
 
 
-class AssumedTable(Table):
+_AIDING: dict[str, Any] = dict.fromkeys(("gnss", *INSTRUMENTS), (str | None, None))
+
+if TYPE_CHECKING:
+    SensorsTable = Any
+    USUAL_UNITS: Any
+else:
+    AssumedTable = create_model("AssumedTable", __base__=Table, imu=(str | None, None), **_AIDING)
     """The datasheets the filters believe, where they differ from the units on board."""
-
-    imu: str | None = None
-    gnss: str | None = None
-    baro: str | None = None
-    mag: str | None = None
-    airspeed: str | None = None
-
-
-class SensorsTable(Table):
+    SensorsTable = create_model(
+        "SensorsTable",
+        __base__=Table,
+        imu=(str, ...),
+        **_AIDING,
+        qnh_hpa=(Annotated[float, between(850, 1100)] | None, None),
+        assumed=(AssumedTable, AssumedTable()),
+    )
     """The units on board, each a catalog name or the path of a datasheet."""
-
-    imu: str
-    gnss: str | None = None
-    baro: str | None = None
-    mag: str | None = None
-    airspeed: str | None = None
-    qnh_hpa: Annotated[float, between(850, 1100)] | None = None
-    assumed: AssumedTable = AssumedTable()
+    USUAL_UNITS = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
+    """Units of a profile whose truth is brought along, when its file names none."""
 
 
 class OutageTable(Table):
@@ -237,7 +237,7 @@ class ProfileTable(ExperimentTable):
 class _BroughtTable(ExperimentTable):
     """A truth that is brought along; the usual units are on board when the file names none."""
 
-    sensors: SensorsTable = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
+    sensors: SensorsTable = USUAL_UNITS
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = (
         EstimatorTable(use="loose-15"),
     )

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from bench.config.tables import Table, between, quantity
+from bench.fields import figures_of
+from bench.units import from_si, to_si
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
 Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]
 """Where the figures were read: on the sheet, its front page, maker's pages, a quote, a table of grades."""
 
 Figure = Annotated[float, between(0, 1e6)]  # no unit has a figure beyond, in any of its units
-Rate = Annotated[float, between(0.01, 400)]
 
 
 class Sheet(Table):
@@ -28,13 +29,48 @@ class Sheet(Table):
     assumed: list[str] = Field(default_factory=list)  # figures that no source states
 
 
-def reported(table: Table, name: str, *keys: str) -> list[str]:
-    """Say which of the noises that the unit itself reports, and a filter divides by, are 0."""
-    return [
-        f"[{name}] {quantity(key, getattr(table, key))} must be above 0: the unit reports it"
-        for key in keys
-        if getattr(table, key) == 0
-    ]
+def table_of(spec: type, *names: str) -> type[Table]:
+    """Build the table of a file that a spec is made of: its figures under their keys, with their limits.
+
+    ``names`` are the figures that go into it; all when none is given.
+    """
+    rows: dict[str, Any] = {}
+    for name, told in figures_of(spec).items():
+        if names and name not in names:
+            continue
+        limited = Annotated[float, between(told.low, told.high)]
+        if told.reciprocal:
+            rows[told.key(name)] = (limited | None, None)
+        elif told.default is None:
+            rows[told.key(name)] = (limited, ...)
+        else:
+            rows[told.key(name)] = (limited, from_si(told.key(name), told.default))
+    return create_model(f"{spec.__name__}Table", __base__=Table, __doc__=spec.__doc__, **rows)
+
+
+def figures(spec: type, table: Table) -> dict[str, Any]:
+    """Return the figures of a spec, in SI, from the table of a file."""
+    found = {}
+    for name, told in figures_of(spec).items():
+        key = told.key(name)
+        if key in type(table).model_fields:
+            value = to_si(key, getattr(table, key))
+            found[name] = value if not told.reciprocal else 1.0 / value if value else 0.0
+    return found
+
+
+def problems(spec: type, table: Table, name: str) -> list[str]:
+    """Say which figures of a table may not be 0: noise that the unit reports, and decays."""
+    wrong = []
+    for field, told in figures_of(spec).items():
+        key = told.key(field)
+        if getattr(table, key) == 0 and told.reported:
+            wrong.append(f"[{name}] {quantity(key, 0.0)} must be above 0: the unit reports it")
+        elif getattr(table, key) == 0 and told.reciprocal:
+            wrong.append(
+                f"[{name}] {quantity(key, 0)} must be above 0; leave it out when there is no such decay"
+            )
+    return wrong
 
 
 def unsourced(sheet: Sheet, document: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from datetime import date, datetime
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from bench.config.tables import ROWS, Table, between, noting
 from bench.errors import ConfigError
 from bench.specs import SkySpec
+from bench.units import STANDARD_GRAVITY, si_fields
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
 
-_G = 9.80665  # standard gravity, the unit of datasheets [m/s^2]
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)
 _GPS_STALE, _GLONASS_STALE = 4 * 3600.0, 1800.0  # furthest ephemeris a flight may use [s]
@@ -108,43 +107,17 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     if wrong:
         raise ConfigError(*wrong)
     klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
-    seconds: dict[str, Any] = {
-        name.removesuffix("_s"): getattr(table, name) or 0.0 for name in set(processes.values())
-    }
+    apart = ("start", "almanac", "navigation", "klobuchar")
+    given: dict[str, Any] = si_fields({key: value for key, value in table if key not in apart})
+    given = {name: 0.0 if value is None else value for name, value in given.items()}
+    given["clock_g"] /= STANDARD_GRAVITY  # it is given per g
     return SkySpec(
-        **seconds,
+        **given,
         day=table.start.date(),
         gps_t0=of_day,
         gps=gps,
         glonass=glonass,
         klobuchar=tuple(klobuchar) if klobuchar is not None else (0.0,) * 8,
-        systems=table.systems,
-        bands=table.bands,
-        elevation_mask=math.radians(table.elevation_mask_deg),
-        antenna_mask=math.radians(table.antenna_mask_deg),
-        cn0_zenith=table.cn0_zenith_dbhz,
-        cn0_horizon=table.cn0_horizon_dbhz,
-        cn0_threshold=table.cn0_threshold_dbhz,
-        second_band_loss=table.second_band_loss_db,
-        reacquisition=table.reacquisition_s,
-        dll_bandwidth=table.dll_bandwidth_hz,
-        dll_spacing=table.dll_spacing_chip,
-        fll_bandwidth=table.fll_bandwidth_hz,
-        integration=table.integration_s,
-        gps_space_sd=table.gps_space_sd_m,
-        glonass_space_sd=table.glonass_space_sd_m,
-        ionosphere_sd=table.ionosphere_sd_m,
-        troposphere_sd=table.troposphere_sd_m,
-        multipath_zenith_sd=table.multipath_zenith_sd_m,
-        multipath_horizon_sd=table.multipath_horizon_sd_m,
-        clock_offset_sd=table.clock_offset_sd_m,
-        clock_drift_sd=table.clock_drift_sd_mps,
-        glonass_offset_sd=table.glonass_offset_sd_m,
-        clock_h_0=table.clock_h_0_s,
-        clock_h_m1=table.clock_h_m1,
-        clock_h_m2=table.clock_h_m2_hz,
-        clock_g=table.clock_g_ppb * 1e-9 / _G,
-        false_alarm=table.false_alarm,
     )
 
 

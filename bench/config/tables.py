@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from bench.errors import ConfigError
-from bench.unit_names import unit_of
+from bench.units import unit_of
 
 _T = TypeVar("_T", bound=BaseModel)
 

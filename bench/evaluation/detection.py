@@ -16,7 +16,9 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Events
 from bench.evaluation.consistency import SensorNis
+from bench.instruments import INSTRUMENTS
 from bench.specs import Fault
+from bench.units import SAME_INSTANT
 
 if TYPE_CHECKING:
     from bench.evaluation.metrics import Case
@@ -26,11 +28,9 @@ ALARM = "integrity"
 
 _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
     "gnss": ("gnss", "pseudorange", "range_rate"),
-    **{sensor: (sensor,) for sensor in ("baro", "mag", "airspeed")},
+    **{name: (name, row.innovation) for name, row in INSTRUMENTS.items()},
 }
 """Sensor that is struck -> what its alarms name; sensors not listed show in all."""
-
-_SAME_TIME = 1e-6  # two times closer than this are one instant [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def _unexplained(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, f
 
 
 def _inside(fault: Fault, t: FloatArray) -> BoolArray:
-    inside: BoolArray = (t >= fault.start - _SAME_TIME) & (t < fault.end - _SAME_TIME)
+    inside: BoolArray = (t >= fault.start - SAME_INSTANT) & (t < fault.end - SAME_INSTANT)
     return inside
 
 
@@ -96,7 +96,7 @@ def fault_max_h(case: Case) -> dict[str, float | None]:
     """Largest horizontal position error while the fault was there [m]."""
     found: dict[str, float | None] = {}
     for key, fault in case.faults.items():
-        first, stop = np.searchsorted(case.t, [fault.start - _SAME_TIME, fault.end - _SAME_TIME])
+        first, stop = np.searchsorted(case.t, [fault.start - SAME_INSTANT, fault.end - SAME_INSTANT])
         if first < stop:
             found[key] = float(np.hypot(*case.pos_n[first:stop, :2].T).max())
     return found
@@ -108,6 +108,6 @@ def false_alarms(case: Case) -> dict[str, float | None]:
         return {}
     names = dict.fromkeys(one.name for one in case.alarms)
     return {
-        name: float(_unexplained(case.scripted, case.alarms, name, case.from_s - _SAME_TIME))
+        name: float(_unexplained(case.scripted, case.alarms, name, case.from_s - SAME_INSTANT))
         for name in names
     }

@@ -10,6 +10,7 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
+from bench.units import SAME_INSTANT
 
 _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 
@@ -18,9 +19,6 @@ BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 
 FAILED, NOT_COVERED = "failed", "not_covered"
 """Kinds of events: there is no solution, the text says why; a solution brought along says nothing then."""
-
-SAME_INSTANT = 1e-6
-"""Fraction of the truth's step within which two times are one instant [1]; 0.2 um at 40 m/s and 200 Hz."""
 
 DIVERGED_SIGMAS = 10.0
 """Horizontal errors above this many sigma [1] and above :data:`DIVERGED_DISTANCE` mean divergence."""

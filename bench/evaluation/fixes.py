@@ -16,9 +16,7 @@ from bench.arrays import FloatArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation import metrics
 from bench.evaluation.errors import aligning, converged, from_row, normalized_squares
-
-SAME_TIME = 1e-6
-"""Two times closer than this are one instant [s]."""
+from bench.units import SAME_INSTANT
 
 
 def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
@@ -110,14 +108,14 @@ def judge(
 
 def turn_rate(imu: ImuData, t: FloatArray) -> FloatArray:
     """Return the angular rate (M, 3) measured over the interval that holds or ends at a time [rad/s], b."""
-    row = np.clip(np.searchsorted(imu.t, t - SAME_TIME), 0, len(imu) - 1)
+    row = np.clip(np.searchsorted(imu.t, t - SAME_INSTANT), 0, len(imu) - 1)
     return np.asarray(imu.dtheta_b[row] / imu.dt[row, None])
 
 
 def _matched(t: FloatArray, wanted: FloatArray) -> tuple[Any, Any]:
     """Return the rows of t (N,) and of wanted (M,) that are one instant."""
-    row = np.clip(np.searchsorted(t, wanted - SAME_TIME), 0, max(len(t) - 1, 0))
-    same = np.flatnonzero(np.abs(t[row] - wanted) <= SAME_TIME) if len(t) else np.empty(0, np.int64)
+    row = np.clip(np.searchsorted(t, wanted - SAME_INSTANT), 0, max(len(t) - 1, 0))
+    same = np.flatnonzero(np.abs(t[row] - wanted) <= SAME_INSTANT) if len(t) else np.empty(0, np.int64)
     return row[same], same
 
 

@@ -30,6 +30,7 @@ from bench.evaluation.errors import (
     heading_sd,
 )
 from bench.specs import Fault
+from bench.units import SAME_INSTANT
 
 Outages = Sequence[tuple[float, float]]
 Value = float | None
@@ -39,10 +40,6 @@ AXES = ("n", "e", "d")
 
 HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
-
-SAME_TIME = 1e-6
-"""Two times closer than this are one instant [s]: far below any step, far above rounding."""
-
 
 _NOTHING = np.empty(0)
 
@@ -173,8 +170,8 @@ def _outage_rows(case: Case) -> dict[str, tuple[int, int]]:
     """Return the first and last row of each outage that has a row; an interval is [start, end)."""
     rows = {}
     for number, start, end in case.outages:
-        first = int(np.searchsorted(case.t, start - SAME_TIME))
-        last = int(np.searchsorted(case.t, end - SAME_TIME)) - 1
+        first = int(np.searchsorted(case.t, start - SAME_INSTANT))
+        last = int(np.searchsorted(case.t, end - SAME_INSTANT)) - 1
         if first <= last:
             rows[str(number)] = first, last
     return rows
@@ -200,7 +197,7 @@ def heading_convergence(case: Case) -> Value:
     such instant, since the start of the run; None when there is none.
     """
     below = np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd)
-    starts = [int(np.searchsorted(case.t, start - SAME_TIME)) for _, start, _ in case.outages]
+    starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
     edges = sorted({0, *starts, len(case.t)})
     for first, end in pairwise(edges):
         above = np.flatnonzero(~below[first:end])
@@ -407,7 +404,7 @@ def case_from(
     missing: FloatArray = _NOTHING,
 ) -> Case:
     """Return what the metrics see of a run from an instant [s] on; ``missing`` are instants not covered."""
-    rows = errors.t >= from_s - SAME_TIME
+    rows = errors.t >= from_s - SAME_INSTANT
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
     with np.errstate(invalid="ignore"):
         sd = np.sqrt(np.einsum("kii->ki", solution.cov))
@@ -421,18 +418,18 @@ def case_from(
         sd=sd[rows],
         nees=errors.nees[rows],
         states=errors.states,
-        nis=nis_by_sensor(solution.innovations, from_s - SAME_TIME),
+        nis=nis_by_sensor(solution.innovations, from_s - SAME_INSTANT),
         events={kind: kinds.count(kind) for kind in sorted(set(kinds))},
         outages=tuple(
             (k, start, end)
             for k, (start, end) in enumerate(outages, 1)
-            if start >= from_s - SAME_TIME and not ((missing >= start) & (missing < end)).any()
+            if start >= from_s - SAME_INSTANT and not ((missing >= start) & (missing < end)).any()
         ),
-        faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_TIME},
+        faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_INSTANT},
         scripted=tuple(faults),
         alarms=detection.alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
         from_s=from_s,
-        asked=int(rows.sum() + np.sum(missing >= from_s - SAME_TIME)),
+        asked=int(rows.sum() + np.sum(missing >= from_s - SAME_INSTANT)),
     )
 
 

@@ -15,6 +15,7 @@ from bench.sensors import imu
 from bench.sensors.processes import noise_terms
 from bench.signals import allan
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.units import STANDARD_GRAVITY
 
 FAST, SLOW = (200.0, 300.0), (1.0, 65536.0)
 """Rate [Hz] and length [s] of the two records of a unit: for white noise and quantization, for slow terms."""
@@ -22,8 +23,7 @@ INDEPENDENT = 16
 """Fewest averages that fit a record."""
 _CHANGE = 8.0  # averaging times from here on are those of the slow record [s]
 _TAIL = 0.0005  # each side of a 99.9 % band
-_GRAVITY = 9.80665  # [m/s^2]
-SHOWN_UNITS = {"gyro": ("deg/h", math.degrees(3600.0)), "accel": ("ug", 1e6 / _GRAVITY)}
+SHOWN_UNITS = {"gyro": ("deg/h", math.degrees(3600.0)), "accel": ("ug", 1e6 / STANDARD_GRAVITY)}
 """Triad -> unit it is shown in, and that unit per SI."""
 
 
@@ -112,7 +112,7 @@ def _still(rate: float, length: float) -> Trajectory:
     fixed, turn = np.zeros((n + 1, 3)), np.zeros((n + 1, 4))
     turn[:, 0] = 1.0
     force = np.zeros((n, 3))
-    force[:, 2] = -_GRAVITY / rate
+    force[:, 2] = -STANDARD_GRAVITY / rate
     return Trajectory(t, fixed, fixed, turn, np.zeros((n, 3)), force, air, controls, no_events())
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.specs import ImuSpec
+from bench.units import STANDARD_GRAVITY
 
 CONFIDENCE = 0.95
 """Of the intervals of the quantiles."""
@@ -19,7 +20,6 @@ RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median of the length of a horizontal error over its standard deviation by axis, when normal."""
 RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 """The same of the 95 % quantile."""
-_GRAVITY = 9.80665  # [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def closed_form_sd(imu: ImuSpec, duration: float) -> float:
     duration : float
         Time without aiding, T [s].
     """
-    T, g = duration, _GRAVITY
+    T, g = duration, STANDARD_GRAVITY
     accel, gyro = imu.accel, imu.gyro
     return float(
         np.sqrt(

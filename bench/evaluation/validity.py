@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import BaroData, GnssFixes, ImuData
+from bench.data import GnssFixes, ImuData
 from bench.earth import gravity_n, local_ned
+from bench.instruments import BaroData
+from bench.units import STANDARD_GRAVITY
 
 STILL = 0.2
 """Ground speed [m/s] below which a vehicle is taken to stand."""
@@ -186,10 +188,11 @@ def _rest(motion: _Motion) -> list[Check]:
     seconds = sum(b - a for a, b in spans)
     text = f"imu: specific force at rest ({seconds:.0f} s) is {size:.4g} m/s^2, {ratio:.4f} of gravity"
     if abs(ratio - 1.0) > GRAVITY_OFF:
-        guess = ": are these g in a column of m/s^2?" if abs(ratio * 9.80665 - 1.0) < GRAVITY_OFF else ""
-        guess = guess or (
-            ": are these m/s^2 in a column of g?" if abs(ratio / 9.80665 - 1.0) < GRAVITY_OFF else ""
-        )
+        guess = ""
+        if abs(ratio * STANDARD_GRAVITY - 1.0) < GRAVITY_OFF:
+            guess = ": are these g in a column of m/s^2?"
+        elif abs(ratio / STANDARD_GRAVITY - 1.0) < GRAVITY_OFF:
+            guess = ": are these m/s^2 in a column of g?"
         text += guess or ": the unit or the scale looks wrong"
     found = [Check("gravity_ratio", ratio, text, abs(ratio - 1.0) <= GRAVITY_OFF)]
     words = f"imu: at rest the up axis is {np.rad2deg(tilt):.1f} deg off the specific force"

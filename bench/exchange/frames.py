@@ -5,16 +5,16 @@ A frame, little-endian:
 
     offset  bytes  what
     0       2      0xAA 0x55
-    2       1      kind: 1 IMU, 2 barometer, 3 magnetometer, 4 airspeed
+    2       1      kind: 1 IMU; the others are `bench.instruments.Instrument.frame`: 2 barometer,
+                   3 magnetometer, 4 airspeed
     3       1      n, length of the payload
     4       4      number of the frame, from 0, unsigned
     8       n      payload: float64 each, then one byte, 1 when the unit calls the row valid
     8 + n   2      CRC-16/CCITT-FALSE of bytes 2 to 8 + n (polynomial 0x1021, start 0xFFFF), unsigned
 
 Payloads: IMU t, dt [s], increments of angle x, y, z [rad] and of velocity x, y, z [m/s] over the interval
-that
-ends at t, forward, right, down (n = 65); barometer t [s], altitude [m], sd [m] (25); magnetometer t [s],
-field x, y, z [T], sd [T] (41); airspeed t [s], true airspeed [m/s], sd [m/s] (25).
+that ends at t, forward, right, down (n = 65); every other instrument t [s], its value or values, their sd, in
+SI: barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25).
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray
 from bench.exchange.exports.nmea import of_fix
 from bench.exchange.exports.outgoing import Outgoing
+from bench.instruments import INSTRUMENTS
 
 SYNC = b"\xaa\x55"
-IMU, BARO, MAG, AIRSPEED = 1, 2, 3, 4
+IMU = 1
 
 Message = tuple[float, bytes]
 """When it reaches the filter [s], and its bytes: one sentence or one frame."""
@@ -43,17 +44,10 @@ def messages(run: Outgoing) -> Iterator[Message]:
     streams = [_rows(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
     if run.fixes is not None:
         streams.append(_sentences(run))
-    for kind, record, columns in (
-        (BARO, run.baro, run.baro and [run.baro.t, run.baro.alt_baro, run.baro.sd]),
-        (MAG, run.mag, run.mag and [run.mag.t, *run.mag.field_b.T, run.mag.sd]),
-        (
-            AIRSPEED,
-            run.airspeed,
-            run.airspeed and [run.airspeed.t, run.airspeed.airspeed_true, run.airspeed.sd],
-        ),
-    ):
-        if record is not None and columns:
-            streams.append(_rows(kind, record.t_arrival, columns, record.valid))
+    for name, record in run.instruments.items():
+        row = INSTRUMENTS[name]
+        columns = [record.t, *row.values(record).T, record.sd]
+        streams.append(_rows(row.frame, record.t_arrival, columns, record.valid))
     number = 0
     for arrival, kind, body in heapq.merge(*streams, key=lambda row: row[0]):
         if kind:

@@ -13,17 +13,18 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, SourceSpec
-from bench.data import BaroData, GnssFixes, ImuData
+from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
 from bench.exchange.tables import read_table
+from bench.instruments import BaroData
 from bench.rotation import from_euler, multiply, rotate
 from bench.specs import AssumedSpecs
+from bench.units import SAME_INSTANT
 
 GAP = 3.0
 """An interval longer than so many usual ones is a gap [1]."""
-_TIME_TOLERANCE = 1e-6  # [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +203,7 @@ def divided(imu: ImuData, cuts: FloatArray) -> ImuData:
     inside = at < len(parents)
     cuts, at = cuts[inside], parents[at[inside]]
     start = imu.t - imu.dt
-    inside = (cuts > start[at] + _TIME_TOLERANCE) & (cuts < imu.t[at] - _TIME_TOLERANCE)
+    inside = (cuts > start[at] + SAME_INSTANT) & (cuts < imu.t[at] - SAME_INSTANT)
     cuts, at = cuts[inside], at[inside]
     row = np.concatenate([np.arange(len(imu)), at])
     end = np.concatenate([imu.t, cuts])

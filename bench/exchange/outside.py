@@ -106,15 +106,7 @@ class CommandEstimator:
             folder = Path(scratch) / "sensors"
             folder.mkdir()
             document = start_document(sensors, initial)
-            out = Outgoing(
-                sensors.imu,
-                sensors.fixes,
-                sensors.baro,
-                sensors.observations,
-                document,
-                sensors.mag,
-                sensors.airspeed,
-            )
+            out = Outgoing(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
             write_tables(folder, out, "csv")
             np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
             solution = Path(scratch) / "solution.csv"

@@ -11,12 +11,13 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import INDEPENDENT
+from bench.units import STANDARD_GRAVITY
 
 FEWEST = 2 * INDEPENDENT
 """Rows that the shortest averaging time needs."""
 _COLUMNS = {
     "gyro": {"rad_s": 1.0, "deg_s": math.radians(1.0)},
-    "accel": {"m_s2": 1.0, "g": 9.80665},
+    "accel": {"m_s2": 1.0, "g": STANDARD_GRAVITY},
 }
 """Triad -> unit its columns of a log may end in -> factor to SI."""
 

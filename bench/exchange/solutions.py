@@ -23,10 +23,10 @@ from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.errors import FAILED, NOT_COVERED
 from bench.exchange.tables import Columns, described, group, read_table
 from bench.exchange.trajectory import KINDS
+from bench.units import SAME_INSTANT
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
-_SAME_INSTANT = 1e-6  # [s]
 _GAPS, _LONGEST = 2.0, 2.0  # usual intervals and seconds that are interpolated at most
 _NORM_WRONG = 1e-2  # a quaternion whose norm is off 1 by more is refused
 _NEAR, _FAST = 1e5, 1e3  # farther from the start than [m], and than [m/s] times the time: another unit
@@ -136,7 +136,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> Solution:
 
 def _check_groups(table: Columns, shown: str) -> None:
     """Refuse a kind of which some columns are there and some are not."""
-    from bench.unit_names import split_unit
+    from bench.units import split_unit
 
     unused = {split_unit(name)[0] for name in table.unused}
     for kind, groups in _ALL.items():
@@ -306,13 +306,13 @@ def resampled(solution: Solution, t: FloatArray, longest: float | None = None) -
     steps = np.diff(solution.t)
     usual = float(np.median(steps)) if len(steps) else 0.0
     most = min(_GAPS * usual, _LONGEST) if longest is None else longest
-    before = np.searchsorted(solution.t, t + _SAME_INSTANT, "right") - 1  # the last row not after t
+    before = np.searchsorted(solution.t, t + SAME_INSTANT, "right") - 1  # the last row not after t
     inside = before >= 0
     before = np.maximum(before, 0)
     after = np.minimum(before + 1, len(solution) - 1)
-    on_row = inside & (np.abs(t - solution.t[before]) <= _SAME_INSTANT)
+    on_row = inside & (np.abs(t - solution.t[before]) <= SAME_INSTANT)
     width = solution.t[after] - solution.t[before]
-    covered = on_row | (inside & (after > before) & (width <= most + _SAME_INSTANT))
+    covered = on_row | (inside & (after > before) & (width <= most + SAME_INSTANT))
     s = np.where(on_row | (width <= 0), 0.0, (t - solution.t[before]) / np.where(width > 0, width, 1.0))[
         :, None
     ]

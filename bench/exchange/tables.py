@@ -7,7 +7,6 @@ is executed or unpickled; what is too large is refused before it fills the memor
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,24 +17,12 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.mat_file import read_mat, vector
-from bench.unit_names import split_unit
+from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
 """Of a file."""
 _MOST_HEADER = 1_000_000  # of the first line [byte]
 _BLOCK = 1 << 20  # read at a time [byte]
-_STANDARD_G = 9.80665  # [m/s^2]
-_DEG = math.pi / 180.0
-
-FACTORS = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
-    "rad": 1.0, "deg": _DEG, "mrad": 1e-3,
-    "m": 1.0, "km": 1e3, "m/s": 1.0,
-    "rad/s": 1.0, "deg/s": _DEG, "deg/h": _DEG / 3600.0,
-    "m/s^2": 1.0, "g": _STANDARD_G, "mg": 1e-3 * _STANDARD_G,
-    "Pa": 1.0, "hPa": 100.0,
-}  # fmt: skip
-"""Unit -> what a number in it is multiplied by to be SI and radians."""
 
 UNITS = {
     "time": ("s",),

@@ -23,11 +23,11 @@ from bench.arrays import FloatArray
 from bench.data import Events, Trajectory, no_air, no_controls
 from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
-from bench.exchange.tables import FACTORS, Columns, described, group, read_table
+from bench.exchange.tables import Columns, described, group, read_table
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
 from bench.specs import TableSpec
-from bench.unit_names import split_unit
+from bench.units import FACTORS, split_unit
 
 MOST_ROWS = 3_000_000
 """Rows of a table, and samples of a truth made of one: two hours at 400 Hz."""

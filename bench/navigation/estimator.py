@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
+from bench.instruments import INSTRUMENTS
 
 
 class Estimator(Protocol):
@@ -91,9 +92,7 @@ BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
 RECORDS: Mapping[str, str] = {
     "fixes": "a gnss",
     "observations": "a gnss at measurement level, one with [sky] such as 'sky-l1'",
-    "baro": "a baro",
-    "mag": "a mag",
-    "airspeed": "an airspeed",
+    **{name: row.with_article for name, row in INSTRUMENTS.items()},
 }
 """Record of `SensorData` that an estimator may need -> the sensor that gives it."""
 
@@ -238,8 +237,7 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
 
 def _hardships(sensors: SensorData) -> dict[str, SensorData]:
     """Return records an estimator has to stand, by what is the matter with them."""
-    aiding = {name: getattr(sensors, name) for name in ("fixes", "baro", "mag", "airspeed")}
-    aiding = {name: record for name, record in aiding.items() if record is not None}
+    aiding = ({} if sensors.fixes is None else {"fixes": sensors.fixes}) | sensors.instruments
     columns = {
         name: {f.name: np.array(getattr(record, f.name)) for f in fields(record)}
         for name, record in aiding.items()

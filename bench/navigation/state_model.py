@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import AirspeedData, InitialState, MagData
+from bench.data import InitialState
+from bench.instruments import AirspeedData, MagData
 from bench.navigation.error_state import CORE, GYRO, StateLayout
 from bench.signals import air
 from bench.signals.orbits import C

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import AirspeedData, BaroData, Events, GnssFixes, ImuData, MagData
+from bench.data import Events, GnssFixes, ImuData
+from bench.instruments import InstrumentData
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
 BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]
@@ -27,7 +28,7 @@ _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
 _BRIDGE_CORRELATION = 3.0  # [s]
 
 Event = tuple[float, float, str, str]
-AidingRecord = GnssFixes | BaroData | MagData | AirspeedData
+AidingRecord = GnssFixes | InstrumentData
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +173,7 @@ def aiding_rows(
 
     Parameters
     ----------
-    record : GnssFixes, BaroData, MagData or AirspeedData
+    record : GnssFixes or InstrumentData
         Record; rows that are flagged, not finite or repeated are left out.
     values : (M, n) array
         What must be finite in a row.

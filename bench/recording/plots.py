@@ -25,6 +25,8 @@ from bench.data import (
 )
 from bench.errors import NothingToShowError
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
+from bench.instruments import INSTRUMENTS, Instrument
+from bench.units import STANDARD_GRAVITY
 
 TIMELINE = "flight_time"
 
@@ -74,7 +76,7 @@ ESTIMATORS: tuple[Colour, ...] = (
 )
 ESTIMATOR_NAMES = ("blue", "orange", "violet", "teal", "pink", "olive")
 
-RATE = 50.0
+MOST_ROWS = 50.0
 """Poses and plots hold at most this many rows a second [Hz]."""
 
 SLOW = 5.0
@@ -89,12 +91,12 @@ FAR = 20.0
 AXES_N = ("north", "east", "down")
 AXES_B = ("x", "y", "z")
 DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
-MG = 1e3 / 9.80665  # m/s^2 to mg (standard gravity)
+MG = 1e3 / STANDARD_GRAVITY  # m/s^2 to mg (standard gravity)
 
 INNOVATIONS = {
     "gnss_position": ("GNSS position", "m"),
     "gnss_velocity": ("GNSS velocity", "m/s"),
-    "baro": ("baro altitude", "m"),
+    **{row.innovation: (row.quantity, row.unit) for row in INSTRUMENTS.values()},
 }
 """Title and unit by sensor."""
 
@@ -163,7 +165,7 @@ def entity(*parts: str) -> str:
     return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
 
 
-def thin(t: FloatArray, most: float = RATE) -> slice:
+def thin(t: FloatArray, most: float = MOST_ROWS) -> slice:
     """Return the rows to keep so that no more than ``most`` come in a second [Hz]."""
     if len(t) < 2 or t[-1] <= t[0]:
         return slice(None)
@@ -318,11 +320,19 @@ def _bias_rows(label: str, sensed: Sensed, solution: NavSolution, colour: Colour
         )
         for k, a in enumerate(AXES_B)
     ]
-    baro = [
-        ("baro_bias", "baro bias [m]", 1.0, _extra(solution, "baro_bias", solution.extra), drawn.baro_bias)
+    unknown = np.full((len(drawn.t), 1), np.nan)
+    others = [
+        (
+            f"{name}_bias",
+            f"{name} bias [{row.unit}]",
+            1.0,
+            _extra(solution, f"{name}_bias", solution.extra),
+            drawn.bias.get(name, unknown)[:, 0],
+        )
+        for name, row in INSTRUMENTS.items()
     ]
     rows = []
-    for group in (gyro, accel, baro):
+    for group in (gyro, accel, others):
         row = []
         for name, title, unit, estimate, true in group:
             if not np.isfinite(estimate).any():
@@ -374,7 +384,7 @@ def _innovation_rows(label: str, solution: NavSolution, error: ErrorSeries, colo
         squares = _dots("value", nis.t, nis.nis, "NIS", colour)
         rows.append([*row, _chi_square(path, f"{label}: NIS of {title}", squares, dof)])
     if np.isfinite(error.nees).any():
-        nees = _line("value", error.t, error.nees, "NEES", colour, RATE)
+        nees = _line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
         plot = _chi_square(entity("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
         if not rows or len(rows[-1]) > 2:
             rows.append([])
@@ -403,15 +413,16 @@ def _chi_square(path: str, title: str, squares: Series, dof: int) -> Plot:
 def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
     keep = thin(truth.t, SLOW)
     t, vel_n = truth.t[keep], truth.vel_n[keep]
-    air, controls, fixes, baro = truth.air, truth.controls, sensed.data.fixes, sensed.data.baro
-    mag, pitot = sensed.data.mag, sensed.data.airspeed
+    air, controls, fixes = truth.air, truth.controls, sensed.data.fixes
+    measured: dict[str, list[Series]] = {}
+    for name, record in sensed.data.instruments.items():
+        measured.setdefault(INSTRUMENTS[name].trace.plot, []).extend(_trace(INSTRUMENTS[name], record))
     euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb[keep])))
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
     what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
     altitude = [_line(what, t, truth.lla[keep, 2], f"{what} (ellipsoidal)", colour)]
-    if baro is not None:
-        altitude.append(_line("baro", baro.t, baro.alt_baro, "barometer", grey))
+    altitude += measured.pop("altitude", [])
     if fixes is not None:
         altitude.append(_dots("gnss", fixes.t, fixes.lla[:, 2], "GNSS antenna", FIX))
     speed = [
@@ -419,14 +430,7 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
         _line("calibrated_airspeed", air.t, air.airspeed_calibrated, "calibrated airspeed", grey),
         _line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", colour),
     ]
-    if pitot is not None:
-        speed.append(_dots("airspeed", pitot.t, pitot.airspeed_true, "airspeed unit", red))
-    field = []
-    if mag is not None:
-        field = [
-            _line(axis, mag.t, 1e6 * mag.field_b[:, k], axis, AXIS_COLOURS[k])
-            for k, axis in enumerate(("forward", "right", "down"))
-        ]
+    speed += measured.pop("speed", [])
     attitude = [
         _line(name, t, euler[:, k], name, AXIS_COLOURS[k]) for k, name in enumerate(("roll", "pitch"))
     ]
@@ -455,7 +459,7 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
             ("throttle", "Throttle [%]", power),
             ("engine", "Engine speed [rpm]", engine),
         ],
-        [("magnetic_field", "Magnetic field measured [uT]", field)],
+        *([(name, _measured_title(name), series)] for name, series in measured.items()),
     ]
     told = [  # a truth that was brought as a table says nothing of the air and the controls
         [(name, title, [line for line in series if len(line.t)]) for name, title, series in group]
@@ -466,6 +470,23 @@ def _flight_rows(truth: Motion, sensed: Sensed) -> Rows:
         for group in told
         if any(series for _, _, series in group)
     ]
+
+
+def _trace(row: Instrument, record: Any) -> list[Series]:
+    """Return what an instrument measured, a line or dots for each component."""
+    told, values = row.trace, row.trace.scale * row.values(record)
+    if row.width == 1:
+        if told.dots:
+            return [_dots(row.name, record.t, values[:, 0], told.legend, ESTIMATORS[1])]
+        return [_line(row.name, record.t, values[:, 0], told.legend, BAND)]
+    axes = ("forward", "right", "down")
+    return [_line(axis, record.t, values[:, k], axis, AXIS_COLOURS[k]) for k, axis in enumerate(axes)]
+
+
+def _measured_title(plot: str) -> str:
+    """Return the title of a plot that only instruments have a part in."""
+    told = next(row.trace for row in INSTRUMENTS.values() if row.trace.plot == plot)
+    return f"{told.legend[0].upper()}{told.legend[1:]} [{told.unit}]"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,9 @@ import numpy as np
 from bench.config.log import LogSpec
 from bench.data import NavSolution, Sensed
 from bench.evaluation.metrics import metric_of
+from bench.instruments import INSTRUMENTS
 from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour, Motion
-from bench.specs import Flight, FlightSpec, Profile
+from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
 """Kinds of event that are logged as warnings."""
@@ -115,13 +116,11 @@ def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Map
 def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
     """Return what is said of a flight above its metrics."""
     sensors = profile.sensors
-    units: list[tuple[str, Any]] = [("IMU", sensors.imu), ("GNSS", sensors.gnss), ("barometer", sensors.baro)]
-    units += [("magnetometer", sensors.mag), ("airspeed", sensors.airspeed)]
     lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
     return [
         f"- profile `{profile.name}`, seed {profile.seed}",
         f"- {_flight(profile.flight, truth)}",
-        *[f"- {what} `{unit.name}`" for what, unit in units if unit is not None],
+        *[f"- {what} `{unit.name}`" for what, unit in _units(sensors)],
         *([f"- GNSS outage {lost}"] if lost else []),
         *[
             f"- fault {k}, {fault.start:g} to {fault.end:g} s: {fault.text}"
@@ -136,16 +135,22 @@ def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
 
 def _log(log: LogSpec, colours: str) -> list[str]:
     """Return what is said of a recording above its metrics."""
-    assumed = [("IMU", log.assumed.imu), ("GNSS", log.assumed.gnss), ("barometer", log.assumed.baro)]
     kept = f"one fix in {log.withhold}" if log.withhold else "no fix"
     return [
         f"- recording `{log.name}`",
-        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in assumed if unit is not None],
+        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in _units(log.assumed)],
         "",
         f"GNSS is yellow; {colours}. There is no truth: {kept} was kept from the filters, and errors are "
         "estimate minus these fixes, at the antenna. ±3σ is what a filter claims about itself. Plots are "
         f"scaled to what comes after {log.evaluation_from:g} s.",
     ]
+
+
+def _units(specs: SensorsSpec | AssumedSpecs) -> list[tuple[str, Any]]:
+    """Return title and spec of the units that there are."""
+    titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
+    units = [(title, getattr(specs, name)) for name, title in titles.items()]
+    return [(title, unit) for title, unit in units if unit is not None]
 
 
 def _flight(flight: Flight, truth: Motion) -> str:

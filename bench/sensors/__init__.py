@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
-from bench.sensors import airspeed, baro, faults, gnss, imu, initial, magnetometer, sky, static_pressure
+from bench.instruments import INSTRUMENTS
+from bench.sensors import faults, gnss, imu, initial, sky
 from bench.sensors.timing import output_times
 from bench.specs import SensorsSpec
 
@@ -26,7 +30,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     Returns
     -------
     sensed : Sensed
-        Biases in ``truth`` are NaN where the sensor is not there. GNSS outages count only with a receiver.
+        GNSS outages count only with a receiver.
 
     Raises
     ------
@@ -48,40 +52,25 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         fixes, observations, above = seen.fixes, seen.observations, seen.above
     elif spec.gnss is not None:
         fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
-    baro_data, baro_bias = None, np.full(len(bias.t), np.nan)
-    if spec.baro is not None:
-        if spec.baro.physical is None:
-            baro_data, drawn = baro.measure(truth, spec.baro, seed, run)
-        else:
-            baro_data, drawn = static_pressure.measure(
-                truth, spec.baro, spec.qnh, spec.static_port_b, seed, run
-            )
-        baro_bias = np.interp(bias.t, baro_data.t, drawn) + stepped("baro", 1)[:, 0]
-        lsb = spec.baro.quantization
-        baro_data = faults.instrument(baro_data, "baro", "alt_baro", lsb, scripted, seed, run)
-    mag_data, mag_bias_b = None, np.full((len(bias.t), 3), np.nan)
-    if spec.mag is not None:
-        mag_data, mag_bias_b[:] = magnetometer.measure(truth, spec.mag, spec.date, seed, run)
-        lsb = spec.mag.quantization
-        mag_data = faults.instrument(mag_data, "mag", "field_b", lsb, scripted, seed, run)
-    airspeed_data, airspeed_bias = None, np.full(len(bias.t), np.nan)
-    if spec.airspeed is not None:
-        airspeed_data, drawn = airspeed.measure(truth, spec.airspeed, seed, run)
-        airspeed_bias = np.interp(bias.t, airspeed_data.t, drawn)
-        airspeed_data = faults.instrument(
-            airspeed_data, "airspeed", "airspeed_true", 0.0, scripted, seed, run
-        )
-        airspeed_data = airspeed.read_out(airspeed_data, spec.airspeed)  # of a burst too
+    records: dict[str, Any] = dict.fromkeys(INSTRUMENTS)
+    drawn: dict[str, FloatArray] = {}
+    for name, row in INSTRUMENTS.items():
+        unit = getattr(spec, name)
+        if unit is not None:
+            model = import_module(f"bench.sensors.{row.model}")
+            record, error = model.report(truth, spec, seed, run)
+            drawn[name] = _drawn_at(bias.t, record.t, error) + stepped(name, row.width)
+            least_bit = unit.quantization if row.rounds else 0.0
+            record = faults.instrument(record, name, row.value, least_bit, scripted, seed, run)
+            records[name] = model.read_out(record, unit) if hasattr(model, "read_out") else record
     data = SensorData(
         imu=imu_data,
         fixes=fixes,
-        baro=baro_data,
         antenna_b=np.array(spec.antenna_b),
         specs=spec.assumed,
         output_t=output_times(truth.t, spec.output_rate, outages),
         observations=observations,
-        mag=mag_data,
-        airspeed=airspeed_data,
+        **records,
         date=spec.date,
     )
     happened = [(start, end, "gnss_outage", "GNSS outage") for start, end in outages]
@@ -93,10 +82,14 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
             bias.t,
             bias.gyro_b + stepped("gyro", 3),
             bias.accel_b + stepped("accel", 3),
-            baro_bias,
-            mag_bias_b,
-            airspeed_bias,
+            drawn,
         ),
         events=Events.from_rows(happened),
         sky=above,
     )
+
+
+def _drawn_at(t: FloatArray, sampled: FloatArray, error: FloatArray) -> FloatArray:
+    """Return the error (M, k) or (M,) of an instrument at times t (B,), as (B, k)."""
+    columns = error.reshape(len(sampled), -1).T
+    return np.column_stack([np.interp(t, sampled, column) for column in columns])

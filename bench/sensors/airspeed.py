@@ -7,11 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import AirspeedData, Trajectory
+from bench.data import Trajectory
+from bench.instruments import AirspeedData, AirspeedSpec
 from bench.sensors.processes import lagged
 from bench.sensors.timing import epoch_rows
 from bench.signals import air
-from bench.specs import AirspeedSpec, stream
+from bench.specs import SensorsSpec, stream
+
+
+def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:
+    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
+    assert on_board.airspeed is not None  # or nobody asks
+    return measure(truth, on_board.airspeed, seed, run)
 
 
 def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:

@@ -5,9 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import BaroData, Trajectory
+from bench.data import Trajectory
+from bench.instruments import BaroData, BaroSpec
+from bench.sensors import static_pressure
 from bench.sensors.timing import epoch_rows
-from bench.specs import BaroSpec, stream
+from bench.specs import SensorsSpec, stream
+
+
+def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:
+    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
+    unit = on_board.baro
+    assert unit is not None  # or nobody asks
+    if unit.physical is None:
+        return measure(truth, unit, seed, run)
+    return static_pressure.measure(truth, unit, on_board.qnh, on_board.static_port_b, seed, run)
 
 
 def measure(truth: Trajectory, spec: BaroSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:

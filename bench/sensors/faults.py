@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import AirspeedData, BaroData, GnssFixes, ImuData, MagData
+from bench.data import GnssFixes, ImuData
+from bench.instruments import InstrumentData
 from bench.sensors.timing import interval_rows
 from bench.specs import Fault, GnssSpec, ImuSpec, TriadSpec, stream
 
 Faults = Sequence[Fault]
-_Record = TypeVar("_Record", BaroData, MagData, AirspeedData, GnssFixes)
-_Instrument = TypeVar("_Instrument", BaroData, MagData, AirspeedData)
+_Record = TypeVar("_Record", GnssFixes, InstrumentData)
 
 
 class Reported(NamedTuple):
@@ -143,17 +143,15 @@ def _triad(
     return increment
 
 
-def instrument(
-    record: _Instrument, sensor: str, column: str, lsb: float, faults: Faults, seed: int, run: int
-) -> _Instrument:
-    """Return what a barometer, magnetometer or airspeed indicator with faults reports.
+def instrument(record: Any, sensor: str, column: str, lsb: float, faults: Faults, seed: int, run: int) -> Any:
+    """Return what an instrument with faults reports.
 
     Parameters
     ----------
-    record : BaroData, MagData or AirspeedData
+    record : InstrumentData
         Without them; returned when it has none.
     sensor, column : str
-        "baro", "mag" or "airspeed", and the column of its values.
+        Name of the instrument, and the field of its values.
     lsb : float
         Least bit of the values, 0 none.
     faults : sequence of Fault

@@ -6,10 +6,18 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import BoolArray, FloatArray
-from bench.data import MagData, Trajectory
+from bench.data import Trajectory
+from bench.instruments import MagData, MagSpec
 from bench.sensors.timing import epoch_rows
 from bench.signals.magnetic import field_n
-from bench.specs import MagSpec, stream
+from bench.specs import SensorsSpec, stream
+
+
+def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[MagData, FloatArray]:
+    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
+    assert on_board.mag is not None  # or nobody asks
+    mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, seed, run)
+    return mag, np.tile(hard_iron_b, (len(mag), 1))
 
 
 def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) -> tuple[MagData, FloatArray]:

@@ -6,11 +6,13 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import BaroData, Trajectory
+from bench.data import Trajectory
+from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
 from bench.sensors.processes import lagged
 from bench.sensors.timing import epoch_rows
 from bench.signals import air
-from bench.specs import BaroSpec, StaticPressureSpec, stream
+from bench.specs import stream
+from bench.units import STANDARD_GRAVITY
 
 _REFERENCE = 298.15  # temperature of calibration [K]
 
@@ -69,7 +71,7 @@ def measure(
     warmer = unit.isa_deviation + float(drawn("isa_deviation", unit.isa_deviation_sd)[0])
     outside = port_pressure(truth, unit, warmer, static_port_b)
     pressure = np.interp(t, truth.air.t, lagged(truth.air.t, outside, outside[0], unit.lag))
-    pressure += drawn("pressure_bias", unit.bias_sd)
+    pressure += drawn("pressure_bias", unit.pressure_bias_sd)
     warmth = np.interp(t, truth.air.t, truth.air.temperature) + warmer - _REFERENCE
     pressure += drawn("temperature", unit.temperature_sd) * warmth
     sea_level = drawn("qnh", unit.qnh_sd) + np.zeros(len(t))
@@ -78,7 +80,7 @@ def measure(
         sea_level += unit.qnh_walk * np.cumsum(np.sqrt(np.diff(t, prepend=truth.t[0])) * steps)
     pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # a column of air weighs in proportion
     bias = air.pressure_altitude(pressure, qnh) - truth.lla[rows, 2]
-    pressure = pressure + drawn("pressure_white", unit.white_sd, len(t))
+    pressure = pressure + drawn("pressure_white", unit.pressure_white_sd, len(t))
     if unit.quantization > 0:
         pressure = unit.quantization * np.rint(pressure / unit.quantization)
     baro = BaroData(
@@ -119,7 +121,7 @@ def port_pressure(
         pressure = pressure * air.standard(height, warmer)[0] / air.standard(height)[0]
     if any(static_port_b):
         below = rotation.rotate(truth.q_nb[nearest], np.array(static_port_b))[:, 2]
-        pressure = pressure * np.exp(air.GRAVITY * below / (air.GAS_CONSTANT * temperature))
+        pressure = pressure * np.exp(STANDARD_GRAVITY * below / (air.GAS_CONSTANT * temperature))
     coefficient = (
         unit.position_error
         + unit.position_error_alpha * around.alpha

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-
-_SAME_INSTANT = 1e-6  # times closer than this are one instant [s]; far below any sample interval
+from bench.units import SAME_INSTANT
 
 
 def epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
@@ -27,7 +26,7 @@ def epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
         When two epochs fall on one sample instant, or none falls within the truth.
     """
     duration = t[-1] - t[0]
-    count = int((duration + _SAME_INSTANT) * rate)
+    count = int((duration + SAME_INSTANT) * rate)
     if count == 0:
         raise ValueError(f"{name}: no epoch at {rate:g} Hz within {duration:g} s of truth")
     wanted = t[0] + np.arange(1, count + 1) / rate
@@ -42,7 +41,7 @@ def epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
 
 def interval_rows(t: FloatArray, start: float, end: float) -> tuple[int, int]:
     """Return (first, stop) of the rows of t inside [start, end)."""
-    first, stop = np.searchsorted(t, [start - _SAME_INSTANT, end - _SAME_INSTANT])
+    first, stop = np.searchsorted(t, [start - SAME_INSTANT, end - SAME_INSTANT])
     return int(first), int(stop)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
-from bench.specs import AirspeedSpec
+from bench.instruments import AirspeedSpec
+from bench.units import STANDARD_GRAVITY
 
 SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
 SEA_LEVEL_TEMPERATURE = 288.15  # [K]
-GRAVITY = 9.80665  # standard [m/s^2]
 GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 GAMMA = 1.4  # ratio of specific heats of air [1]
 _RADIUS = 6356766.0  # of the Earth, that makes geometric of geopotential height [m]
@@ -66,8 +66,8 @@ def standard(height: ArrayLike, deviation: float = 0.0) -> tuple[FloatArray, Flo
 def _log_ratio(temperature: FloatArray, lapse: float, rise: FloatArray) -> FloatArray:
     """Return the logarithm of the pressure ratio over a rise in one layer, from its lower temperature."""
     if lapse == 0.0:
-        return -GRAVITY * rise / (GAS_CONSTANT * temperature)
-    log: FloatArray = -GRAVITY / (GAS_CONSTANT * lapse) * np.log1p(lapse * rise / temperature)
+        return -STANDARD_GRAVITY * rise / (GAS_CONSTANT * temperature)
+    log: FloatArray = -STANDARD_GRAVITY / (GAS_CONSTANT * lapse) * np.log1p(lapse * rise / temperature)
     return log
 
 
@@ -93,9 +93,9 @@ def _height(pressure: FloatArray) -> FloatArray:
     for k, (base, temperature, _) in enumerate(bottoms):
         log = np.log(pressure / base)
         if _LAPSE[k] == 0.0:
-            above = -GAS_CONSTANT * temperature / GRAVITY * log
+            above = -GAS_CONSTANT * temperature / STANDARD_GRAVITY * log
         else:
-            above = temperature / _LAPSE[k] * np.expm1(-GAS_CONSTANT * _LAPSE[k] / GRAVITY * log)
+            above = temperature / _LAPSE[k] * np.expm1(-GAS_CONSTANT * _LAPSE[k] / STANDARD_GRAVITY * log)
         height = np.where(pressure <= base, _BOTTOM[k] + above, height) if k else above
     return height
 

@@ -94,9 +94,9 @@ def facts(path: Path) -> Mapping[str, Any]:
     return json.loads(pq.read_schema(path).metadata[b"bench"])  # type: ignore[no-any-return]
 
 
-def _field(table: pa.Table, names: tuple[str, ...], shape: tuple[int, ...]) -> Any:
+def _field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
     if names and table.schema.field(names[0]).type == pa.string():
         return tuple(table.column(names[0]).to_pylist())
     columns = [table.column(name).to_numpy() for name in names]
     rows = np.column_stack(columns) if columns else np.empty((table.num_rows, 0))
-    return rows.reshape(len(rows), *shape)
+    return rows.reshape(len(rows), *(n for n in shape if n is not None))

@@ -11,14 +11,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TypeVar
 
 import numpy as np
 
 from bench.data import (
     AirData,
-    AirspeedData,
-    BaroData,
     Controls,
     ErrorSeries,
     Events,
@@ -26,20 +23,22 @@ from bench.data import (
     GnssObservations,
     ImuData,
     Innovations,
-    MagData,
     NavSolution,
     RunResult,
     Sensed,
+    SensorTruth,
     Trajectory,
 )
+from bench.fields import columns_of
+from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.store import columns, parquet
 from bench.store.start import START, start_document
 
-_T = TypeVar("_T")
 RESULT = "result.json"
 RECORDING = "flight.rrd"
 TRUTH = "truth.parquet"
 OBSERVATIONS = "sensors-observations.parquet"
+DRAWN = "sensors-drawn.parquet"
 
 
 @contextmanager
@@ -99,24 +98,20 @@ def save(
     OSError
         When the disk does not take it.
     """
+    data = sensed.data
     if truth is not None:
         _save_truth(folder, truth)
-        parquet.write(folder / "sensors-drawn.parquet", sensed.truth, columns.DRAWN)
-    parquet.write(folder / "sensors-imu.parquet", sensed.data.imu, columns.IMU)
-    if sensed.data.fixes is not None:
-        parquet.write(folder / "sensors-gnss.parquet", sensed.data.fixes, columns.GNSS)
-    if sensed.data.observations is not None:
-        _save_observations(folder / OBSERVATIONS, sensed.data.observations)
+        _save_drawn(folder / DRAWN, sensed.truth)
+    parquet.write(folder / "sensors-imu.parquet", data.imu, columns.IMU)
+    if data.fixes is not None:
+        parquet.write(folder / "sensors-gnss.parquet", data.fixes, columns.GNSS)
+    if data.observations is not None:
+        _save_observations(folder / OBSERVATIONS, data.observations)
     if sensed.sky is not None:
         parquet.write(folder / "sensors-sky.parquet", sensed.sky, columns.SKY)
-    if sensed.data.baro is not None:
-        parquet.write(folder / "sensors-baro.parquet", sensed.data.baro, columns.BARO)
-    write_json(folder / START, start_document(sensed.data, sensed.initial))
-    if sensed.data.mag is not None:
-        date = sensed.data.date
-        parquet.write(folder / "sensors-mag.parquet", sensed.data.mag, columns.MAG, date=date)
-    if sensed.data.airspeed is not None:
-        parquet.write(folder / "sensors-airspeed.parquet", sensed.data.airspeed, columns.AIRSPEED)
+    for name, record in data.instruments.items():
+        parquet.write(folder / f"sensors-{name}.parquet", record, columns_of(type(record)), date=data.date)
+    write_json(folder / START, start_document(data, sensed.initial))
     parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
@@ -204,21 +199,18 @@ def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
 
 def load_sensors(
     folder: str | os.PathLike[str],
-) -> tuple[ImuData, GnssFixes | None, BaroData | None, MagData | None, AirspeedData | None]:
-    """Read the sensor records of a results folder back; what was not on board is None."""
+) -> tuple[ImuData, GnssFixes | None, dict[str, InstrumentData]]:
+    """Read the sensor records of a results folder back: IMU, fixes, and the instruments on board by name."""
     folder = Path(folder)
-
-    def found(name: str, record: type[_T], layout: columns.Layout) -> _T | None:
+    imu = ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU))
+    gnss = folder / "sensors-gnss.parquet"
+    fixes = GnssFixes(**parquet.read(gnss, columns.GNSS)) if gnss.exists() else None
+    instruments = {}
+    for name, row in INSTRUMENTS.items():
         path = folder / f"sensors-{name}.parquet"
-        return record(**parquet.read(path, layout)) if path.exists() else None
-
-    return (
-        ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU)),
-        found("gnss", GnssFixes, columns.GNSS),
-        found("baro", BaroData, columns.BARO),
-        found("mag", MagData, columns.MAG),
-        found("airspeed", AirspeedData, columns.AIRSPEED),
-    )
+        if path.exists():
+            instruments[name] = row.record(**parquet.read(path, columns_of(row.record)))
+    return imu, fixes, instruments
 
 
 def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None:
@@ -302,6 +294,11 @@ def _save_truth(folder: Path, truth: Trajectory) -> None:
     parquet.write(folder / "truth-air.parquet", truth.air, columns.AIR)
     parquet.write(folder / "truth-controls.parquet", truth.controls, columns.CONTROLS)
     parquet.write(folder / "truth-events.parquet", truth.events, columns.EVENTS)
+
+
+def _save_drawn(path: Path, truth: SensorTruth) -> None:
+    fields = {name: getattr(truth, name) for name in columns_of(SensorTruth)} | dict(truth.bias)
+    parquet.write(path, SimpleNamespace(**fields), columns.drawn(tuple(truth.bias)))
 
 
 def _save_innovations(path: Path, innovations: Innovations) -> None:

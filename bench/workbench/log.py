@@ -31,6 +31,7 @@ from bench.evaluation.fixes import antenna_errors, judge
 from bench.exchange.log import Recording, divided, read_log
 from bench.exchange.log_start import start
 from bench.navigation import estimator
+from bench.units import SAME_INSTANT
 from bench.workbench import show
 from bench.workbench.flight_verbs import RUNS
 
@@ -153,8 +154,7 @@ def navigate(
     return {"metrics": metrics, **more}
 
 
-_NONE = np.empty(0)
-_NOTHING_DRAWN = SensorTruth(_NONE, np.empty((0, 3)), np.empty((0, 3)), _NONE)
+_NOTHING_DRAWN = SensorTruth(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
 
 class Session:
@@ -217,8 +217,8 @@ class Session:
         t = self.fixes.t
         found = []
         for begin in outages.places(self.first, float(t[-1]), duration, places):
-            before = max(int(np.searchsorted(t, begin + _SAME, "right")) - 1, 0)
-            end = int(np.searchsorted(t, t[before] + duration + _SAME, "right")) - 1
+            before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
+            end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
             data = self.data(keep, t[end : end + 1])
             solution = estimator.answer(one, label, data, self.initial)
@@ -234,9 +234,6 @@ class Session:
                 )
             )
         return found
-
-
-_SAME = 1e-6  # [s]
 
 
 def taken(fixes: GnssFixes, rows: BoolArray) -> GnssFixes:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from bench import api
 from bench.baselines import Verdict
+from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry
 from bench.data import NavSolution, RunResult
 from bench.evaluation.errors import FAILED
@@ -182,7 +183,7 @@ def choices(console: Console, kind: str | None = None) -> None:
     shelves: Mapping[str, Sequence[Sequence[str]]] = {
         "Profiles (bench run NAME)": [(row.name, row.title) for row in api.list_profiles()],
         "Aircraft (aircraft = NAME)": [(row.name, _titled(row, kind)) for row in api.list_aircraft()],
-        "Sensors ([sensors] imu, gnss, baro, mag, airspeed = NAME)": [
+        f"Sensors ([sensors] {', '.join(SENSORS)} = NAME)": [
             (row.kind, row.name, _titled(row, kind)) for row in api.list_sensors()
         ],
         "Estimators (use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...')": [

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.cli import main
-from bench.config.air_sheets import read_baro
 from bench.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.errors import ConfigError
 from bench.sensors import imu
@@ -223,7 +222,7 @@ def test_the_matched_units_have_only_errors_a_15_state_filter_models():
     receiver = entry("gnss", "matched-white", read_gnss)
     assert receiver.pos_h_markov_sd == receiver.pos_v_markov_sd == receiver.vel_markov_sd == 0
     assert receiver.latency == 0
-    barometer = entry("baro", "matched-walk", read_baro)
+    barometer = entry("baro", "matched-walk", SENSORS["baro"])
     assert min(barometer.white_sd, barometer.bias_sd, barometer.bias_walk) > 0
     assert barometer.quantization == barometer.latency == 0
 

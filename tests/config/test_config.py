@@ -209,8 +209,8 @@ def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
 
 
 def test_every_key_of_a_datasheet_is_computed_by_hand():
-    known = {("gyro", key) for spellings in GYRO.values() for key in spellings}
-    known |= {("accel", key) for spellings in ACCEL.values() for key in spellings}
+    known = {("gyro", f"{stem}_{unit}") for stem, units in GYRO.items() for unit in units}
+    known |= {("accel", f"{stem}_{unit}") for stem, units in ACCEL.items() for unit in units}
     assert known == {(triad, key) for triad, key, *_ in BY_HAND}
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from bench import config
 from bench.cli import main
-from bench.config.air_sheets import read_airspeed, read_baro, read_mag
+from bench.config.datasheets import SENSORS
 from bench.errors import ConfigError
+from bench.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
 from bench.navigation.estimator import load
-from bench.specs import AirspeedSpec, MagSpec, StaticPressureSpec
 
 PROFILE = """
 aircraft = "aerosonde"
@@ -77,8 +77,8 @@ AIRSPEED = {
     "latency_s": (0.02, "latency", 0.02),
 }
 PHYSICAL = {
-    "pressure_white_sd_pa": (1.2, "white_sd", 1.2),
-    "pressure_bias_sd_pa": (50.0, "bias_sd", 50.0),
+    "pressure_white_sd_pa": (1.2, "pressure_white_sd", 1.2),
+    "pressure_bias_sd_pa": (50.0, "pressure_bias_sd", 50.0),
     "temperature_sd_pa_k": (0.75, "temperature_sd", 0.75),
     "isa_deviation_k": (-15.0, "isa_deviation", -15.0),
     "isa_deviation_sd_k": (5.0, "isa_deviation_sd", 5.0),
@@ -96,9 +96,9 @@ BARO = "[baro]\nrate_hz = 10.0\nwhite_sd_m = 0.1\n"
 @pytest.mark.parametrize(
     ("read", "table", "given", "record", "part"),
     [
-        (read_mag, "[mag]", MAG, MagSpec, lambda spec: spec),
-        (read_airspeed, "[airspeed]", AIRSPEED, AirspeedSpec, lambda spec: spec),
-        (read_baro, BARO + "[physical]", PHYSICAL, StaticPressureSpec, lambda spec: spec.physical),
+        (SENSORS["mag"], "[mag]", MAG, MagSpec, lambda spec: spec),
+        (SENSORS["airspeed"], "[airspeed]", AIRSPEED, AirspeedSpec, lambda spec: spec),
+        (SENSORS["baro"], BARO + "[physical]", PHYSICAL, StaticPressureSpec, lambda spec: spec.physical),
     ],
     ids=["mag", "airspeed", "physical"],
 )
@@ -230,12 +230,14 @@ def test_the_catalog_lists_them_with_what_is_assumed(capsys):
 def test_what_filters_assume_of_the_physical_barometer_follows_from_its_parts():
     """White noise at 0.083 m/Pa; bias: sensor and setting, and the day's deviation at 1000 m."""
     path = Path(config.__file__).parents[1] / "catalog" / "baro" / "bmp388-physical.toml"
-    spec = read_baro(path, path.name)
+    spec = SENSORS["baro"](path, path.name)
     unit = spec.physical
     metre = 288.15 * 287.05287 / (9.80665 * 101325.0)
-    assert spec.white_sd == pytest.approx(unit.white_sd * metre, rel=0.02)
+    assert spec.white_sd == pytest.approx(unit.pressure_white_sd * metre, rel=0.02)
     day = 1000.0 * unit.isa_deviation_sd / 288.15
-    assert spec.bias_sd == pytest.approx(math.hypot(unit.bias_sd * metre, unit.qnh_sd * metre, day), rel=0.03)
+    assert spec.bias_sd == pytest.approx(
+        math.hypot(unit.pressure_bias_sd * metre, unit.qnh_sd * metre, day), rel=0.03
+    )
     climbing = 100.0 * unit.isa_deviation_sd / 288.15 / math.sqrt(60.0)
     drift = unit.qnh_walk * metre
     assert spec.bias_walk == pytest.approx(math.hypot(climbing, drift), rel=0.15)

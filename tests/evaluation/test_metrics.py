@@ -12,7 +12,7 @@ from bench.data import Events, Innovations
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, judge, metric_of
 from bench.specs import Fault
-from bench.unit_names import unit_of
+from bench.units import unit_of
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 
 OUTAGES = ((5.0, 9.0), (12.0, 15.0))

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from weaving import units, weaving
 
 from bench import sensors
 from bench.evaluation import fixes
 from bench.navigation.fusion import Loose
+from tests.weaving import units, weaving
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
+from bench.instruments import AirspeedSpec, BaroSpec, StaticPressureSpec
 from bench.sensors import airspeed, static_pressure
 from bench.signals import air
-from bench.specs import AirspeedSpec, BaroSpec, StaticPressureSpec
 
 
 def test_a_barometer_without_errors_reads_the_geopotential_height_of_the_flight(short_truth):

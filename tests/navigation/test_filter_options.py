@@ -14,13 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from bench import earth, rotation, sensors
-from bench.data import AirspeedData, GnssFixes, ImuData, MagData, Trajectory
+from bench.data import GnssFixes, ImuData, Trajectory
 from bench.evaluation import errors as judge
+from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation import integrity, standstill, timeline
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.state_model import airspeed_variance
 from bench.signals.magnetic import field_n
-from bench.specs import AirspeedSpec, MagSpec
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
 RUNS = 8

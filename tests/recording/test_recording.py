@@ -14,8 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import earth, recording, rotation
 from bench.data import (
     AirData,
-    AirspeedData,
-    BaroData,
     Controls,
     ErrorSeries,
     Events,
@@ -23,7 +21,6 @@ from bench.data import (
     ImuData,
     InitialState,
     Innovations,
-    MagData,
     NavSolution,
     Sensed,
     SensorData,
@@ -33,18 +30,16 @@ from bench.data import (
     no_innovations,
 )
 from bench.evaluation.errors import error_series
+from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
 from bench.legs import FigureEight
 from bench.recording import plots, words
 from bench.specs import (
     AircraftSpec,
-    AirspeedSpec,
     AssumedSpecs,
-    BaroSpec,
     EstimatorChoice,
     FlightSpec,
     GnssSpec,
     ImuSpec,
-    MagSpec,
     Profile,
     SensorsSpec,
     TriadSpec,
@@ -136,7 +131,7 @@ def sense(truth: Trajectory, outage: tuple[float, float], specs: AssumedSpecs) -
             + 2e-6 * rng.normal(size=(len(slow), 3)).cumsum(axis=0),
             accel_bias_b=1e-2 * np.array([1.0, 0.5, -1.2])
             + 1e-4 * rng.normal(size=(len(slow), 3)).cumsum(axis=0),
-            baro_bias=2.0 + 0.01 * rng.normal(size=len(slow)).cumsum(),
+            bias={"baro": 2.0 + 0.01 * rng.normal(size=(len(slow), 1)).cumsum(axis=0)},
         ),
         events=Events.from_rows([(*outage, "gnss_outage", "GNSS outage")]),
     )
@@ -617,7 +612,7 @@ def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(ru
         run["profile"].sensors, mag=MagSpec("demo-mag", 10.0, 1e-7), airspeed=AirspeedSpec("demo-pitot", 10.0)
     )
     said = words.summary(replace(run["profile"], sensors=sensors), run["truth"], run["metrics"])
-    assert "- magnetometer `demo-mag`\n- airspeed `demo-pitot`" in said
+    assert "- magnetometer `demo-mag`\n- airspeed unit `demo-pitot`" in said
 
 
 def test_a_flight_without_gnss_and_barometer_is_recorded_too(run, tmp_path):

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import gammaincinv
 
 from bench.data import no_air
+from bench.instruments import AirspeedSpec
 from bench.sensors import airspeed
 from bench.signals import air
-from bench.specs import AirspeedSpec
 from tests.synthetic import still
 
 TAIL = 0.0005  # each side of a 99.9 % band

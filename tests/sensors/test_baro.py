@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import gammaincinv
 
+from bench.instruments import BaroSpec
 from bench.sensors import baro
-from bench.specs import BaroSpec
 from tests.synthetic import ORIGIN, still
 
 TAIL = 0.0005  # each side of a 99.9 % band

@@ -22,17 +22,9 @@ from bench.config.fault_tables import to_fault
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import checked
 from bench.errors import ConfigError
+from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.sensors import faults, sense
-from bench.specs import (
-    AirspeedSpec,
-    AssumedSpecs,
-    BaroSpec,
-    GnssSpec,
-    ImuSpec,
-    MagSpec,
-    SensorsSpec,
-    TriadSpec,
-)
+from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from tests.synthetic import still, turning
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
@@ -329,7 +321,7 @@ def test_a_baro_step(turn, plain):
     faulty = sensed(turn, POSITION, script("baro-step", step_m=12.0))
     before, after = plain["position"].data.baro, faulty.data.baro
     assert_allclose(after.alt_baro - before.alt_baro, 12.0 * inside(before), rtol=0, atol=1e-9)
-    assert np.nanmax(faulty.truth.baro_bias - plain["position"].truth.baro_bias) == pytest.approx(12.0)
+    assert np.nanmax(faulty.truth.bias["baro"] - plain["position"].truth.bias["baro"]) == pytest.approx(12.0)
 
 
 def test_a_frozen_output_repeats_the_row_before_and_its_time_goes_on(turn, plain):

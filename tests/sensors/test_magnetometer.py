@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import gammaincinv
 
 from bench import rotation
+from bench.instruments import MagSpec
 from bench.sensors import magnetometer
 from bench.signals.magnetic import field_n
-from bench.specs import MagSpec
 from tests.synthetic import still, turning
 
 TAIL = 0.0005  # each side of a 99.9 % band

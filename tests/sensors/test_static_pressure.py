@@ -14,16 +14,21 @@ from scipy.special import gammaincinv
 
 from bench import rotation
 from bench.data import no_air
+from bench.instruments import BaroSpec, StaticPressureSpec
 from bench.sensors import static_pressure
 from bench.signals import air
-from bench.specs import BaroSpec, StaticPressureSpec
 from tests.synthetic import still
 
 TAIL = 0.0005  # each side of a 99.9 % band
 STANDARD = 101325.0
 NONE = StaticPressureSpec()
 FULL = StaticPressureSpec(
-    white_sd=1.2, bias_sd=50.0, temperature_sd=0.75, isa_deviation_sd=5.0, qnh_sd=50.0, qnh_walk=0.4
+    pressure_white_sd=1.2,
+    pressure_bias_sd=50.0,
+    temperature_sd=0.75,
+    isa_deviation_sd=5.0,
+    qnh_sd=50.0,
+    qnh_walk=0.4,
 )
 
 
@@ -124,7 +129,7 @@ def test_pressure_noise_and_its_least_bit_become_altitude():
     truth = level()
     metre_per_pascal = 1 / (air.standard(air.geopotential(1000.0))[2] * 9.80665)
     exact = read(truth).alt_baro
-    noise = read(truth, replace(NONE, white_sd=1.2)).alt_baro - exact
+    noise = read(truth, replace(NONE, pressure_white_sd=1.2)).alt_baro - exact
     low, high = band(len(noise))
     assert low < np.mean(noise**2) / (1.2 * metre_per_pascal) ** 2 < high
     climb = flown(lambda t: 1000.0 + 5.0 * t)
@@ -134,7 +139,8 @@ def test_pressure_noise_and_its_least_bit_become_altitude():
 
 
 @pytest.mark.parametrize(
-    ("figure", "pascals"), [("bias_sd", 50.0), ("qnh_sd", 50.0 * 0.887), ("temperature_sd", 0.75 * 16.5)]
+    ("figure", "pascals"),
+    [("pressure_bias_sd", 50.0), ("qnh_sd", 50.0 * 0.887), ("temperature_sd", 0.75 * 16.5)],
 )
 def test_constant_errors_of_the_pressure_have_their_sd(figure, pascals):
     """Over 2000 units at 1000 m, 8.5 degC; a pressure at sea level weighs 0.887 of itself there."""

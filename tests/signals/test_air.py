@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.instruments import AirspeedSpec
 from bench.signals import air
-from bench.specs import AirspeedSpec
 
 
 @pytest.mark.parametrize(

@@ -20,15 +20,12 @@ from numpy.testing import assert_array_equal
 
 from bench import config, store
 from bench.data import (
-    AirspeedData,
-    BaroData,
     ErrorSeries,
     Events,
     GnssFixes,
     ImuData,
     InitialState,
     Innovations,
-    MagData,
     NavSolution,
     RunResult,
     Sensed,
@@ -38,6 +35,7 @@ from bench.data import (
     no_events,
     no_innovations,
 )
+from bench.instruments import AirspeedData, BaroData, MagData
 from bench.specs import FlightSpec
 from bench.store import truth_cache
 from tests.synthetic import turning
@@ -117,7 +115,9 @@ def sensed(truth: Trajectory) -> Sensed:
     )
     initial = InitialState(0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(9), "given")
     drawn = SensorTruth(
-        t, *RNG.normal(size=(2, m, 3)), RNG.normal(size=m), RNG.normal(size=(m, 3)), RNG.normal(size=m)
+        t,
+        *RNG.normal(size=(2, m, 3)),
+        {name: RNG.normal(size=(m, width)) for name, width in (("baro", 1), ("mag", 3), ("airspeed", 1))},
     )
     outage = Events(np.array([2.0]), np.array([3.0]), ("gnss_outage",), ("scripted",))
     return Sensed(data, initial, drawn, outage)
@@ -170,10 +170,6 @@ def saved(tmp_path, result, truth, sensed) -> Path:
     return tmp_path / "runs" / "one"
 
 
-def units(data):
-    return data.imu, data.fixes, data.baro, data.mag, data.airspeed
-
-
 def test_what_is_saved_comes_back(saved, result, truth, sensed):
     again = store.load(saved)
     for name in ("profile", "seed", "run", "metrics", "provenance"):
@@ -183,15 +179,19 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
         equal(again.solutions[label], result.solutions[label])
         equal(again.errors[label], result.errors[label])
     equal(store.load_truth(saved), truth)
-    for again, before in zip(store.load_sensors(saved), units(sensed.data), strict=True):
-        equal(again, before)
+    imu, fixes, instruments = store.load_sensors(saved)
+    equal(imu, sensed.data.imu)
+    equal(fixes, sensed.data.fixes)
+    assert instruments.keys() == {"baro", "mag", "airspeed"}
+    for name, record in instruments.items():
+        equal(record, getattr(sensed.data, name))
 
 
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
     none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
     bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))
     store.save(tmp_path, result, truth, bare)
-    assert store.load_sensors(tmp_path)[1:] == (None, None, None, None)
+    assert store.load_sensors(tmp_path)[1:] == (None, {})
 
 
 def test_every_column_has_a_unit_and_every_vector_a_frame(saved):

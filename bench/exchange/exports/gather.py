@@ -35,7 +35,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
             f"{folder}: no results folder, there is no {store.RESULT} in it; 'bench run' writes one"
         )
     with reading(folder):
-        imu, fixes, baro, mag, airspeed = store.load_sensors(folder)
+        imu, fixes, instruments = store.load_sensors(folder)
         start = store.load_start(folder)
         observations = store.load_observations(folder)
         tracks: dict[str, Track] = {}
@@ -52,7 +52,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
                 tracks[f"solution-{label}"] = store.load_solution(folder, label)
             else:
                 raise ExportError(f"--with {name}: must be truth or solution:NAME")
-        run = Outgoing(imu, fixes, baro, observations, start, mag, airspeed, tracks)
+        run = Outgoing(imu, fixes, observations, instruments, start, tracks)
         store.initial_state(start), run.calendar, run.assumed("gyro"), run.assumed("accel")  # they are there
     return run
 

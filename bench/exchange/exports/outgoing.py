@@ -10,20 +10,12 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import (
-    AirspeedData,
-    BaroData,
-    GnssFixes,
-    GnssObservations,
-    ImuData,
-    MagData,
-    NavSolution,
-    Trajectory,
-)
+from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import ExportError
 from bench.exchange.rinex import leap_seconds
+from bench.fields import columns_of
 from bench.store import initial_state
-from bench.store.columns import AIRSPEED, BARO, GNSS, IMU, MAG, MOTION, Layout, observations, solution
+from bench.store.columns import GNSS, IMU, MOTION, Layout, observations, solution
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
@@ -67,11 +59,9 @@ class Outgoing:
 
     imu: ImuData
     fixes: GnssFixes | None
-    baro: BaroData | None
     observations: GnssObservations | None
+    instruments: Mapping[str, Any]  # on board, by name
     start: Mapping[str, Any]  # as `bench.store.start_document` makes it
-    mag: MagData | None = None
-    airspeed: AirspeedData | None = None
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
 
     @property
@@ -120,12 +110,7 @@ class Outgoing:
         if self.observations is not None:
             bands = self.observations.pseudorange.shape[1]
             found["observations"] = (self.observations, observations(bands))
-        if self.baro is not None:
-            found["baro"] = (self.baro, BARO)
-        if self.mag is not None:
-            found["mag"] = (self.mag, MAG)
-        if self.airspeed is not None:
-            found["airspeed"] = (self.airspeed, AIRSPEED)
+        found |= {name: (record, columns_of(type(record))) for name, record in self.instruments.items()}
         for name, track in self.tracks.items():
             names = track.extra_names if isinstance(track, NavSolution) else ()
             found[name] = (track, solution(names) if isinstance(track, NavSolution) else MOTION)

@@ -31,7 +31,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     if out.fixes is not None:
         topics["/gnss/fix"] = ("sensor_msgs/msg/NavSatFix", messages.fixes(out))
         topics["/gnss/vel"] = ("geometry_msgs/msg/TwistWithCovarianceStamped", messages.velocities(out))
-    if out.baro is not None:
+    if "baro" in out.instruments:
         topics["/baro/pressure"] = ("sensor_msgs/msg/FluidPressure", messages.pressures(out))
     for name in out.tracks:
         topic = "/" + "".join(c if c.isalnum() else "_" for c in name)
@@ -154,8 +154,7 @@ class _Messages:
             yield t, self._make("geometry_msgs/TwistWithCovarianceStamped", header=header, twist=twist)
 
     def pressures(self, out: Outgoing) -> Any:
-        baro = out.baro
-        assert baro is not None  # or there is no such topic
+        baro = out.instruments["baro"]
         pressure_0, temperature_0, lapse, exponent = _STANDARD
         ratio = 1.0 - lapse * baro.alt_baro / temperature_0
         pressure = pressure_0 * ratio**exponent

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.exchange.exports.outgoing import Outgoing
+from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
 from bench.store.columns import Layout
 
@@ -14,9 +15,7 @@ _WHAT = {
     "imu": "what the IMU reports: increments over the interval of length dt_s that ends at t_s, not rates",
     "gnss": "fixes of the GNSS antenna; t_s is their validity, t_arrival_s when they reach the filter",
     "observations": "what the receiver measures of each satellite, a row per satellite and epoch",
-    "baro": "barometric altitude; sd_m is the white noise the instrument claims",
-    "mag": "the magnetic field as the magnetometer reports it; the date of the flight is in start.json",
-    "airspeed": "true airspeed as the air data computer reports it",
+    **{name: row.says for name, row in INSTRUMENTS.items()},
     "truth": "the true motion of the IMU",
 }
 

@@ -1,0 +1,160 @@
+"""Units of measurement at the edges of the bench, and the constants that several places share.
+
+Inside, everything is SI and radians. A name at an edge (a TOML key, a column, a metric) ends in its unit;
+what it ends in says what its number is multiplied by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+STANDARD_GRAVITY = 9.80665  # [m/s^2], exact by definition (3rd CGPM, 1901)
+SAME_INSTANT = 1e-6  # two times closer than this are one instant [s]: far below any step, far above rounding
+DEG = math.pi / 180.0  # [rad]
+HOUR = 3600.0  # [s]
+
+_G = STANDARD_GRAVITY
+
+
+class Unit(NamedTuple):
+    """A unit of measurement: ``SI = factor * number + offset``."""
+
+    symbol: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+ENDINGS: Mapping[str, Unit] = {
+    "_deg_h_sqrt_h": Unit("deg/h/sqrt(h)", DEG / HOUR / math.sqrt(HOUR)),
+    "_deg_s_sqrt_s": Unit("deg/s/sqrt(s)", DEG),
+    "_ug_sqrt_h": Unit("ug/sqrt(h)", 1e-6 * _G / math.sqrt(HOUR)),
+    "_mg_sqrt_hz": Unit("mg/sqrt(Hz)", 1e-3 * _G),
+    "_deg_s_per_mps": Unit("deg/s per m/s", DEG),
+    "_mg_per_mps": Unit("mg per m/s", 1e-3 * _G),
+    "_deg_h_g2": Unit("deg/h/g^2", DEG / HOUR / _G**2),
+    "_deg_s_g2": Unit("deg/s/g^2", DEG / _G**2),
+    "_ug_g2": Unit("ug/g^2", 1e-6 / _G),
+    "_deg_h_g": Unit("deg/h/g", DEG / HOUR / _G),
+    "_deg_s_g": Unit("deg/s/g", DEG / _G),
+    "_deg_h_k": Unit("deg/h/K", DEG / HOUR),
+    "_deg_s_k": Unit("deg/s/K", DEG),
+    "_ug_k": Unit("ug/K", 1e-6 * _G),
+    "_mg_k": Unit("mg/K", 1e-3 * _G),
+    "_hpa_sqrt_h": Unit("hPa/sqrt(h)", 100.0 / math.sqrt(HOUR)),
+    "_pa_k": Unit("Pa/K"),
+    "_per_deg2": Unit("1/deg^2", 1.0 / DEG**2),
+    "_per_deg": Unit("1/deg", 1.0 / DEG),
+    "_hpa": Unit("hPa", 100.0),
+    "_arcsec": Unit("arcsec", DEG / 3600),
+    "_rpm": Unit("1/min", 2 * math.pi / 60),
+    "_degc": Unit("degC", 1.0, 273.15),
+    "_deg_s_sqrt_hz": Unit("deg/s/sqrt(Hz)", DEG),
+    "_deg_sqrt_h": Unit("deg/sqrt(h)", DEG / math.sqrt(HOUR)),
+    "_m_s_sqrt_h": Unit("m/s/sqrt(h)", 1 / math.sqrt(HOUR)),
+    "_ug_sqrt_hz": Unit("ug/sqrt(Hz)", 1e-6 * _G),
+    "_m_sqrt_s": Unit("m/sqrt(s)"),
+    "_percent": Unit("%", 1e-2),
+    "_deg_h": Unit("deg/h", DEG / HOUR),
+    "_deg_s": Unit("deg/s", DEG),
+    "_rad_s": Unit("rad/s"),
+    "_m_s2": Unit("m/s^2"),
+    "_mrad": Unit("mrad", 1e-3),
+    "_mps": Unit("m/s"),
+    "_m_s": Unit("m/s"),
+    "_deg": Unit("deg", DEG),
+    "_rad": Unit("rad"),
+    "_dbhz": Unit("dB-Hz"),
+    "_chip": Unit("chip"),
+    "_ppm": Unit("ppm", 1e-6),
+    "_ppb": Unit("ppb", 1e-9),
+    "_ug": Unit("ug", 1e-6 * _G),
+    "_mg": Unit("mg", 1e-3 * _G),
+    "_km": Unit("km", 1e3),
+    "_g": Unit("g", _G),
+    "_hz": Unit("Hz"),
+    "_pa": Unit("Pa"),
+    "_nt": Unit("nT", 1e-9),
+    "_ut": Unit("uT", 1e-6),
+    "_db": Unit("dB"),
+    "_m2": Unit("m^2"),
+    "_m": Unit("m"),
+    "_ms": Unit("ms", 1e-3),
+    "_us": Unit("us", 1e-6),
+    "_ns": Unit("ns", 1e-9),
+    "_s": Unit("s"),
+    "_k": Unit("K"),
+}
+"""Ending of a name -> its unit; where two fit, the longer one stands first. dB, dB-Hz and chips stay."""
+
+FACTORS: Mapping[str, float] = {unit.symbol: unit.factor for unit in ENDINGS.values()}
+"""Symbol of a unit -> what a number in it is multiplied by to be SI and radians."""
+
+_BARE = Unit("")
+
+
+def unit_of(name: str) -> str:
+    """Return the symbol of the unit that a name ends in, or an empty text.
+
+    Examples
+    --------
+    >>> unit_of("noise_deg_sqrt_h"), unit_of("lat_deg"), unit_of("seed")
+    ('deg/sqrt(h)', 'deg', '')
+    """
+    return ENDINGS.get(_ending(name), _BARE).symbol
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a name without the ending that is its unit, and the symbol of the unit.
+
+    Examples
+    --------
+    >>> split_unit("vel_n_mps"), split_unit("q_nb_w")
+    (('vel_n', 'm/s'), ('q_nb_w', ''))
+    """
+    ending = _ending(name)
+    return name.removesuffix(ending), ENDINGS.get(ending, _BARE).symbol
+
+
+def to_si(key: str, value: Any) -> Any:
+    """Return a number, or a tuple of them, in the unit its key ends in, as SI and radians.
+
+    Examples
+    --------
+    >>> to_si("qnh_hpa", 1013.25), to_si("pos_m", (1.0, 2.0, 3.0)), to_si("systems", "gps")
+    (101325.0, (1.0, 2.0, 3.0), 'gps')
+    """
+    unit = ENDINGS.get(_ending(key))
+    if unit is None or value is None:
+        return value
+    if isinstance(value, tuple):
+        return tuple(to_si(key, part) for part in value)
+    return unit.factor * value + unit.offset
+
+
+def from_si(key: str, value: float) -> float:
+    """Return a number in SI in the unit its key ends in.
+
+    Examples
+    --------
+    >>> from_si("reference_degc", 298.15), from_si("rate_hz", 10.0)
+    (25.0, 10.0)
+    """
+    unit = ENDINGS.get(_ending(key), _BARE)
+    return (value - unit.offset) / unit.factor
+
+
+def si_fields(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a table in SI, each under its key without the unit.
+
+    Examples
+    --------
+    >>> si_fields({"rate_hz": 5.0, "reach_km": 2.0, "label": "x"})
+    {'rate': 5.0, 'reach': 2000.0, 'label': 'x'}
+    """
+    return {split_unit(key)[0]: to_si(key, value) for key, value in table.items()}
+
+
+def _ending(name: str) -> str:
+    return next((ending for ending in ENDINGS if name.endswith(ending)), "")
