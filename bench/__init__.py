@@ -54,6 +54,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "check_limits": "bench.api",
+    "describe_flight": "bench.api",
     "export_run": "bench.api",
     "fly": "bench.api",
     "judge": "bench.api",
@@ -65,8 +66,11 @@ _PUBLIC = {
     "load_profile": "bench.api",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
+    "navigate_log": "bench.api",
+    "read_log": "bench.api",
     "record_limits": "bench.api",
     "run": "bench.api",
+    "save": "bench.api",
     "score_solution": "bench.api",
     "sense": "bench.api",
     "solve_rinex": "bench.api",

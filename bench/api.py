@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from bench import pipeline, store
 from bench.config import list_aircraft, list_estimators, list_profiles, list_sensors, load_profile
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
-from bench.errors import ConfigError
+from bench.errors import ConfigError, NothingToShowError
 from bench.specs import EstimatorChoice, Profile
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
+    from bench.log_pipeline import RecordedLog
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
 
@@ -36,6 +37,7 @@ load = store.load
 
 __all__ = [
     "check_limits",
+    "describe_flight",
     "export_run",
     "fly",
     "judge",
@@ -47,8 +49,11 @@ __all__ = [
     "load_profile",
     "measure_allan",
     "navigate",
+    "navigate_log",
+    "read_log",
     "record_limits",
     "run",
+    "save",
     "score_solution",
     "sense",
     "solve_rinex",
@@ -63,6 +68,7 @@ def run(
     run: int = 0,
     estimators: Sequence[str] | None = None,
     sensors: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
@@ -79,11 +85,14 @@ def run(
         The profile's own when None, but no programs: `load_profile` with ``allow_commands`` lets it.
     sensors : mapping or None
         Units to exchange, for example ``{"imu": "icm-42688-p"}``.
+    progress : callable or None
+        Told the seconds flown so far.
 
     Returns
     -------
     result : RunResult
-        Metrics, errors and solutions by estimator, and what it takes to repeat them.
+        Metrics, errors and solutions by estimator, the truth and what the sensors reported, and what it
+        takes to repeat them.
 
     Raises
     ------
@@ -102,12 +111,24 @@ def run(
         profile = load_profile(str(profile), overrides, seed, estimators)
     if run != int(run) or run < 0:
         raise ConfigError(f"bench.run: run = {run} must be a whole number, at least 0")
-    return pipeline.run(profile, int(run)).result
+    return pipeline.run(profile, int(run), progress=progress)
 
 
 def fly(profile: str | Path | Profile) -> Trajectory:
     """Return the truth of a profile; it is flown once and cached."""
     return pipeline.fly(_read(profile))
+
+
+def describe_flight(
+    profile: str | Path | Profile, progress: Callable[[float], None] | None = None
+) -> Mapping[str, Any]:
+    """Fly the truth of a profile, keep it in the cache, and return its figures.
+
+    Legs, extremes of altitude, speed and attitude, what no aircraft of its class does, and how far an
+    error-free strapdown strays from it. Names end in their unit, SI and radians. Memory does not grow with
+    the length of the flight. Errors as for :func:`run`.
+    """
+    return pipeline.fly_over(_read(profile), progress)
 
 
 def sense(profile: str | Path | Profile, truth: Trajectory, run: int = 0) -> Sensed:
@@ -127,6 +148,115 @@ def judge(
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics."""
     return pipeline.judge(_read(profile), truth, solution)
+
+
+def save(
+    result: RunResult,
+    folder: str | Path,
+    *,
+    recording: bool = True,
+    force: bool = False,
+    say: Callable[[str], object] = lambda text: None,
+) -> Path:
+    """Write a result that was just made into a results folder, as a whole or not at all.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of :func:`run` or :func:`navigate_log`.
+    folder : str or Path
+        Where to; :func:`load` reads it back.
+    recording : bool
+        Write ``flight.rrd`` too.
+    force : bool
+        Replace an existing results folder.
+    say : callable
+        Told why there is no recording.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the folder cannot be made or is not to be replaced, or the result has no records.
+    OSError
+        If the disk does not take it; nothing is left behind.
+    """
+    folder, sensed = Path(folder), result.sensed
+    if sensed is None:
+        raise ConfigError("bench.save: the result holds no records of its sensors")
+    store.check_folder(folder, force=force)
+    with store.new_folder(folder, force=force) as partial:
+        store.save(partial, result, result.truth, sensed, result.more)
+        if recording:
+            from bench import recording as viewer
+
+            made = (result.solutions, result.errors, result.metrics, result.more.get("outages", ()))
+            try:
+                viewer.write(partial / store.RECORDING, result.records["spec"], result.truth, sensed, *made)
+            except NothingToShowError as error:
+                say(f"No recording: {error}.")
+    return folder
+
+
+def read_log(
+    path: str | Path, *, estimators: Sequence[str] | None = None, allow_commands: bool = False
+) -> RecordedLog:
+    """Read a recording of real sensors and check it against itself; nothing is repaired.
+
+    Parameters
+    ----------
+    path : str or Path
+        The ``.toml`` of the log: its files, how the sensors were mounted, the datasheets the filters assume.
+    estimators : sequence of str or None
+        As for :func:`run`; those of the log when None.
+    allow_commands : bool
+        Let the log start the programs it names.
+
+    Returns
+    -------
+    log : RecordedLog
+        ``records`` (``imu``, ``fixes``, ``baro``: SI, b, t = 0 at the first row of the IMU), ``checks``.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If a file is missing or wrong; file and row are named.
+    bench.errors.EstimatorError
+        If an estimator cannot be built, or needs what the log lacks.
+    """
+    from bench import log_pipeline
+
+    return log_pipeline.read_log(str(path), estimators, allow_commands)
+
+
+def navigate_log(
+    log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
+) -> RunResult:
+    """Run estimators on a recording and judge them by fixes they were not given.
+
+    Parameters
+    ----------
+    log : str, Path or RecordedLog
+        As :func:`read_log` takes or returns it.
+    outages : sequence of float
+        GNSS outages to cut [s]; each at ``places`` places, each in a run of its own.
+    places : int
+        Places of the recording where each outage is cut.
+
+    Returns
+    -------
+    result : RunResult
+        ``errors`` against the fixes that were withheld [m, m/s; n], ``metrics``; ``more`` holds the checks
+        of the recording and the drift over the outages [m].
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError
+        As for :func:`read_log`, and if the start or an outage does not fit the recording.
+    """
+    from bench import log_pipeline
+
+    log = log if isinstance(log, log_pipeline.RecordedLog) else read_log(log)
+    return log_pipeline.navigate_log(log, outages, places)
 
 
 def measure_allan(

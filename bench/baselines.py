@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -198,7 +198,7 @@ def _fly(profile: Profile, runs: int, progress: Progress | None) -> list[RunResu
     for k in range(runs):
         if progress:
             progress(profile.name, k, runs)
-        results.append(pipeline.run(profile, run=k, truth=truth).result)
+        results.append(replace(pipeline.run(profile, run=k, truth=truth), records={}))  # metrics alone
     if progress:
         progress(profile.name, runs, runs)
     return results

@@ -398,3 +398,27 @@ class RunResult(Rebuilt):
     errors: Mapping[str, ErrorSeries]
     solutions: Mapping[str, NavSolution]
     provenance: Mapping[str, Any]  # versions, commit, CPU time
+    more: Mapping[str, Any] = field(default_factory=dict)  # of a log: "log", "validity", "outages"
+    records: Mapping[str, Any] = field(default_factory=dict)  # "spec", "truth", "sensed": what it came from
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """The flight; None of a log."""
+        return self.records.get("truth")
+
+    @property
+    def sensed(self) -> Sensed | None:
+        """What the sensors reported, what was drawn for it, and the start of the estimators."""
+        return self.records.get("sensed")
+
+    @property
+    def sensors(self) -> SensorData | None:
+        """What the estimators were given."""
+        return self.sensed.data if self.sensed else None
+
+    @property
+    def events(self) -> Events:
+        """Legs and remarks of the flight, outages and faults of the sensors, in order of time."""
+        both = [record.events for record in (self.truth, self.sensed) if record is not None]
+        rows = [row for e in both for row in zip(e.t.tolist(), e.t_end.tolist(), e.kind, e.text, strict=True)]
+        return Events.from_rows(rows)

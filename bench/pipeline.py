@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from itertools import pairwise
 from typing import Any
 
@@ -14,15 +14,6 @@ from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A result with the records it came from."""
-
-    result: RunResult
-    truth: Trajectory
-    sensed: Sensed
 
 
 def fly(
@@ -135,7 +126,7 @@ def run(
     *,
     truth: Trajectory | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Run:
+) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
     Parameters
@@ -170,7 +161,7 @@ def run(
     hashes = {"truth": None if given else store.truth_key(profile.flight)}
     hashes["sensors"] = store.spec_hash(profile.sensors)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
-    result = RunResult(
+    return RunResult(
         profile=profile.document,
         seed=profile.seed,
         run=run,
@@ -185,8 +176,8 @@ def run(
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
         provenance={**store.provenance(), "inputs": hashes, "cpu_s": cpu_s},
+        records={"spec": profile, "truth": truth, "sensed": sensed},
     )
-    return Run(result, truth, sensed)
 
 
 def _check_times(profile: Profile, end: float) -> None:

@@ -80,7 +80,7 @@ def record(name: str) -> dict[str, Any]:
         "truth": digest(truth),
         "sensors": {kind: digest(getattr(data, kind)) for kind in aiding if getattr(data, kind) is not None},
         "streams": sorted(streams),
-        "metrics": pipeline.run(profile, truth=truth).result.metrics,
+        "metrics": pipeline.run(profile, truth=truth).metrics,
     }
 
 

@@ -31,7 +31,7 @@ def test_run_is_fly_sense_navigate_judge(profile):
     assert {k: v for k, v in result.metrics["loose-15"].items() if k != "unmodelled"} == metrics
     assert result.seed == 3
     assert result.provenance["inputs"]["truth"]
-    given = pipeline.run(profile, truth=truth).result.provenance["inputs"]
+    given = pipeline.run(profile, truth=truth).provenance["inputs"]
     assert given == {**result.provenance["inputs"], "truth": None}
 
 

@@ -70,7 +70,7 @@ def navigate(
       bench navigate drive.toml -e loose-15 --outages 10,30,60
     """
     from bench.store import to_json
-    from bench.workbench.log import navigate as navigate_log
+    from bench.workbench.record_verbs import navigate_log
 
     summary = navigate_log(
         log,

@@ -6,7 +6,9 @@ therefore comes with an interval that holds for any distribution, as long as the
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,17 @@ RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median of the length of a horizontal error over its standard deviation by axis, when normal."""
 RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 """The same of the 95 % quantile."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutageDrift:
+    """What one outage at one place did to an estimator."""
+
+    start: float  # the last fix before it [s]
+    duration: float  # from there to the fix that ends it [s]
+    drift: float  # horizontal error at the fix that ends it [m]
+    drift_v: float  # vertical [m]
+    claimed: float  # standard deviation by axis that the filter claims there [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +110,61 @@ def closed_form_sd(imu: ImuSpec, duration: float) -> float:
             + (g * gyro.random_walk) ** 2 * T**5 / 20.0
         )
     )
+
+
+def drift_row(label: str, duration: float, cuts: Sequence[OutageDrift], imu: ImuSpec) -> dict[str, Any]:
+    """Return a row of the drift table: quantiles of the horizontal drift and what was to be expected [m]."""
+    drift = np.array([cut.drift for cut in cuts])
+    median, most = quantile(drift, 0.5), quantile(drift, 0.95)
+    law = closed_form_sd(imu, duration)
+    return {
+        "estimator": label,
+        "duration_s": duration,
+        "places": len(cuts),
+        "median_h_m": median.value,
+        "median_h_low_m": median.low,
+        "median_h_high_m": median.high,
+        "p95_h_m": most.value,
+        "p95_h_low_m": most.low,
+        "p95_h_high_m": most.high,
+        "rms_h_m": float(np.sqrt(np.mean(drift**2))),
+        "median_v_m": float(np.median([cut.drift_v for cut in cuts])),
+        "claimed_median_h_m": float(RAYLEIGH_MEDIAN * np.median([cut.claimed for cut in cuts])),
+        "closed_form_median_h_m": RAYLEIGH_MEDIAN * law,
+        "closed_form_p95_h_m": RAYLEIGH_95 * law,
+        "starts_s": [cut.start for cut in cuts],
+        "drifts_h_m": drift.tolist(),
+    }
+
+
+DRIFT_COLUMNS = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
+DRIFT_MEANING = (
+    "In brackets the 95 % interval of the quantile, from the places alone. Claimed: the median the filter "
+    "says of itself. Law: the median by bias instability and noise of the assumed datasheet after a perfect "
+    "start."
+)
+
+
+def drift_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Write a row of the drift table; an end of an interval that so few places cannot give is a dash."""
+    return (
+        f"{row['duration_s']:g} s",
+        row["estimator"],
+        str(row["places"]),
+        _interval(row, "median_h"),
+        _interval(row, "p95_h"),
+        _number(row["claimed_median_h_m"]),
+        f"{row['closed_form_median_h_m']:.3g}",
+    )
+
+
+def _interval(row: Mapping[str, Any], name: str) -> str:
+    low, high = row[f"{name}_low_m"], row[f"{name}_high_m"]
+    if not np.isfinite(row[f"{name}_m"]):
+        return "-"
+    ends = " to ".join(map(_number, (low, high)))
+    return f"{row[f'{name}_m']:.3g} ({ends})"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"

@@ -28,7 +28,7 @@ GAP = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class LogRecords:
     """What was recorded, in b and on one clock."""
 
     imu: ImuData
@@ -38,7 +38,7 @@ class Recording:
     notes: tuple[str, ...]  # what the files hold that is not used
 
 
-def read_log(spec: LogSpec) -> Recording:
+def read_records(spec: LogSpec) -> LogRecords:
     """Return the records of a log; rows are as they are, in the order of their files.
 
     Raises
@@ -59,7 +59,7 @@ def read_log(spec: LogSpec) -> Recording:
             f"{spec.gnss.path.name}: its times, {there}, are not those of {spec.imu.path.name}, "
             f"{origin:.9g} to {last + origin:.9g} s; both must be on one clock"
         )
-    return Recording(
+    return LogRecords(
         imu=imu,
         fixes=fixes,
         baro=None if baro_rows is None else _baro(baro_rows, spec.assumed, origin),

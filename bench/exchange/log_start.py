@@ -8,12 +8,12 @@ from bench import earth
 from bench.config.log import LogSpec
 from bench.data import InitialState
 from bench.errors import ConfigError
-from bench.exchange.log import Recording
+from bench.exchange.log import LogRecords
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.rotation import from_euler, matrix
 
 
-def start(recording: Recording, spec: LogSpec) -> InitialState:
+def start(recording: LogRecords, spec: LogSpec) -> InitialState:
     """Return the start at or after ``[alignment] at_s``; what is not told is NaN with infinite variance.
 
     "given": position and velocity of the first usable fix, less the lever arm, and the attitude of the log;

@@ -6,7 +6,7 @@ east, down); plots are float64. The recording is a view of a run, not its archiv
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def write(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
-    more: str = "",
+    outages: Sequence[Mapping[str, Any]] = (),
 ) -> None:
     """Write the recording of one run.
 
@@ -43,8 +43,8 @@ def write(
         The flight and one draw of the sensors; without a truth the first estimator carries the vehicle.
     solutions, errors, metrics : mappings by estimator
         What the estimators made of it. The first is the main one: the overview shows it.
-    more : str
-        Markdown below the summary.
+    outages : sequence of mappings
+        Rows of the drift table of a log, as `bench.evaluation.outages.drift_row` makes them.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def write(
     bench.errors.NothingToShowError
         Without a truth, when no estimator has a motion to show.
     """
-    recorded = _record(profile, truth, sensed, solutions, errors, metrics, more)
+    recorded = _record(profile, truth, sensed, solutions, errors, metrics, outages)
     part = path.with_name(f"{path.name}.tmp")
     try:
         part.write_bytes(recorded)
@@ -69,7 +69,7 @@ def _record(
     solutions: Mapping[str, NavSolution],
     errors: Mapping[str, ErrorSeries],
     metrics: Mapping[str, Mapping[str, Any]],
-    more: str,
+    outages: Sequence[Mapping[str, Any]],
 ) -> bytes:
     """Return the recording as the bytes of its file.
 
@@ -95,7 +95,7 @@ def _record(
             title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
         stream.send_recording_name(title)
         space.send(stream, mesh, motion, sensed, solutions)
-        words.send(stream, profile, motion, sensed, solutions, metrics, more)
+        words.send(stream, profile, motion, sensed, solutions, metrics, outages)
         for plot in plots.every(tabs):
             plots.send(stream, plot, shades)
         if sensed.sky is not None and sky is not None and truth is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from bench.config.log import LogSpec
 from bench.data import NavSolution, Sensed
 from bench.evaluation.metrics import metric_of
+from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, drift_cells
 from bench.instruments import INSTRUMENTS
 from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour, Motion
 from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
@@ -25,12 +26,12 @@ def send(
     sensed: Sensed,
     solutions: Mapping[str, NavSolution],
     metrics: Mapping[str, Mapping[str, Any]],
-    more: str,
+    outages: Sequence[Mapping[str, Any]],
 ) -> None:
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
     import rerun as rr
 
-    page = summary(profile, truth, metrics) + more
+    page = summary(profile, truth, metrics) + drift_page(outages)
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
@@ -169,3 +170,12 @@ def _flight(flight: Flight, truth: Motion) -> str:
 
 def _number(value: Any) -> str:
     return "–" if value is None else f"{value:.4g}"
+
+
+def drift_page(table: Sequence[Mapping[str, Any]]) -> str:
+    """Return the drift over outages of a log in Markdown; nothing when none was cut."""
+    if not table:
+        return ""
+    rows = [DRIFT_COLUMNS, ("---",) * len(DRIFT_COLUMNS), *map(drift_cells, table)]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join(["", "**Horizontal drift without GNSS** [m]", "", *lines, "", DRIFT_MEANING, ""])

@@ -12,8 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import api, pipeline, store
-from bench.config import load_profile
+from bench import api, store
 from bench.data import RunResult
 from bench.specs import Profile
 from bench.workbench import show
@@ -26,86 +25,51 @@ def run(
     name: str,
     *,
     console: Console,
-    out: Path | None = None,
-    estimators: Sequence[str] | None = None,
-    overrides: Mapping[str, Any] | None = None,
-    seed: int | None = None,
-    draw: int = 0,
-    recording: bool = True,
-    force: bool = False,
-    allow_commands: bool = False,
+    out: Path | None,
+    draw: int,
+    recording: bool,
+    force: bool,
+    **asked: Any,
 ) -> tuple[RunResult, Path]:
-    """Fly one profile, evaluate its estimators, and write the results folder.
+    """Fly one profile, evaluate its estimators, write the results folder, and print the metrics.
 
-    Parameters
-    ----------
-    name : str
-        Shipped name or path of the profile.
-    console : Console
-        Where the table goes; the progress bar goes to stderr.
-    out : Path or None
-        Results folder; ``runs/<profile>-<seed>`` when None, with the draw where it is not 0.
-    estimators, overrides, seed
-        As `bench.config.load_profile` takes them.
-    draw : int
-        The noise draw of the seed.
-    recording : bool
-        Write ``flight.rrd`` too.
-    force : bool
-        Replace an existing results folder.
-    allow_commands : bool
-        The profile itself may name programs that are started.
-
-    Returns
-    -------
-    result : RunResult
-        Metrics of every estimator, diverged ones included.
-    folder : Path
-        The results folder.
-
-    Raises
-    ------
-    ConfigError, bench.errors.EstimatorError, bench.errors.FlightError, OSError
-        With nothing left behind.
+    The folder is ``runs/<profile>-<seed>`` when ``out`` is None, with the draw where it is not 0; ``asked``
+    is what `bench.config.load_profile` takes.
     """
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # where the user's own estimators are looked for, after all else
-    profile = load_profile(name, overrides, seed, estimators, allow_commands)
-    label = f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else "")
-    folder = out or RUNS / label
+    find_own_estimators()
+    profile = api.load_profile(name, **asked)
+    folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
     with _progress(profile) as progress:
-        flown = pipeline.run(profile, draw, progress=progress)
-    _write(folder, profile, flown, recording=recording, force=force)
-    show.result(console, profile, flown.result)
-    show.sanity(console, flown.truth.events.of("sanity"))
+        result = api.run(profile, run=draw, progress=progress)
+    api.save(result, folder, recording=recording, force=force)
+    show.result(console, profile, result)
+    show.sanity(console, result.events.of("sanity"))
+    print_end(console, folder, begun)
+    return result, folder
+
+
+def print_end(console: Console, folder: Path, begun: float) -> None:
+    """Print where results are, how long they took, and what to do with them."""
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
-    if recording:
+    if (folder / store.RECORDING).is_file():
         console.print(f"Next: bench view {folder}")
-    return flown.result, folder
 
 
-def fly(
-    name: str, *, console: Console, overrides: Mapping[str, Any] | None = None, seed: int | None = None
-) -> None:
+def find_own_estimators() -> None:
+    """Look for the user's own estimators in the present folder, after all else."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+
+
+def fly(name: str, *, console: Console, overrides: Mapping[str, Any], seed: int | None) -> None:
     """Fly the truth of one profile, keep it in the cache, and print what was flown."""
-    profile = load_profile(name, overrides, seed)
+    profile = api.load_profile(name, overrides, seed)
     with _progress(profile) as progress:
-        flown = pipeline.fly_over(profile, progress)
+        flown = api.describe_flight(profile, progress)
     show.flight(console, profile, flown)
     console.print(f"Next: bench run {name}")
-
-
-def _write(folder: Path, profile: Profile, flown: pipeline.Run, *, recording: bool, force: bool) -> None:
-    result = flown.result
-    with store.new_folder(folder, force=force) as partial:
-        store.save(partial, result, flown.truth, flown.sensed)
-        if recording:
-            from bench.recording import write
-
-            records = (flown.truth, flown.sensed, result.solutions, result.errors, result.metrics)
-            write(partial / store.RECORDING, profile, *records)
 
 
 def check_limits(directory: Path, names: Sequence[str], *, console: Console, runs: int | None) -> bool:

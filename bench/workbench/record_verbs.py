@@ -1,7 +1,8 @@
-"""What the verbs of records print: fixes, allan, export, score, stream."""
+"""What the verbs of records print: navigate, fixes, allan, export, score, stream."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,54 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import api
+from bench import api, store
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, noise_figures
+from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, drift_cells
 from bench.specs import TriadSpec
 from bench.workbench import show
+from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
+
+
+def navigate_log(
+    name: str,
+    *,
+    console: Console,
+    durations: Sequence[float],
+    places: int,
+    out: Path | None,
+    recording: bool,
+    force: bool,
+    **asked: Any,
+) -> dict[str, Any]:
+    """Check a recording, run estimators on it, print how they did, and write the results folder.
+
+    The folder is ``runs/<log>`` when ``out`` is None; ``asked`` is what `bench.api.read_log` takes. Returns
+    ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
+    """
+    find_own_estimators()
+    folder = out or RUNS / Path(name).stem
+    store.check_folder(folder, force=force)
+    begun = time.perf_counter()
+    log = api.read_log(name, **asked)
+    console.print(f"{log.spec.title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
+    for check in log.checks:
+        mark, style = ("  ", None) if check.good else ("! ", "yellow")
+        console.print(mark + check.text, style=style, soft_wrap=True)
+    for note in log.records.notes:
+        console.print(f"  {note}")
+    result = api.navigate_log(log, outages=durations, places=places)
+    withheld, begins = len(result.records["withheld"]), log.spec.evaluation_from
+    console.print(f"{log.spec.title}: {withheld} fixes withheld, from {begins:g} s on")
+    show.metrics(console, result.metrics, result.solutions)
+    if result.more["outages"]:
+        table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
+        for row in result.more["outages"]:
+            table.add_row(*drift_cells(row))
+        console.print(table)
+        console.print(DRIFT_MEANING, soft_wrap=True)
+    api.save(result, folder, recording=recording, force=force, say=console.print)
+    print_end(console, folder, begun)
+    return {"metrics": result.metrics, **result.more}
 
 
 def solve_fixes(

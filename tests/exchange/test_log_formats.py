@@ -26,7 +26,7 @@ from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import ConfigError
 from bench.exchange.imports import bags
-from bench.exchange.log import read_log
+from bench.exchange.log import read_records
 from tests.exchange import drives
 
 EPOCH = 1_751_000_000.0  # what a clock of ROS shows at t = 0 [s]
@@ -267,7 +267,7 @@ def log(folder, imu, gnss, baro=None, imu_more="", gnss_more=""):
     if baro:
         text = text.replace("[sensors.assumed]", BARO.format(file=baro, more=""))
     (folder / "drive.toml").write_text(text)
-    return read_log(load_log(str(folder / "drive.toml")))
+    return read_records(load_log(str(folder / "drive.toml")))
 
 
 def same(found, made, single=False, whole=True):
@@ -512,7 +512,7 @@ def refused_baro(folder):
     (folder / "drive.toml").write_text(text)
     spec = load_log(str(folder / "drive.toml"))
     with pytest.raises(ConfigError) as caught:
-        read_log(spec)
+        read_records(spec)
     return str(caught.value)
 
 

@@ -17,7 +17,7 @@ from bench.config.log import load_log
 from bench.errors import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.errors import error_series
-from bench.exchange.log import read_log
+from bench.exchange.log import read_records
 from bench.exchange.log_start import start
 from bench.navigation import alignment
 from bench.navigation.estimator import BUILT_IN, load
@@ -245,6 +245,6 @@ def test_a_bag_of_nav_sat_fixes_alone_is_navigated(tmp_path, capsys):
     text = text.replace('kind = "course"', f'kind = "given"\n{told}')
     check_metrics(navigated(tmp_path, text, capsys, "--no-rrd"), ["loose-15"])
     spec = load_log(str(tmp_path / "drive.toml"))
-    begun = start(read_log(spec), spec)
+    begun = start(read_records(spec), spec)
     assert begun.cov[3, 3] == alignment.UNKNOWN_SPEED_SD**2
     assert not begun.vel_n.any()

@@ -49,7 +49,7 @@ def bench_of(monkeypatch):
         def run(profile, run, truth):
             assert truth == "truth"
             flown.append(("run", run))
-            return SimpleNamespace(result=result(metrics_of(run), run))
+            return result(metrics_of(run), run)
 
         monkeypatch.setattr(baselines, "load_profile", lambda source: SimpleNamespace(name=source, seed=7))
         monkeypatch.setattr(baselines, "pipeline", SimpleNamespace(fly=fly, run=run))

@@ -25,11 +25,11 @@ from bench.earth import difference_n
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import judge
-from bench.exchange.log import divided, read_log
+from bench.exchange.log import divided, read_records
 from bench.exchange.log_start import start
+from bench.log_pipeline import Session
 from bench.navigation import estimator
 from bench.recording import column
-from bench.workbench.log import Session
 from tests.exchange import drives
 
 LOGS = Path(__file__).parents[1] / "logs"
@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
 
 def checks(path):
     spec = load_log(str(path))
-    recorded = read_log(spec)
+    recorded = read_records(spec)
     found = validity.check(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
     return {c.name: c for c in found}
 
@@ -67,7 +67,7 @@ def rewritten(folder, tmp_path, *changes: tuple[str, str]) -> Path:
 
 def test_rates_and_increments_in_csv_parquet_and_mat_are_one_recording(folder, tmp_path):
     imu = drives.sensed()["imu"]
-    first = read_log(load_log(str(folder / "drive.toml"))).imu
+    first = read_records(load_log(str(folder / "drive.toml"))).imu
     columns = drives.imu_columns(imu)
     parquet.write_table(pa.table(columns), tmp_path / "imu.parquet")
     savemat(
@@ -88,7 +88,7 @@ def test_rates_and_increments_in_csv_parquet_and_mat_are_one_recording(folder, t
     path = rewritten(folder, tmp_path)
     for file, more in (("imu.parquet", ""), ("imu.mat", ""), ("increments.csv", ""), ("odd.csv", told)):
         path.write_text(drives.LOG.replace('file = "imu.csv"', f'file = "{file}"\n{more}'))
-        found = read_log(load_log(str(path))).imu
+        found = read_records(load_log(str(path))).imu
         assert_allclose(found.t, first.t, atol=1e-9)
         assert_allclose(found.dtheta_b, first.dtheta_b, atol=1e-11)
         assert_allclose(found.dvel_b, first.dvel_b, atol=1e-10)
@@ -96,15 +96,15 @@ def test_rates_and_increments_in_csv_parquet_and_mat_are_one_recording(folder, t
 
 def test_mounting_and_misalignment_turn_the_axes_of_the_imu_into_those_of_the_body(folder, tmp_path):
     """scipy turned the vectors of the body into the axes of the IMU; the log has to turn them back."""
-    plain = read_log(load_log(str(folder / "drive.toml"))).imu
+    plain = read_records(load_log(str(folder / "drive.toml"))).imu
     turned = drives.write_log(tmp_path, mounting_deg=(170.0, 20.0, -100.0))
     text = drives.LOG.replace("[imu]", "[imu]\nmounting_deg = [170.0, 20.0, -100.0]")
     turned.write_text(text)
-    found = read_log(load_log(str(turned))).imu
+    found = read_records(load_log(str(turned))).imu
     assert_allclose(found.dtheta_b, plain.dtheta_b, atol=1e-11)
     assert_allclose(found.dvel_b, plain.dvel_b, atol=1e-10)
     turned.write_text(text.replace("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 90.0]"))
-    found = read_log(load_log(str(turned))).imu  # what pointed forward points right
+    found = read_records(load_log(str(turned))).imu  # what pointed forward points right
     assert_allclose(found.dvel_b[:, 1], plain.dvel_b[:, 0], atol=1e-10)
 
 
@@ -256,7 +256,7 @@ def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys
 def test_the_withheld_fixes_never_reach_the_filter(folder):
     """Other values in them leave the solution as it is, bit by bit."""
     spec = load_log(str(folder / "drive.toml"))
-    recorded = read_log(spec)
+    recorded = read_records(spec)
     session = Session(spec, recorded, start(recorded, spec))
     keep, withheld = session.withheld()
     assert len(withheld) == len(session.fixes) // 5
@@ -277,7 +277,7 @@ def test_the_withheld_fixes_never_reach_the_filter(folder):
 def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
     """The error against the last fix cut out is that against the truth, to the noise of the fix."""
     spec = load_log(str(folder / "drive.toml"))
-    recorded = read_log(spec)
+    recorded = read_records(spec)
     session = Session(spec, recorded, start(recorded, spec))
     one = estimator.load("loose-15", {})
     flown = drives.truth()
@@ -328,7 +328,7 @@ def usual(folder, tmp_path_factory):
 def outcome(path):
     """Everything a log comes to, of its first estimator."""
     spec = load_log(str(path))
-    recorded = read_log(spec)
+    recorded = read_records(spec)
     session = Session(spec, recorded, start(recorded, spec))
     keep, withheld = session.withheld()
     data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
@@ -348,9 +348,9 @@ def test_quality_leaves_fixes_out(tmp_path):
     columns = drives.gnss_columns(drives.sensed()["gnss"])
     columns["quality"] = np.where(np.arange(len(columns["t_s"])) % 3, 1.0, 5.0)
     drives.write_csv(tmp_path / "gnss.csv", columns)
-    every = read_log(load_log(str(path))).fixes.valid
+    every = read_records(load_log(str(path))).fixes.valid
     path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nquality = [1, 2]"))
-    some = read_log(load_log(str(path))).fixes.valid
+    some = read_records(load_log(str(path))).fixes.valid
     assert every.all()
     assert_array_equal(some, columns["quality"] == 1.0)
 
@@ -366,7 +366,7 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     )
     path = rewritten(folder, tmp_path, (KIND, told if kind == "given" else KIND))
     spec = load_log(str(path))
-    recorded = read_log(spec)
+    recorded = read_records(spec)
     initial = start(recorded, spec)
     assert initial.alignment == kind
     if kind == "given":
@@ -551,7 +551,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
 
     def said():
         with pytest.raises(ConfigError) as caught:
-            read_log(load_log(str(path)))
+            read_records(load_log(str(path)))
         return str(caught.value)
 
     mat.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
@@ -691,7 +691,7 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
     for name, changes in (("a", (ROOF,)), ("b", (ROOF, other))):
         (tmp_path / name).mkdir()
         spec = load_log(str(real(tmp_path / name, *changes)))
-        recorded = read_log(spec)
+        recorded = read_records(spec)
         session = Session(spec, recorded, start(recorded, spec))
         keep, withheld = session.withheld()
         data = session.data(keep, withheld.t)
