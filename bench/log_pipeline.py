@@ -22,7 +22,6 @@ from bench.navigation import estimator
 from bench.units import SAME_INSTANT
 
 
-
 @dataclass(frozen=True, slots=True)
 class RecordedLog:
     """A recording with what looks wrong in it, and the estimators that are to run on it."""
