@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, as_float
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
-from bench.instruments import INSTRUMENTS, AirspeedData, BaroData, MagData
+from bench.instruments import INSTRUMENTS, Reports
 from bench.specs import DEFAULT_DATE, AssumedSpecs
 
 _LLA = ("lat_rad", "lon_rad", "alt_m")
@@ -207,30 +207,22 @@ class GnssObservations(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class SensorData(Rebuilt):
+class SensorData(Reports, Rebuilt):
     """Everything an estimator may know: measurements, and the specs it is told to assume."""
 
     imu: ImuData
     fixes: GnssFixes | None
-    baro: BaroData | None
     antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
     specs: AssumedSpecs
     output_t: FloatArray  # (M,) instants at which the solution is wanted, each after the one before [s]
     observations: GnssObservations | None = None
-    mag: MagData | None = None
-    airspeed: AirspeedData | None = None
+    ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
 
     def __post_init__(self) -> None:
         freeze_field(self, "antenna_b", float, (3,), finite=True)
         freeze_field(self, "output_t", float, (None,), finite=True)
         _increasing("SensorData.output_t", self.output_t)
-
-    @property
-    def instruments(self) -> dict[str, Any]:
-        """The records of the instruments on board beside IMU and GNSS, by name."""
-        found = {name: getattr(self, name) for name in INSTRUMENTS}
-        return {name: record for name, record in found.items() if record is not None}
 
     @property
     def records(self) -> set[str]:

@@ -1,13 +1,14 @@
 """The aiding instruments beside IMU and GNSS: one declaration each, and everything else loops over them.
 
-An instrument is its record, its spec and its row in :data:`INSTRUMENTS`. To add one, write these three here,
-its model in ``bench/sensors/<model>.py``, its fields in `bench.data.SensorData` and `bench.specs`, and, for
-filters that use it, its branch in the measurement kernel. Datasheets, profiles, faults, files, streams,
-recordings, needs and alarms follow from the row.
+An instrument is its record, its spec, its place in :class:`Units` and :class:`Reports` and its row in
+:data:`INSTRUMENTS`. To add one, write these here, its model in ``bench/sensors/<model>.py`` and, for filters
+that use it, its row in `bench.navigation.measurements` and its branch in the measurement kernel. Datasheets,
+profiles, faults, files, streams, recordings, needs and alarms follow from the row here.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -128,6 +129,77 @@ class AirspeedSpec:
     latency: float = figure("s", default=0.0)  # [s]
 
 
+@declared
+class RadarData(InstrumentData):
+    """Height above the ground as a radar altimeter reports it."""
+
+    height: FloatArray = column("height_m")  # (M,) [m]
+    sd: FloatArray = column("sd_m")  # (M,) white noise the instrument claims [m]
+
+
+@declared
+class RadarSpec:
+    """A radar altimeter. What it does not have is 0."""
+
+    name: str
+    rate: float = figure("hz", 0.01, 400)  # [Hz]
+    white_sd: float = figure("m", reported=True)  # [m]
+    range: float = figure("m", 1, 1e5)  # a sample above it is flagged [m]
+    min_height: float = figure("m", default=0.0)  # a sample below it is flagged [m]
+    max_tilt: float = figure("deg", 1, 90, default=math.pi / 2)  # a sample tilted beyond is flagged [rad]
+    bias_sd: float = figure("m", default=0.0)  # constant in a run [m]
+    quantization: float = figure("m", default=0.0)  # least bit [m]
+    latency: float = figure("s", default=0.0)  # [s]
+
+
+@declared
+class OdometerData(InstrumentData):
+    """Speed over ground along the body as a wheel tells it."""
+
+    speed: FloatArray = column("speed_mps")  # (M,) forward positive [m/s]
+    sd: FloatArray = column("sd_mps")  # (M,) white noise the instrument claims [m/s]
+
+
+@declared
+class OdometerSpec:
+    """A wheel that counts its turns. What it does not have is 0."""
+
+    name: str
+    rate: float = figure("hz", 0.01, 400)  # [Hz]
+    white_sd: float = figure("mps", reported=True)  # [m/s]
+    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)  # of the diameter, constant in a run [1]
+    quantization: float = figure("mps", default=0.0)  # least bit [m/s]
+    latency: float = figure("s", default=0.0)  # [s]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Units:
+    """The specs of the instruments, on board or assumed; None: there is no such instrument."""
+
+    baro: BaroSpec | None = None
+    mag: MagSpec | None = None
+    airspeed: AirspeedSpec | None = None
+    radar: RadarSpec | None = None
+    odometer: OdometerSpec | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reports:
+    """What the instruments report; None: there is no such instrument."""
+
+    baro: BaroData | None = None
+    mag: MagData | None = None
+    airspeed: AirspeedData | None = None
+    radar: RadarData | None = None
+    odometer: OdometerData | None = None
+
+    @property
+    def instruments(self) -> dict[str, Any]:
+        """The records that there are, by the name of the instrument."""
+        found = {name: getattr(self, name) for name in INSTRUMENTS}
+        return {name: record for name, record in found.items() if record is not None}
+
+
 @dataclass(frozen=True, slots=True)
 class Trace:
     """How the value of an instrument stands among the plots of the flight."""
@@ -214,7 +286,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             innovation="baro",
             quantity="baro altitude",
             frame=2,
-            bias=Column(("baro_bias_m",), ("m",), shape=()),
+            bias=Column(("baro_bias_m",), ("m",)),
             trace=Trace("altitude", "barometer", "m"),
             parts={"physical": StaticPressureSpec},
             step="m",
@@ -244,11 +316,38 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             innovation="airspeed",
             quantity="airspeed",
             frame=4,
-            bias=Column(("airspeed_bias_mps",), ("m/s",), shape=()),
+            bias=Column(("airspeed_bias_mps",), ("m/s",)),
             trace=Trace("speed", "airspeed unit", "m/s", dots=True),
             rounds=False,
             feels_air=lambda spec: True,
             problems=_airspeed_problems,
+        ),
+        Instrument(
+            name="radar",
+            title="radar altimeter",
+            record=RadarData,
+            spec=RadarSpec,
+            says="height above the runway as the radar altimeter reports it",
+            model="radar",
+            innovation="radar",
+            quantity="radar height",
+            frame=5,
+            bias=Column(("radar_bias_m",), ("m",)),
+            trace=Trace("height", "height above the ground", "m"),
+            step="m",
+        ),
+        Instrument(
+            name="odometer",
+            title="odometer",
+            record=OdometerData,
+            spec=OdometerSpec,
+            says="forward speed over ground as a wheel tells it; valid while the wheel is on the ground",
+            model="odometer",
+            innovation="odometer",
+            quantity="wheel speed",
+            frame=6,
+            bias=Column(("odometer_bias_mps",), ("m/s",)),
+            trace=Trace("speed", "odometer", "m/s", dots=True),
         ),
     )
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench.fields import declared, figure
-from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
+from bench.instruments import Units
 from bench.legs import Leg
 
 if TYPE_CHECKING:
@@ -383,23 +384,19 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class AssumedSpecs:
+class AssumedSpecs(Units):
     """The datasheets an estimator is told to believe."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
-    baro: BaroSpec | None
-    mag: MagSpec | None = None
-    airspeed: AirspeedSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class SensorsSpec:
+class SensorsSpec(Units):
     """The units on board, what the filters assume of them, and what is scripted to happen."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
-    baro: BaroSpec | None
     assumed: AssumedSpecs
     antenna_b: tuple[float, float, float]  # [m], b
     gnss_outages: tuple[tuple[float, float], ...]  # [start, end) [s], ordered, disjoint
@@ -408,14 +405,14 @@ class SensorsSpec:
     initial_tilt_sd: float  # north and east component of phi_n [rad]
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
-    mag: MagSpec | None = None
-    airspeed: AirspeedSpec | None = None
     date: float = DEFAULT_DATE  # of the flight [decimal years]
     alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
     align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
     qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
+    ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
+    rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: it never leaves the ground
     faults: tuple[Fault, ...] = ()  # as the profile numbers them
 
 

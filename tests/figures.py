@@ -69,16 +69,16 @@ def record(name: str) -> dict[str, Any]:
         return drawn(entropy, spawn_key=spawn_key, **others)
 
     np.random.SeedSequence = watched  # type: ignore[assignment, misc]
+    truth = pipeline.fly(profile)
     try:
-        truth = pipeline.fly(profile)
         sensed = pipeline.sense(profile, truth)
     finally:
         np.random.SeedSequence = drawn  # type: ignore[misc]
     data = sensed.data
-    aiding = ("imu", "fixes", "observations", "baro", "mag", "airspeed")
+    seen = {"imu": data.imu, "fixes": data.fixes, "observations": data.observations, **data.instruments}
     return {
         "truth": digest(truth),
-        "sensors": {kind: digest(getattr(data, kind)) for kind in aiding if getattr(data, kind) is not None},
+        "sensors": {kind: digest(record) for kind, record in seen.items() if record is not None},
         "streams": sorted(streams),
         "metrics": pipeline.run(profile, truth=truth).metrics,
     }

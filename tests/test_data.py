@@ -19,11 +19,11 @@ def trajectory(**change):
 
 
 def test_the_instants_of_the_answers_grow():
-    specs = AssumedSpecs(ImuSpec("none", TriadSpec(), TriadSpec()), None, None)
+    specs = AssumedSpecs(ImuSpec("none", TriadSpec(), TriadSpec()), None)
     none = np.empty(0)
     imu = ImuData(none, none, none.astype(bool), np.empty((0, 3)), np.empty((0, 3)))
     with pytest.raises(ValueError, match=r"SensorData.output_t must increase; row 2 has 1 s after 1 s"):
-        SensorData(imu, None, None, np.zeros(3), specs, np.array([0.0, 1.0, 1.0]))
+        SensorData(imu, None, np.zeros(3), specs, np.array([0.0, 1.0, 1.0]))
 
 
 def test_columns_are_read_only_and_do_not_freeze_the_callers_array():

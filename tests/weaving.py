@@ -43,7 +43,7 @@ def units(imu: ImuSpec = IMU, gnss: GnssSpec | None = GNSS, baro: BaroSpec | Non
         imu=imu,
         gnss=gnss,
         baro=baro,
-        assumed=AssumedSpecs(imu, gnss, baro),
+        assumed=AssumedSpecs(imu, gnss, baro=baro),
         antenna_b=(0.8, 0.3, -0.4),
         gnss_outages=(),
         initial_pos_sd=(3.0, 3.0, 5.0),

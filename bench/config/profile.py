@@ -23,7 +23,14 @@ from bench.config.library import (
     read_jsbsim_aircraft,
     sensor_file,
 )
-from bench.config.profile_tables import SEVERITY, ExperimentTable, ProfileTable, RunwayTable, StartTable
+from bench.config.profile_tables import (
+    SEVERITY,
+    ExperimentTable,
+    ProfileTable,
+    RunwayTable,
+    StartTable,
+    TrajectoryTable,
+)
 from bench.config.tables import checked, noting, read
 from bench.errors import ConfigError
 from bench.signals.air import SEA_LEVEL_PRESSURE
@@ -296,6 +303,7 @@ def _sensors(
         date=decimal_year(_day(table, on_board)),
         qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,
         static_port_b=_static_port(aircraft),
+        **_ground(table, aircraft),
         antenna_b=brought.antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple((float(start), float(end)) for start, end in outages),
         initial_pos_sd=initial.pos_m,
@@ -308,6 +316,19 @@ def _sensors(
         drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
         faults=tuple(fault_tables.to_fault(row) for row in table.fault),
     )
+
+
+def _ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, Any]:
+    """Return the height of the ground, and that of the IMU above it at rest [m].
+
+    A trajectory table is that of a vehicle that stays on the ground; of an aircraft without runway figures
+    no wheel is known to touch it.
+    """
+    if not isinstance(table, ProfileTable) or aircraft is None:
+        return {} if isinstance(table, TrajectoryTable) else {"rest_height": -math.inf}
+    runway = table.runway or (table.start if table.start.on_ground else None)
+    rest = -math.inf if aircraft.runway is None else aircraft.runway.height - aircraft.imu_b[2]
+    return {"ground_alt": float(runway.alt_m) if runway else 0.0, "rest_height": rest}
 
 
 def _day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:

@@ -70,6 +70,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         specs=spec.assumed,
         output_t=output_times(truth.t, spec.output_rate, outages),
         observations=observations,
+        ground_alt=spec.ground_alt,
         **records,
         date=spec.date,
     )

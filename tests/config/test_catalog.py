@@ -13,6 +13,7 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.errors import ConfigError
+from bench.instruments import INSTRUMENTS
 from bench.sensors import imu
 from bench.specs import ThermalSpec
 from tests.synthetic import still
@@ -22,9 +23,7 @@ FILES = sorted(CATALOG.glob("*/*.toml"))
 TABLES = {
     "imu": ("gyro", "accel", "thermal", "vibration", "layout"),
     "gnss": ("gnss", "sky"),
-    "baro": ("baro", "physical"),
-    "mag": ("mag",),
-    "airspeed": ("airspeed",),
+    **{name: (name, *row.parts) for name, row in INSTRUMENTS.items()},
 }
 CHOICES = (
     "bias_model", "dead_zone_kind",

@@ -232,7 +232,7 @@ def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
     """The arguments of ``recording.write``."""
     imu = ImuSpec("demo-imu", TriadSpec(), TriadSpec())
     gnss, baro = GnssSpec("demo-gnss", 1.0, 1.5, 3.0, 0.05), BaroSpec("demo-baro", 10.0, 1.0, 5.0, 0.01)
-    specs = AssumedSpecs(imu, gnss, baro)
+    specs = AssumedSpecs(imu, gnss, baro=baro)
     aircraft = AircraftSpec(
         "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), "uav"
     )

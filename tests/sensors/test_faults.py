@@ -55,7 +55,7 @@ def sensed(truth, gnss, *scripted, outages=(), seed=1):
         baro=BARO,
         mag=MAG,
         airspeed=PITOT,
-        assumed=AssumedSpecs(IMU, gnss, BARO, MAG, PITOT),
+        assumed=AssumedSpecs(IMU, gnss, baro=BARO, mag=MAG, airspeed=PITOT),
         antenna_b=(0.5, 0.1, -0.3),
         gnss_outages=outages,
         initial_pos_sd=(3.0, 4.0, 5.0),

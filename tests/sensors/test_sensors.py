@@ -33,7 +33,7 @@ SPEC = SensorsSpec(
     imu=IMU,
     gnss=GNSS,
     baro=BARO,
-    assumed=AssumedSpecs(replace(IMU, name="believed"), GNSS, BARO),
+    assumed=AssumedSpecs(replace(IMU, name="believed"), GNSS, baro=BARO),
     antenna_b=(0.5, 0.1, -0.3),
     gnss_outages=((20.0, 30.0),),
     initial_pos_sd=(3.0, 4.0, 5.0),

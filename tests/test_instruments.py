@@ -1,0 +1,119 @@
+"""What follows from the row of an instrument: datasheet, faults, files, stream, needs and plots of each."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from bench import store
+from bench.config import fault_tables, list_sensors
+from bench.config.datasheets import SENSORS
+from bench.data import RunResult
+from bench.exchange import exports, frames
+from bench.exchange.exports import tables
+from bench.fields import columns_of, figures_of
+from bench.instruments import INSTRUMENTS, Reports, Units
+from bench.navigation.estimator import RECORDS
+from bench.places import PACKAGE
+from bench.recording import plots
+from bench.sensors import sense
+from bench.specs import Fault
+from tests.weaving import units
+
+
+@pytest.fixture(scope="module")
+def truth(short_truth):
+    return short_truth  # it has air data, which some instruments feel
+
+
+@pytest.fixture(scope="module")
+def on_board():
+    """One unit of each instrument of the catalog."""
+    found = {}
+    for name in INSTRUMENTS:
+        path = sorted((PACKAGE / "catalog" / name).glob("matched-*.toml"))[0]
+        found[name] = SENSORS[name](path, path.name)
+    return replace(units(), **found)
+
+
+@pytest.fixture(scope="module")
+def sensed(truth, on_board):
+    return sense(truth, on_board, 1, 0)
+
+
+def test_every_instrument_has_its_places():
+    assert [f.name for f in fields(Units)] == [f.name for f in fields(Reports)] == list(INSTRUMENTS)
+    assert len({row.frame for row in INSTRUMENTS.values()} | {frames.IMU}) == len(INSTRUMENTS) + 1
+    for name, row in INSTRUMENTS.items():
+        assert row.name == name
+        assert "rate" in figures_of(row.spec)
+        assert list(columns_of(row.record))[:3] == ["t", "t_arrival", "valid"]
+        assert "sd" in columns_of(row.record)
+        assert RECORDS[name] == row.with_article
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path, name):
+    row, record = INSTRUMENTS[name], getattr(sensed.data, name)
+    assert isinstance(record, row.record)
+    assert sensed.truth.bias[name].shape == (len(sensed.truth.t), row.width)
+    store.save(tmp_path, RunResult({}, 1, 0, {}, {}, {}, {}), truth, sensed)
+    again = store.load_sensors(tmp_path)[2][name]
+    assert_array_equal(row.values(again), row.values(record))
+    out = exports.gather(tmp_path)
+    tables.write(tmp_path, out, "csv")
+    header = (tmp_path / f"{name}.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.split(",") == [n for told in columns_of(row.record).values() for n in told.names]
+    bodies = [body for _, body in frames.messages(out) if body[:2] == frames.SYNC and body[2] == row.frame]
+    assert len(bodies) == len(record)
+    payload = struct.unpack(f"<{row.width + 2}dB", bodies[0][8:-2])
+    assert payload == (record.t[0], *row.values(record)[0], record.sd[0], record.valid[0])
+    shown = [plot for group in plots._flight_rows(truth, sensed) for plot in group]
+    assert any(
+        series.names[0] == row.trace.legend or row.width > 1
+        for plot in shown
+        if plot.path.endswith(row.trace.plot)
+        for series in plot.series
+    )
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+@pytest.mark.parametrize("kind", ["frozen", "noise-burst", "latency", "dropped", "repeated"])
+def test_every_fault_of_a_sensor_strikes_it_alone(sensed, truth, on_board, name, kind):
+    table = {"kind": kind, "sensor": name, "start_s": 5.0, "duration_s": 4.0}
+    table |= {"noise-burst": {"times": 20.0}, "latency": {"added_s": 0.3}}.get(kind, {})
+    (fault,) = fault_tables.flown([table])
+    assert isinstance(fault, Fault)
+    struck = sense(truth, replace(on_board, faults=(fault,)), 1, 0)
+    for other, row in INSTRUMENTS.items():
+        before, after = getattr(sensed.data, other), getattr(struck.data, other)
+        same = len(before) == len(after) and all(
+            np.array_equal(getattr(before, column), getattr(after, column))
+            for column in columns_of(row.record)
+        )
+        assert same == (other != name)
+
+
+def test_a_step_strikes_the_instruments_that_have_one(sensed, truth, on_board):
+    stepped = [name for name, row in INSTRUMENTS.items() if row.step]
+    assert {"baro", "radar"} <= set(stepped)
+    for name in stepped:
+        row = INSTRUMENTS[name]
+        table = {"kind": f"{name}-step", "start_s": 5.0, "duration_s": 4.0, f"step_{row.step}": 7.0}
+        (fault,) = fault_tables.flown([table])
+        struck = sense(truth, replace(on_board, faults=(fault,)), 1, 0)
+        before, after = getattr(sensed.data, name), getattr(struck.data, name)
+        added = row.values(after) - row.values(before)
+        inside = (before.t >= 5.0 - 1e-6) & (before.t < 9.0 - 1e-6)
+        assert np.allclose(added[inside], 7.0, atol=1e-9)
+        assert not added[~inside].any()
+        drawn = struck.truth.bias[name] - sensed.truth.bias[name]
+        assert drawn.max() == pytest.approx(7.0)
+
+
+def test_the_catalog_has_a_unit_of_each():
+    assert {row.kind for row in list_sensors()} >= set(INSTRUMENTS)
