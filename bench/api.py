@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
-from bench.config import list_aircraft, list_estimators, list_profiles, list_sensors, load_profile
+from bench.config import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors, load_profile
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
 from bench.specs import EstimatorChoice, Profile
@@ -43,6 +43,7 @@ __all__ = [
     "judge",
     "list_aircraft",
     "list_estimators",
+    "list_legs",
     "list_profiles",
     "list_sensors",
     "load",

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from bench.fields import declared, figure
 from bench.instruments import Units
-from bench.legs import Leg
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
@@ -102,6 +101,50 @@ class Runway:
     lon: float  # [rad]
     alt: float  # ellipsoidal [m]
     heading: float  # [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class LegStart:
+    """What a leg begins from, as far as the profile says it."""
+
+    aircraft: AircraftSpec
+    alt: float  # ellipsoidal [m]
+    runway: Runway | None
+    after: str  # what the leg before it leaves
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a flight; `bench.flight.legs` has each kind, a frozen dataclass with its figures in SI."""
+
+    kind: ClassVar[str]  # its name in a profile
+    needs: ClassVar[str] = "air"  # where it begins: "air", "ground", or after an "approach" or a "flare"
+    leaves: ClassVar[str] = "air"  # the same of its end
+    any_bank: ClassVar[bool] = False  # it may bank beyond what guidance is expected to come back from
+
+    def describe(self) -> str:
+        """Return its figures in words; the airspeed of `bench.flight.legs.keys.AtSpeed` is added."""
+        return ""
+
+    def check(self, start: LegStart) -> list[str]:
+        """Return what is wrong with it, a line each, besides its keys and where it begins."""
+        return []
+
+    def alt_after(self, start: LegStart) -> float:
+        """Return the ellipsoidal altitude at its end [m]."""
+        return start.alt
+
+    def fly(self, cockpit: Any) -> Iterator[None]:
+        """Write set-points into a `bench.flight.cockpit.Cockpit`, one step per instant of guidance.
+
+        A generator may return in words how it went.
+
+        Raises
+        ------
+        FlightError
+            When it cannot be flown.
+        """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,18 +119,25 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
 @click.argument(
     "kind",
     required=False,
-    type=click.Choice(["profiles", "aircraft", "sensors", "estimators"]),
+    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators"]),
     metavar="[KIND]",
 )
-def list_all(kind: str | None) -> int:
-    """List the profiles, aircraft, sensors and estimators there are.
+@click.option("--json", "as_json", is_flag=True, help="print it as JSON")
+def list_all(kind: str | None, as_json: bool) -> int:
+    """List the profiles, aircraft, legs, sensors and estimators there are.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
-    aircraft also say what is known of each, where from, and what no source states.
+    aircraft also say what is known of each, where from, and what no source states,
+    bench list legs the keys of each, what they may be, and their defaults.
     """
-    from bench.workbench.show import choices
+    from bench.store import to_json
+    from bench.workbench.show import catalog, choices
 
-    choices(new_console(), kind)
+    if as_json:
+        rows = {name: [entry.as_dict() for entry in entries] for name, entries in catalog(kind).items()}
+        click.echo(to_json(rows), nl=False)
+    else:
+        choices(new_console(), kind)
     return DONE
 
 

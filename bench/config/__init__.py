@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.config.library import list_aircraft, list_estimators, list_profiles, list_sensors
+from bench.config.library import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors
 from bench.config.profile import load_profile
 
-__all__ = ["list_aircraft", "list_estimators", "list_profiles", "list_sensors", "load_profile"]
+__all__ = ["list_aircraft", "list_estimators", "list_legs", "list_profiles", "list_sensors", "load_profile"]

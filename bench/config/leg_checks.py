@@ -4,57 +4,38 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
+from dataclasses import replace
 
-from bench.config.leg_tables import (
-    AileronRollTable,
-    ApproachTable,
-    ClimbTable,
-    ConfigurationTable,
-    DescendTable,
-    DoubletTable,
-    FlareTable,
-    LandingRollTable,
-    LegTable,
-    StaticTable,
-    TakeOffTable,
-    TurnTable,
-    WaypointsTable,
-    WindUpTurnTable,
-)
 from bench.config.profile_tables import ProfileTable
 from bench.config.tables import quantity
-from bench.specs import AircraftSpec
+from bench.flight.legs.keys import wrong
+from bench.flight.legs.runway import TakeOff
+from bench.specs import AircraftSpec, Leg, LegStart, Runway
 
 
 def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
-    """Check what the aircraft can do, that climbs go up and descents down, and where the ground is."""
-    wrong = _start(table, aircraft)
-    alt, low = float(table.start.alt_m), table.start.on_ground
-    ground = table.runway.alt_m if table.runway else table.start.alt_m
-    before: LegTable | None = None
-    for number, leg in enumerate(table.leg, 1):
-        place = f"[[leg]] {number} ({leg.kind}): "
-        wrong += [place + what for what in _limits(leg, aircraft)]
-        wrong += [place + what for what in _order(leg, before, low=low)]
-        match leg:
-            case ClimbTable() | DescendTable():
-                up = isinstance(leg, ClimbTable)
-                if leg.to_alt_m == alt or (leg.to_alt_m > alt) != up:
-                    what = quantity("to_alt_m", leg.to_alt_m)
-                    wrong.append(f"{place}{what} is not {'above' if up else 'below'} the {alt:g} m before it")
-                alt = leg.to_alt_m
-            case WaypointsTable():
-                alt = next((p.alt_m for p in reversed(leg.points) if p.alt_m is not None), alt)
-            case TakeOffTable():
-                alt = ground + leg.to_height_m
-            case ApproachTable():
-                alt = ground
-                if table.runway is None and not table.start.on_ground:
-                    wrong.append(f"{place}there is no [runway] to approach")
-        low = isinstance(leg, StaticTable | LandingRollTable | FlareTable)
-        before = leg
-    return wrong
+    """Check the start, and each leg against the aircraft and what is before it."""
+    found = _start(table, aircraft)
+    after = "ground" if table.start.on_ground else "air"
+    start = LegStart(aircraft, table.start.alt_m, runway(table), after)
+    for number, leg in enumerate(built(table), 1):
+        found += [f"[[leg]] {number} ({leg.kind}): {what}" for what in wrong(leg, start)]
+        start = replace(start, alt=leg.alt_after(start), after=leg.leaves)
+    return found
+
+
+def built(table: ProfileTable) -> tuple[Leg, ...]:
+    """Return the legs of a profile in SI."""
+    return tuple(row.build() for row in table.leg)
+
+
+def runway(table: ProfileTable) -> Runway | None:
+    """Return the runway of a profile, which a start on the ground makes."""
+    row = table.runway or (table.start if table.start.on_ground else None)
+    if row is None:
+        return None
+    lat, lon, heading = (math.radians(value) for value in (row.lat_deg, row.lon_deg, row.heading_deg))
+    return Runway(lat, lon, float(row.alt_m), heading)
 
 
 def _start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
@@ -75,68 +56,8 @@ def _start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     if start.speed_mps is None:
         return [f"[start] speed_mps is missing, and the {aircraft.name} has no [[trim]]"]
     if not aircraft.min_speed <= start.speed_mps <= aircraft.max_speed:
-        return [f"[start] {_speed(start.speed_mps, aircraft)}"]
-    return []
-
-
-def _speed(value: float, aircraft: AircraftSpec) -> str:
-    limits = f"{aircraft.min_speed:g} to {aircraft.max_speed:g} m/s of the {aircraft.name}"
-    return f"{quantity('speed_mps', value)} is outside {limits}"
-
-
-def _limits(leg: LegTable, aircraft: AircraftSpec) -> list[str]:
-    """Check the figures of a leg against the aircraft."""
-    wrong = []
-    value: Any = getattr(leg, "speed_mps", None)
-    if value is not None and not aircraft.min_speed <= value <= aircraft.max_speed:
-        wrong.append(_speed(value, aircraft))
-    value = getattr(leg, "rate_mps", None)
-    if value is not None:
-        limit = aircraft.max_descent if isinstance(leg, DescendTable) else aircraft.max_climb
-        if value > limit:
-            wrong.append(f"{quantity('rate_mps', value)} is above the {limit:g} m/s of the {aircraft.name}")
-    value = getattr(leg, "bank_deg", None)
-    max_bank_deg = math.degrees(aircraft.max_bank)
-    if value is not None and not isinstance(leg, WindUpTurnTable) and value > max_bank_deg * (1 + 1e-9):
-        wrong.append(
-            f"{quantity('bank_deg', value)} is above the {max_bank_deg:g} deg of the {aircraft.name}"
-        )
-    match leg:
-        case TurnTable(by_deg=0):
-            wrong.append("by_deg = 0 deg must not be 0; positive turns right")
-        case WindUpTurnTable() if abs(leg.bank_deg) < 20:
-            wrong.append(f"{quantity('bank_deg', leg.bank_deg)} must be 20 deg or more to either side")
-        case DoubletTable(amplitude=0) | AileronRollTable(aileron=0):
-            wrong.append("a deflection of 0 does nothing")
-        case AileronRollTable() if abs(leg.aileron) < 0.2:
-            wrong.append(f"{quantity('aileron', leg.aileron)} is too little to roll around; 0.2 to 1")
-        case ConfigurationTable():
-            moved = [name for name in ("flaps", "gear") if getattr(leg, name) is not None]
-            wrong += [
-                f"the {aircraft.name} has no {name} to move"
-                for name in moved
-                if name not in aircraft.configuration
-            ]
-        case TakeOffTable() | ApproachTable() if aircraft.runway is None:
-            wrong.append(f"the {aircraft.name} has no [runway] in its aircraft.toml")
-    return wrong
-
-
-def _order(leg: LegTable, before: LegTable | None, *, low: bool) -> list[str]:
-    """Check that what needs the ground is on it, and what needs the air is in it."""
-    match leg:
-        case StaticTable() if not low or isinstance(before, FlareTable):
-            return ["stands on the ground: [start] on_ground = true, or a landing-roll before it"]
-        case TakeOffTable() if not low or isinstance(before, FlareTable):
-            return ["starts on the ground: [start] on_ground = true, or a landing-roll before it"]
-        case FlareTable() if not isinstance(before, ApproachTable):
-            return ["must follow an approach"]
-        case LandingRollTable() if not isinstance(before, FlareTable):
-            return ["must follow a flare"]
-    if isinstance(before, ApproachTable) and not isinstance(leg, FlareTable):
-        return ["must be a flare, after an approach"]
-    if low and not isinstance(leg, StaticTable | TakeOffTable | LandingRollTable):
-        return ["is flown in the air; a take-off must come before it"]
+        limits = f"{aircraft.min_speed:g} to {aircraft.max_speed:g} m/s of the {aircraft.name}"
+        return [f"[start] {quantity('speed_mps', start.speed_mps)} is outside {limits}"]
     return []
 
 
@@ -153,7 +74,7 @@ def first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
     """Return the airspeed the flight begins with; on the ground that of the first climb [m/s]."""
     if table.start.speed_mps is not None:
         return float(table.start.speed_mps)
-    climbs = (leg.speed_mps for leg in table.leg if isinstance(leg, TakeOffTable))
+    climbs = (leg.speed for leg in built(table) if isinstance(leg, TakeOff))
     return float(next(climbs, 0.5 * (aircraft.min_speed + aircraft.max_speed)))
 
 

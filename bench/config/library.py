@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -12,10 +13,11 @@ from pydantic import Field
 
 from bench.config import brought
 from bench.config.datasheets import SENSORS, absent
-from bench.config.leg_tables import Altitude, Speed
-from bench.config.profile_tables import Category
+from bench.config.profile_tables import Altitude, Category, Speed
 from bench.config.tables import ROWS, Table, between, checked, quantity, read, suggest
 from bench.errors import ConfigError
+from bench.flight import legs
+from bench.flight.legs.keys import keys_of
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
@@ -269,13 +271,31 @@ def _aircraft_places(beside: Path | None = None) -> list[Path]:
     return [*beside_profile, *tree, PACKAGE / "aircraft"]
 
 
+class KeyEntry(NamedTuple):
+    """A key of a leg."""
+
+    name: str  # of a row in an array: points.lat_deg
+    words: str
+    unit: str
+    low: float | None  # in that unit, as are high and default
+    high: float | None
+    choices: tuple[str, ...]  # what a text may be
+    default: float | str | None  # None: it may be left out, or is required
+    required: bool
+
+
 class CatalogEntry(NamedTuple):
     """What can be asked for by its name."""
 
     name: str
     title: str
-    kind: str  # "profile", "aircraft", "estimator", or a kind of sensor: "imu", "gnss" ...
+    kind: str  # "profile", "aircraft", "leg", "estimator", or a kind of sensor: "imu", "gnss" ...
     note: str = ""  # what it can do, where its figures are from, and which of them are assumed
+    keys: tuple[KeyEntry, ...] = ()  # of a leg
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it by the names of its fields."""
+        return {**self._asdict(), "keys": [key._asdict() for key in self.keys]}
 
 
 def list_profiles() -> list[CatalogEntry]:
@@ -321,6 +341,24 @@ def list_sensors() -> list[CatalogEntry]:
         for path in sorted((_CATALOG / kind).glob("*.toml"))
         for sheet in [read(path, path.name)]
     ]
+
+
+def list_legs() -> list[CatalogEntry]:
+    """Return every leg that a profile can ask for, sorted by name."""
+    return [
+        CatalogEntry(leg.kind, str(leg.__doc__).partition("\n")[0], "leg", keys=tuple(_keys(leg)))
+        for leg in sorted(legs.LEGS, key=lambda leg: leg.kind)
+    ]
+
+
+def _keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
+    for entry in keys_of(made):
+        key, required = entry.key, entry.default is MISSING
+        low, high = (None if math.isinf(end) else float(end) for end in (key.low, key.high))
+        default = None if required else entry.default
+        yield KeyEntry(place + key.name, key.words, key.unit, low, high, entry.choices, default, required)
+        if entry.row:
+            yield from _keys(entry.row, f"{key.name}.")
 
 
 def list_estimators() -> list[CatalogEntry]:

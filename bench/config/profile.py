@@ -14,7 +14,6 @@ from typing import Any, cast
 
 from bench.config import brought, checks, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
-from bench.config.leg_tables import to_leg
 from bench.config.library import (
     JSBSIM,
     aircraft_folder,
@@ -27,12 +26,12 @@ from bench.config.profile_tables import (
     SEVERITY,
     ExperimentTable,
     ProfileTable,
-    RunwayTable,
-    StartTable,
     TrajectoryTable,
+    profile_table,
 )
 from bench.config.tables import checked, noting, read
 from bench.errors import ConfigError
+from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
 from bench.specs import (
@@ -43,7 +42,6 @@ from bench.specs import (
     FlightSpec,
     Gust,
     Profile,
-    Runway,
     SensorsSpec,
     WindLayer,
 )
@@ -106,7 +104,7 @@ def load_profile(
     assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
-        table: ExperimentTable = checked(bring[0] if bring else ProfileTable, document, shown)
+        table: ExperimentTable = checked(bring[0] if bring else profile_table(legs.LEGS), document, shown)
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
@@ -248,24 +246,22 @@ def _numbered(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]
 
 def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
     wind, start = table.wind, table.start
-    start_lla = (math.radians(start.lat_deg), math.radians(start.lon_deg), float(start.alt_m))
-    runway = table.runway or (table.start if start.on_ground else None)
     return FlightSpec(
         aircraft=aircraft,
         rate=float(table.rate_hz),
-        lat=start_lla[0],
-        lon=start_lla[1],
-        alt=start_lla[2],
+        lat=math.radians(start.lat_deg),
+        lon=math.radians(start.lon_deg),
+        alt=float(start.alt_m),
         heading=math.radians(start.heading_deg),
         speed=leg_checks.first_speed(table, aircraft),
         wind_from=math.radians(wind.from_deg),
         wind_speed=float(wind.speed_mps),
         severity=SEVERITY.get(wind.turbulence, wind.turbulence),
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
-        legs=tuple(to_leg(leg, start_lla) for leg in table.leg),
+        legs=leg_checks.built(table),
         duration=None if table.duration_s is None else float(table.duration_s),
         on_ground=start.on_ground,
-        runway=_runway(runway) if runway else None,
+        runway=leg_checks.runway(table),
         wind_layers=tuple(
             WindLayer(float(row.alt_m), math.radians(row.from_deg), float(row.speed_mps))
             for row in sorted(wind.layers, key=lambda row: row.alt_m)
@@ -282,11 +278,6 @@ def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
         ),
         turbulence_model=wind.turbulence_model,
     )
-
-
-def _runway(row: RunwayTable | StartTable) -> Runway:
-    lat, lon, heading = (math.radians(value) for value in (row.lat_deg, row.lon_deg, row.heading_deg))
-    return Runway(lat, lon, float(row.alt_m), heading)
 
 
 def _sensors(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from contextlib import suppress
@@ -12,11 +13,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.fault_tables import FaultTable
-from bench.config.leg_tables import Altitude, Heading, LegTable, Seconds, Speed
+from bench.config.leg_tables import DeclaredTable, leg_rows
 from bench.config.tables import ROWS, Table, between
 from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.specs import Leg
 
+Seconds = Annotated[float, between(0.1, 86400)]
+Altitude = Annotated[float, between(-500, 20000)]
+Heading = Annotated[float, between(0, 360)]
+Speed = Annotated[float, between(1, 400)]
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
 """Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
 
@@ -231,7 +237,13 @@ class ProfileTable(ExperimentTable):
     runway: RunwayTable | None = None
     wind: WindTable = WindTable()
     gust: Annotated[tuple[GustTable, ...], ROWS] = ()
-    leg: Annotated[tuple[Annotated[LegTable, Field(discriminator="kind")], ...], ROWS, Field(min_length=1)]
+    leg: tuple[DeclaredTable, ...]
+
+
+@functools.cache
+def profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
+    """Return the model of a profile with legs of these kinds."""
+    return create_model("ProfileTable", __base__=ProfileTable, leg=(leg_rows(legs), ...))
 
 
 class _BroughtTable(ExperimentTable):

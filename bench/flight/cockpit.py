@@ -11,7 +11,7 @@ from bench.errors import FlightError
 from bench.flight.model import INTEGRATORS, ON_WHEELS, node
 from bench.flight.shaping import GUIDANCE_RATE, smoothstep
 from bench.flight.units import FT
-from bench.specs import AircraftSpec, Runway
+from bench.specs import FlightSpec
 
 SURFACES = ("aileron", "elevator", "rudder")
 
@@ -23,7 +23,7 @@ _SPEED_CHANGE = (
 class Cockpit:
     """The controls and instruments of one flight."""
 
-    def __init__(self, fdm: Any, aircraft: AircraftSpec, runway: Runway | None = None) -> None:
+    def __init__(self, fdm: Any, spec: FlightSpec) -> None:
         def reader(name: str) -> Callable[[], float]:
             read: Callable[[], float] = node(fdm, name).get_double_value
             return read
@@ -38,7 +38,8 @@ class Cockpit:
         def gain(name: str) -> float:
             value = reader(f"guidance/{name}")()
             if not value > 0:
-                raise FlightError(f"aircraft {aircraft.name}: gain {name} must be above 0; it is {value:g}")
+                what = f"gain {name} must be above 0; it is {value:g}"
+                raise FlightError(f"aircraft {spec.aircraft.name}: {what}")
             return value
 
         self.reader, self.switch, self.gain = reader, switch, gain
@@ -65,7 +66,8 @@ class Cockpit:
         self._brakes = [switch(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right")]
         self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
         self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
-        self.aircraft, self.runway = aircraft, runway
+        self.aircraft, self.runway = spec.aircraft, spec.runway
+        self.start_lla = spec.lat, spec.lon, spec.alt  # of the flight [rad, rad, m]
         self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
         # what the loops lag behind a moving set-point
         self.bank_lag = 2 / gain("bank-lag-rad_sec")

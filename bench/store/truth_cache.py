@@ -44,13 +44,13 @@ _SOURCES = (
     "exchange/mat_file.py",
     "exchange/tables.py",
     "exchange/trajectory.py",
-    "unit_names.py",
+    "fields.py",
+    "units.py",
     "rotation.py",
     "earth.py",
     "arrays.py",
     "data.py",
     "specs.py",
-    "legs.py",
 )
 """Files of the package that truth depends on."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -14,7 +14,7 @@ from rich.text import Text
 from bench import api
 from bench.baselines import Verdict
 from bench.config.datasheets import SENSORS
-from bench.config.library import CatalogEntry
+from bench.config.library import CatalogEntry, KeyEntry
 from bench.data import NavSolution, RunResult
 from bench.evaluation.errors import FAILED
 from bench.evaluation.metrics import metric_of
@@ -175,35 +175,63 @@ def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
     console.print(f"{held} of {len(rows)} limits hold.")
 
 
+_SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
+    "profiles": ("bench run NAME", api.list_profiles),
+    "aircraft": ("aircraft = NAME", api.list_aircraft),
+    "legs": ("[[leg]] kind = NAME", api.list_legs),
+    "sensors": (f"[sensors] {', '.join(SENSORS)} = NAME", api.list_sensors),
+    "estimators": (
+        "use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...'",
+        api.list_estimators,
+    ),
+}
+"""What `bench list` shows: how each is asked for, and what there is."""
+
+
+def catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
+    """Return the profiles, aircraft, legs, sensors and estimators there are, or those of one kind."""
+    return {name: entries() for name, (_, entries) in _SHELVES.items() if kind in (None, name)}
+
+
 def choices(console: Console, kind: str | None = None) -> None:
-    """Print the profiles, aircraft, sensors and estimators there are, or those of one kind.
+    """Print what `catalog` returns.
 
-    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed.
+    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed; of
+    legs alone their keys.
     """
-    shelves: Mapping[str, Sequence[Sequence[str]]] = {
-        "Profiles (bench run NAME)": [(row.name, row.title) for row in api.list_profiles()],
-        "Aircraft (aircraft = NAME)": [(row.name, _titled(row, kind)) for row in api.list_aircraft()],
-        f"Sensors ([sensors] {', '.join(SENSORS)} = NAME)": [
-            (row.kind, row.name, _titled(row, kind)) for row in api.list_sensors()
-        ],
-        "Estimators (use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...')": [
-            (row.name, row.title) for row in api.list_estimators()
-        ],
-    }
-    for title, rows in shelves.items():
-        if kind is not None and not title.lower().startswith(kind):
+    for name, entries in catalog(kind).items():
+        if kind == "legs":
+            for entry in entries:
+                _grid(console, f"{entry.name}: {entry.title}", [_key_row(key) for key in entry.keys])
             continue
-        table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2))
-        for _ in rows[0] if rows else ():
-            table.add_column(overflow="fold")
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
-        console.print()
+        rows = []
+        for entry in entries:
+            what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
+            rows.append((entry.kind, entry.name, what) if name == "sensors" else (entry.name, what))
+        _grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
 
 
-def _titled(row: CatalogEntry, kind: str | None) -> str:
-    return row.title if kind is None else f"{row.title}: {row.note}"
+def _grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
+    console.print(title, style="italic", soft_wrap=True)
+    grid = Table(show_header=False, box=None, padding=(0, 2))
+    for _ in rows[0] if rows else ():
+        grid.add_column(overflow="fold")
+    for row in rows:
+        grid.add_row(*row)
+    if rows:
+        console.print(grid)
+    console.print()
+
+
+def _key_row(key: KeyEntry) -> tuple[str, ...]:
+    """Return a key of a leg, what it may be, and its default."""
+    holds = ", ".join(key.choices) or "tables"
+    if key.low is not None:
+        holds = f"{key.low:g} to {key.high:g} {key.unit}"
+    default = "required" if key.required else "optional"
+    if key.default is not None:
+        default = key.default if isinstance(key.default, str) else f"{key.default:g} {key.unit}"
+    return f"{key.name:14}", f"{holds:26}", f"{default:8}", key.words
 
 
 def _table(first: str, *others: str) -> Table:

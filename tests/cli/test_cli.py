@@ -166,6 +166,19 @@ def test_list_names_everything_there_is(capsys):
         assert name in out
 
 
+def test_list_legs_says_what_each_key_may_be(capsys):
+    status, out, _ = say(capsys, "list", "legs")
+    assert status == 0
+    turn = out.split("turn: Turn by an angle or to a heading")[1].split("waypoints:")[0]
+    assert re.search(r"by_deg +-3600 to 3600 deg +optional +change of heading", turn)
+    assert re.search(r"side +right, left, shorter +shorter +of a turn", turn)
+    assert "Profiles" not in out
+    (legs,) = json.loads(say(capsys, "list", "legs", "--json")[1]).values()
+    (glide, aim) = next(leg for leg in legs if leg["name"] == "approach")["keys"]
+    assert (glide["name"], glide["unit"], glide["low"], glide["high"]) == ("glide_deg", "deg", 1.0, 10.0)
+    assert (glide["default"], glide["required"], aim["default"]) == (3.0, False, 60.0)
+
+
 def test_check_holds_what_record_wrote_and_names_what_got_worse(here, capsys):
     status, out, _ = say(capsys, "check", "short.toml", "--record", "--baselines", "limits", "--runs", "2")
     assert (status, out) == (0, "Wrote limits/short.json.\n")

@@ -16,7 +16,9 @@ import pytest
 from bench import config
 from bench.config.datasheets import ACCEL, GYRO, read_imu
 from bench.errors import ConfigError
-from bench.legs import Climb, FigureEight, Straight, Turn
+from bench.flight.legs.climbs import Climb
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import FigureEight, Turn
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 

@@ -37,8 +37,8 @@ def test_local_waypoints_are_metres_from_the_start(tmp_path):
     leg = {"kind": "waypoints", "points": points, "bank_deg": 20.0}
     flight = config.load_profile(write(tmp_path), {"leg": [leg]}).flight
     here, there = flight.legs[0].points
-    start = [flight.lat, flight.lon, flight.alt]
-    ned = earth.local_ned([here.lat, here.lon, flight.alt], start)
+    start = flight.lat, flight.lon, flight.alt
+    ned = earth.local_ned([*here.place(start), flight.alt], start)
     assert abs(ned[0] - 3000.0) < 1.0
     assert abs(ned[1] + 4000.0) < 1.0
     assert here.alt is None

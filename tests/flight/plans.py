@@ -7,8 +7,10 @@ from math import radians
 from typing import Any
 
 from bench.config import load_profile
-from bench.legs import Climb, Leg, Straight, Turn
-from bench.specs import FlightSpec
+from bench.flight.legs.climbs import Climb
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import Turn
+from bench.specs import FlightSpec, Leg
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft

@@ -18,10 +18,12 @@ from bench.config import load_profile
 from bench.config.library import read_aircraft
 from bench.errors import FlightError
 from bench.flight import fly
+from bench.flight.legs.climbs import Climb, Descend
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import Turn
 from bench.flight.model import Condition, linearize, load, place, trim
 from bench.flight.recorder import record, to_trajectory
 from bench.flight.units import FT
-from bench.legs import Climb, Descend, Straight, Turn
 from tests.flight import modes747 as etkin
 from tests.flight.plans import plan
 from tests.flight.test_recorder import same_form_error, two_sample_error

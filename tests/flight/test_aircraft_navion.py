@@ -18,9 +18,11 @@ from bench import rotation
 from bench.config.library import aircraft_folder, read_aircraft
 from bench.data import Trajectory
 from bench.flight import fly
+from bench.flight.legs.climbs import Climb, Descend
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import Turn
 from bench.flight.model import Condition, linearize, load, place, trim
 from bench.flight.units import FT
-from bench.legs import Climb, Descend, Straight, Turn
 from tests.flight import modes
 from tests.flight.plans import plan
 

@@ -23,9 +23,11 @@ from bench.earth import difference_n, displace
 from bench.errors import ConfigError, FlightError
 from bench.flight import child, fly, fly_pieces, wheel
 from bench.flight.foreign import read_xml
-from bench.legs import Approach, Flare, LandingRoll, Leg, Static, Straight, TakeOff
+from bench.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.flight.legs.level import Straight
+from bench.flight.legs.runway import Static, TakeOff
 from bench.rotation import rotate, to_euler
-from bench.specs import AircraftSpec, FlightSpec, Gust, Runway, WindLayer
+from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, WindLayer
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import inertial, largest_difference, navigate
 from tests.flight.plans import FIGURE_EIGHT

@@ -21,19 +21,12 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.config import load_profile
 from bench.data import Trajectory
+from bench.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.flight.legs.level import Straight
+from bench.flight.legs.runway import Static, TakeOff
+from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from bench.flight.legs.turns import Turn
 from bench.flight.recorder import to_trajectory
-from bench.legs import (
-    AileronRoll,
-    Approach,
-    Doublet,
-    Flare,
-    LandingRoll,
-    Static,
-    Straight,
-    TakeOff,
-    Turn,
-    WindUpTurn,
-)
 from bench.specs import FlightSpec
 from tests.flight.plans import plan
 from tests.flight.test_recorder import record_whole, same_form_error, two_sample_error

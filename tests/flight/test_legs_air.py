@@ -13,18 +13,10 @@ from bench.config import load_profile
 from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight import fly
-from bench.legs import (
-    AileronRoll,
-    Climb,
-    Configuration,
-    Cruise,
-    Doublet,
-    SpeedChange,
-    Straight,
-    STurns,
-    Turn,
-    WindUpTurn,
-)
+from bench.flight.legs.climbs import Climb
+from bench.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
+from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from bench.flight.legs.turns import STurns, Turn
 from bench.specs import Gust, WindLayer
 from tests.flight.plans import AEROSONDE, plan
 
@@ -42,7 +34,8 @@ def roll(truth: Trajectory) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("heading", "side", "by"), [(175, 0, 90), (355, 0, -90), (175, -1, -270), (85, 0, 0)]
+    ("heading", "side", "by"),
+    [(175, "shorter", 90), (355, "shorter", -90), (175, "left", -270), (85, "shorter", 0)],
 )
 def test_a_turn_to_a_heading_takes_the_side_it_is_told(heading, side, by):
     legs = Turn(by=None, bank=radians(35.0), heading=radians(heading), side=side), Straight(6.0)
@@ -147,7 +140,7 @@ def test_a_doublet_moves_its_own_axis_to_both_sides_and_is_flown_out(surface, ax
 
 
 def test_an_aileron_roll_goes_all_the_way_around():
-    truth = fly(plan(AileronRoll(-0.9, 1, radians(15.0), 3.0, 28.0)))
+    truth = fly(plan(AileronRoll(-0.9, 1, radians(15.0), 3.0, speed=28.0)))
     around = np.rad2deg(np.unwrap(rotation.to_euler(truth.q_nb)[0]))
     assert_allclose(around[-1], -360.0, atol=3.0)
     assert np.diff(around).min() / truth.t[1] < -100.0  # [deg/s]
@@ -155,7 +148,7 @@ def test_an_aileron_roll_goes_all_the_way_around():
 
 
 def test_a_wind_up_turn_reaches_its_load_factor_and_recovers():
-    truth = fly(plan(WindUpTurn(radians(-72.0), 3.0, 5.0, 2.0, 28.0)))
+    truth = fly(plan(WindUpTurn(radians(-72.0), 3.0, 5.0, 2.0, speed=28.0)))
     load = -truth.dvel_b[:, 2] / truth.t[1] / 9.80665
     assert_allclose(load.max(), 3.0, atol=0.2)
     assert roll(truth).min() < -65.0

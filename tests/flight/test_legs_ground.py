@@ -12,7 +12,9 @@ from bench import earth, rotation
 from bench.config import load_profile
 from bench.errors import FlightError
 from bench.flight import fly
-from bench.legs import Approach, Flare, LandingRoll, Static, Straight, TakeOff
+from bench.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.flight.legs.level import Straight
+from bench.flight.legs.runway import Static, TakeOff
 from bench.specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan
 

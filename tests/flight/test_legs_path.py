@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.errors import FlightError
 from bench.flight import fly
+from bench.flight.legs.level import Straight
+from bench.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints
 from bench.flight.paths import Path, Segment
-from bench.legs import Holding, Straight, Survey, Waypoint, Waypoints
 from tests.flight.plans import CALM, plan
 
 BANK = radians(30.0)
@@ -129,7 +130,7 @@ def test_waypoints_too_close_for_the_turns_are_named():
 
 @pytest.mark.parametrize("spacing", [120.0, 500.0])
 def test_survey_strips_are_parallel_and_as_far_apart_as_said(spacing):
-    legs = Straight(2.0), Survey(radians(85.0), 700.0, spacing, 3, -1, BANK)
+    legs = Straight(2.0), Survey(700.0, spacing, 3, BANK, radians(85.0), "left")
     flown = ground(fly(plan(*legs, **WINDY)))
     flown = flown - flown[200]  # where the survey begins
     c, s = cos(radians(85.0)), sin(radians(85.0))
@@ -143,7 +144,7 @@ def test_survey_strips_are_parallel_and_as_far_apart_as_said(spacing):
 
 
 def test_every_lap_of_a_holding_is_the_same_over_ground():
-    legs = (Holding(radians(85.0), 20.0, 2, 1, radians(25.0)),)
+    legs = (Holding(2, radians(25.0), radians(85.0), 20.0),)
     truth = fly(plan(*legs, **WINDY))
     flown = ground(truth)
     start, end, _ = truth.events.of("leg")[0]

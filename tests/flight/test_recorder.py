@@ -26,8 +26,9 @@ from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight import Summary, fly, fly_pieces, summarise
 from bench.flight.increments import Motion, at_point, step_increments
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import Turn
 from bench.flight.recorder import Recording, record, simulation_step, to_trajectory
-from bench.legs import Straight, Turn
 from bench.navigation import mechanization
 from bench.specs import FlightSpec
 from tests.flight.inertial import inertial, largest_difference, navigate

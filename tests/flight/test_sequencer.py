@@ -12,7 +12,9 @@ from bench import rotation
 from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight import fly
-from bench.legs import Climb, Descend, FigureEight, Straight, Turn
+from bench.flight.legs.climbs import Climb, Descend
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import FigureEight, Turn
 from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan
 
 

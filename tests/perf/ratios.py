@@ -24,7 +24,8 @@ from rich.table import Table
 
 from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
-from bench.legs import Straight, Turn
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import Turn
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.mechanization import propagate
 from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec

@@ -30,8 +30,8 @@ from bench.data import (
     no_innovations,
 )
 from bench.evaluation.errors import error_series
+from bench.flight.legs.turns import FigureEight
 from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
-from bench.legs import FigureEight
 from bench.recording import plots, words
 from bench.specs import (
     AircraftSpec,

@@ -22,19 +22,21 @@ import bench
 from bench.cli import main
 from bench.cli.group import commands
 from bench.config import (
-    air_sheets,
     datasheets,
     fault_tables,
-    leg_tables,
+    list_legs,
     load_profile,
     profile_tables,
     sky_sheet,
 )
 from bench.config import log as log_tables
 from bench.config.datasheets import ACCEL, GYRO
+from bench.config.sheet import table_of
 from bench.evaluation.metrics import METRICS
 from bench.exchange.exports import FORMATS
+from bench.instruments import INSTRUMENTS
 from bench.navigation.estimator import BUILT_IN, RECORDS, load
+from bench.specs import GnssSpec, ThermalSpec, VibrationSpec
 from bench.workbench import guide
 
 ROOT = Path(__file__).parents[2]
@@ -216,11 +218,8 @@ def said(page: str) -> set[str]:
     return {word for span in spans for word in re.findall(r"[\w{}-]+", span)}
 
 
-def test_the_page_of_profiles_names_every_key_and_leg():
-    legs = get_args(get_args(leg_tables.LegTable)[0])
+def test_the_page_of_profiles_names_every_key():
     tables = [
-        *legs,
-        leg_tables.PointTable,
         profile_tables.ProfileTable,
         profile_tables.StartTable,
         profile_tables.RunwayTable,
@@ -236,7 +235,16 @@ def test_the_page_of_profiles_names_every_key_and_leg():
     ]
     keys = {key for table in tables for key in table.model_fields}
     assert keys - {"title", "kind", "leg", "assumed"} <= said("profiles") | {"title"}
-    assert {kind_of(leg) for leg in legs} <= said("profiles")
+
+
+def test_the_page_of_profiles_says_of_legs_what_bench_list_legs_says():
+    listed = {leg.name: {key.name.rpartition(".")[2] for key in leg.keys} for leg in list_legs()}
+    rows = PAGES["profiles"].read_text().partition("## Legs")[2].partition("## Watch out")[0]
+    for row in rows.split("\n| `")[2:]:
+        kinds, keys, _ = (re.findall(r"`([^`]+)`", cell) for cell in f"`{row}".split("|")[:3])
+        said = {word for span in keys for word in re.findall(r"\b[a-z_0-9]+", span) if '"' not in span}
+        for kind in kinds:
+            assert said == listed[kind] - ({"speed_mps"} - said), kind
 
 
 def kind_of(table: Any) -> str:
@@ -263,18 +271,13 @@ def test_the_page_of_logs_names_every_key_and_format():
 def test_the_page_of_sensors_names_every_figure():
     """A key stands whole, or as its ending (`_deg_s`) in the line of another key of the same figure."""
     lines = [re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", line))) for line in lines_of("sensors")]
-    keys = {key for units in (GYRO, ACCEL) for spellings in units.values() for key in spellings}
+    keys = {f"{stem}_{unit}" for units in (GYRO, ACCEL) for stem in units for unit in units[stem]}
     keys |= {"bias_model", "dead_zone_kind"}
     others = (
-        datasheets.ThermalTable,
-        datasheets.VibrationTable,
         datasheets.LayoutTable,
-        datasheets.GnssTable,
         sky_sheet.SkyTable,
-        air_sheets.BaroTable,
-        air_sheets.PhysicalTable,
-        air_sheets.MagTable,
-        air_sheets.AirspeedTable,
+        *(table_of(spec) for spec in (ThermalSpec, VibrationSpec, GnssSpec)),
+        *(table_of(spec) for row in INSTRUMENTS.values() for spec in (row.spec, *row.parts.values())),
     )
     keys |= {key for table in others for key in table.model_fields}
     missing = {key for key in keys if not any(stands(key, words) for words in lines)}

@@ -1,0 +1,92 @@
+"""Legs to another altitude."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from bench.errors import FlightError
+from bench.flight.cockpit import Cockpit
+from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, as_written
+from bench.flight.shaping import Steps, smooth, ticks
+from bench.specs import LegStart
+
+_CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
+_NEAR_ALT = 2.0  # an altitude is reached within [m]
+_PATIENCE = 120.0  # how much longer than planned a leg may take [s]
+
+
+@dataclass(frozen=True)
+class _AltitudeChange(AtSpeed):
+    sign: ClassVar[int]  # 1 up, -1 down
+    to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude", -500, 20000)]
+    rate: ClimbRate
+
+    def describe(self) -> str:
+        return f"to {self.to_alt:g} m at {self.rate:g} m/s"
+
+    def check(self, start: LegStart) -> list[str]:
+        if self.sign * (self.to_alt - start.alt) > 0:
+            return []
+        side = "above" if self.sign > 0 else "below"
+        return [f"{as_written(self, 'to_alt')} is not {side} the {start.alt:g} m before it"]
+
+    def alt_after(self, start: LegStart) -> float:
+        return self.to_alt
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        # a short way is climbed slower, so that the ramps fit into it; 0.1 m/s when there is no way at all
+        fits = max(0.1, math.sqrt(abs(self.to_alt - cockpit.alt()) * _CLIMB_CHANGE / 2))
+        rate = self.sign * min(self.rate, fits)
+        cockpit.set_climb(0.0)
+        cockpit.lon_mode(2)
+        for share in smooth(climb_ramp(rate)):
+            cockpit.set_climb(share * rate)
+            yield
+        yield from level_off(cockpit, self.to_alt, rate)
+
+
+@dataclass(frozen=True)
+class Climb(_AltitudeChange):
+    """Climb on the present heading to an altitude."""
+
+    kind = "climb"
+    sign = 1
+
+
+@dataclass(frozen=True)
+class Descend(_AltitudeChange):
+    """Descend on the present heading to an altitude."""
+
+    kind = "descend"
+    sign = -1
+    rate: Annotated[float, Key("rate_mps", "down, as far as the aircraft goes", 0.1, 100, most="max_descent")]
+
+
+def climb_ramp(rate: float) -> float:
+    """Return how long a vertical speed [m/s] is built up [s]."""
+    return 1.5 * abs(rate) / _CLIMB_CHANGE
+
+
+def level_off(cockpit: Cockpit, alt: float, rate: float) -> Steps:
+    """Keep climbing (negative: descending) at a rate and ramp it down into the altitude."""
+    begun = cockpit.alt()
+    ramp = climb_ramp(rate)
+    lead = abs(rate) * (ramp / 2 + cockpit.climb_lag)
+    planned = abs(alt - begun) / abs(rate)
+    for _ in ticks(planned + _PATIENCE):
+        if (alt - cockpit.alt()) * math.copysign(1.0, rate) <= lead:
+            break
+        yield
+    else:
+        raise FlightError(f"{alt:g} m not reached in {planned + _PATIENCE:.0f} s: {cockpit.state()}")
+    for share in smooth(ramp):
+        cockpit.set_climb((1 - share) * rate)
+        yield
+    cockpit.hold_alt(alt)
+    for _ in ticks(_PATIENCE):
+        if abs(alt - cockpit.alt()) < _NEAR_ALT:
+            return
+        yield
+    raise FlightError(f"{alt:g} m not held within {_PATIENCE:g} s: {cockpit.state()}")

@@ -1,0 +1,152 @@
+"""How a leg is declared: a field stands for a key of the profile, which its annotation holds.
+
+    bank: Annotated[float, Key("bank_deg", "bank of the turns", 1, 80, most="max_bank")]
+
+The value of a field is in SI, the key and its limits are in the unit that its name ends in. A field that may
+be left out has a default.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from types import NoneType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from bench.specs import AircraftSpec, Leg, LegStart
+from bench.units import from_si, unit_of
+
+SIDES: Mapping[str, int] = {"right": 1, "left": -1, "shorter": 0}
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """A key of a profile, and what it may hold."""
+
+    name: str  # ends in its unit
+    words: str
+    low: float = -math.inf  # in that unit, as is high
+    high: float = math.inf
+    least: str = ""  # the figure of AircraftSpec that it must reach ...
+    most: str = ""  # ... and the one that it must not exceed
+
+    @property
+    def unit(self) -> str:
+        """Unit of the file."""
+        return unit_of(self.name)
+
+    def from_si(self, value: Any) -> Any:
+        """Return a value in SI in the unit of the file, without the last digits, which rounding makes."""
+        return float(f"{from_si(self.name, value):.12g}") if isinstance(value, float) else value
+
+
+class KeyedField(NamedTuple):
+    """A field of a leg, or of a row in one."""
+
+    field: str
+    key: Key
+    type: Any  # float, int, Literal[...] or tuple[Row, ...]
+    optional: bool  # None: it is left out
+    default: Any  # in the unit of the file; MISSING: it must be given
+
+    @property
+    def row(self) -> type[Any] | None:
+        """What an array holds."""
+        return get_args(self.type)[0] if get_origin(self.type) is tuple else None
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """What a text may be."""
+        return get_args(self.type) if get_origin(self.type) is Literal else ()
+
+
+_KNOWN: dict[type[Any], tuple[KeyedField, ...]] = {}
+
+
+def keys_of(made: type[Any]) -> tuple[KeyedField, ...]:
+    """Return what the fields of a class say of their keys: a leg, or a row in one."""
+    if made not in _KNOWN:
+        hints, found = get_type_hints(made, include_extras=True), []
+        for entry in sorted(fields(made), key=lambda entry: bool(entry.kw_only)):
+            hint = hints[entry.name]
+            parts = get_args(hint) if get_origin(hint) is Union else (hint,)
+            kind, key = get_args(next(part for part in parts if part is not NoneType))
+            default = MISSING if entry.default is MISSING else key.from_si(entry.default)
+            found.append(KeyedField(entry.name, key, kind, NoneType in parts, default))
+        _KNOWN[made] = tuple(found)
+    return _KNOWN[made]
+
+
+def as_written(leg: Leg, name: str) -> str:
+    """Return a field as it stands in the file: ``bank_deg = 30 deg``."""
+    key = next(entry.key for entry in keys_of(type(leg)) if entry.field == name)
+    return f"{key.name} = {key.from_si(getattr(leg, name)):.12g} {key.unit}".rstrip()
+
+
+def need_one(values: Mapping[str, Any]) -> None:
+    """Raise ValueError unless exactly one of the keys has a value."""
+    given = [name for name, value in values.items() if value is not None]
+    if len(given) != 1:
+        raise ValueError(f"has {' and '.join(given) or 'none of them'}: needs one of {', '.join(values)}")
+
+
+def deg(angle: float) -> str:
+    """Return an angle [rad] in words."""
+    return f"{math.degrees(angle):.4g} deg"
+
+
+def side_of(value: float) -> str:
+    """Return the side that a sign stands for."""
+    return "right" if value > 0 else "left"
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def wrong(leg: Leg, start: LegStart) -> list[str]:
+    """Return all that does not fit the aircraft or what is before the leg, a line each."""
+    return [*_beyond(leg, start.aircraft), *_misplaced(leg, start.after), *leg.check(start)]
+
+
+def _beyond(leg: Leg, aircraft: AircraftSpec) -> list[str]:
+    found = []
+    for name, key, *_ in keys_of(type(leg)):
+        value = getattr(leg, name)
+        if value is None or not key.most:
+            continue
+        low = getattr(aircraft, key.least) if key.least else -math.inf
+        high = getattr(aircraft, key.most)
+        if not low <= value <= high * (1 + 1e-9):
+            ends = f"outside {key.from_si(low):g} to" if key.least else "above the"
+            limit = f"{ends} {key.from_si(high):g} {key.unit} of the {aircraft.name}"
+            found.append(f"{as_written(leg, name)} is {limit}")
+    return found
+
+
+def _misplaced(leg: Leg, after: str) -> list[str]:
+    if leg.needs == after:
+        return []
+    if leg.needs == "ground":
+        does = "stands" if leg.leaves == "ground" else "starts"
+        return [f"{does} on the ground: [start] on_ground = true, or a landing-roll before it"]
+    if leg.needs != "air":
+        return [f"must follow {'an' if leg.needs[0] in 'aeiou' else 'a'} {leg.needs}"]
+    if after == "approach":
+        return ["must be a flare, after an approach"]
+    return ["is flown in the air; a take-off must come before it"]
+
+
+Seconds = Annotated[float, Key("duration_s", "how long", 0.1, 86400)]
+Bank = Annotated[float, Key("bank_deg", "of the turns, as far as the aircraft goes", 1, 80, most="max_bank")]
+ClimbRate = Annotated[float, Key("rate_mps", "up, as far as the aircraft goes", 0.1, 100, most="max_climb")]
+Speed = Annotated[float, Key("speed_mps", "true airspeed", 1, 400, least="min_speed", most="max_speed")]
+
+
+@dataclass(frozen=True)
+class AtSpeed(Leg):
+    """A leg that may change the airspeed while it is flown; otherwise it holds that of the leg before."""
+
+    speed: Speed | None = field(default=None, kw_only=True)

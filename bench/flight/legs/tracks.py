@@ -1,0 +1,167 @@
+"""Legs along tracks over ground. The wind moves the bank, not the track."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from bench.earth import matrix_en, to_ecef, to_geodetic
+from bench.errors import FlightError
+from bench.flight.cockpit import Cockpit
+from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, counted, deg
+from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
+from bench.flight.shaping import Steps
+from bench.specs import LegStart
+
+_Course = Annotated[float, Key("course_deg", "over ground, of the first track; else the present one", 0, 360)]
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A point to fly by: latitude and longitude, or metres from the start of the profile."""
+
+    lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
+    lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None
+    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", -500, 20000)] | None = None
+    north: Annotated[float, Key("north_m", "from the start", -100e3, 100e3)] | None = None
+    east: Annotated[float, Key("east_m", "from the start", -100e3, 100e3)] | None = None
+
+    def __post_init__(self) -> None:
+        absolute, local = (self.lat, self.lon), (self.north, self.east)
+        complete = [pair for pair in (absolute, local) if None not in pair]
+        begun = [pair for pair in (absolute, local) if pair != (None, None)]
+        if len(complete) != 1 or len(begun) != 1:
+            raise ValueError("needs either lat_deg and lon_deg or north_m and east_m")
+
+    def place(self, start_lla: tuple[float, float, float]) -> tuple[float, float]:
+        """Return its latitude and longitude [rad]; the profile starts at start_lla (rad, rad, m)."""
+        if self.lat is not None and self.lon is not None:
+            return self.lat, self.lon
+        beside = matrix_en(start_lla[0], start_lla[1]) @ np.array([self.north, self.east, 0.0])
+        lat, lon, _ = (float(v) for v in to_geodetic(to_ecef(start_lla) + beside))
+        return lat, lon
+
+
+@dataclass(frozen=True)
+class Waypoints(AtSpeed):
+    """Follow the tracks from point to point; turns begin early enough to meet the next track."""
+
+    kind = "waypoints"
+    points: Annotated[tuple[Waypoint, ...], Key("points", "flown by, but for the last")]
+    bank: Bank
+
+    def describe(self) -> str:
+        return f"{counted(len(self.points), 'point')}, bank {deg(self.bank)}"
+
+    def alt_after(self, start: LegStart) -> float:
+        return next((point.alt for point in reversed(self.points) if point.alt is not None), start.alt)
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Turn to the first point, then fly by each on an arc tangent to both its tracks, to the last."""
+        plane = cockpit.plane_here()
+        radius = turn_radius(cockpit, self.bank)
+        path = Path(plane.position(), plane.track()[0])
+        path.straight(run_in(cockpit, self.bank))
+        alts = [cockpit.alt_wanted]
+        for point in self.points:
+            alts.append(alts[-1] if point.alt is None else point.alt)
+        places = [point.place(cockpit.start_lla) for point in self.points]
+        at = [plane.point(*place, alt) for place, alt in zip(places, alts[1:], strict=True)]
+        path.towards(at[0], radius, "waypoint 1")
+        ways = [path.length]
+        for number, (here, there) in enumerate(zip(at, [*at[1:], None], strict=True), 1):
+            to_here = math.dist(path.point, here)
+            cut = turned = 0.0
+            if there is not None:
+                course = math.atan2(there[1] - here[1], there[0] - here[0])
+                turned = math.remainder(course - path.course, math.tau)
+                cut = radius * math.tan(0.5 * abs(turned))
+                room = min(to_here, math.dist(here, there))
+                if cut > room:
+                    raise FlightError(
+                        f"waypoint {number}: a turn of {math.degrees(turned):.0f} deg at {radius:.0f} m "
+                        f"radius needs {cut:.0f} m of track before and after it; there are {room:.0f} m"
+                    )
+            path.straight(to_here - cut)
+            ways.append(path.length)
+            if there is not None and turned:
+                path.arc(turned, radius)
+        heights = Heights(cockpit, ways, alts) if len({*alts}) > 1 else None
+        yield from follow(cockpit, plane, path, self.bank, heights)
+
+
+@dataclass(frozen=True)
+class Survey(AtSpeed):
+    """Parallel strips from the present position, flown to and fro."""
+
+    kind = "survey"
+    length: Annotated[float, Key("length_m", "of a strip", 10, 1e6)]
+    spacing: Annotated[float, Key("spacing_m", "of the strips", 1, 1e5)]
+    strips: Annotated[int, Key("strips", "how many", 1, 1000)]
+    bank: Bank
+    course: _Course | None = None
+    side: Annotated[Literal["right", "left"], Key("side", "where the next strip is")] = "right"
+
+    def describe(self) -> str:
+        strips = f"{counted(self.strips, 'strip')} of {self.length:g} m, {self.spacing:g} m apart"
+        return f"{strips} to the {self.side}, bank {deg(self.bank)}"
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Where strips are closer than a turn is wide, the turn bulges out."""
+        plane = cockpit.plane_here()
+        radius = turn_radius(cockpit, self.bank)
+        path = Path(plane.position(), plane.track()[0] if self.course is None else self.course)
+        side = SIDES[self.side]
+        for strip in range(self.strips):
+            path.straight(self.length)
+            if strip + 1 < self.strips:
+                _turn_around(path, side, self.spacing, radius)
+                side = -side
+        yield from follow(cockpit, plane, path, self.bank)
+
+
+def _turn_around(path: Path, side: int, across: float, radius: float) -> None:
+    """Turn by 180 deg to a track that is a distance across to one side."""
+    if across >= 2 * radius:
+        path.arc(side * 0.5 * math.pi, radius)
+        path.straight(across - 2 * radius)
+        path.arc(side * 0.5 * math.pi, radius)
+        return
+    # three circles that touch, the middle one between the tracks: cos of the angle turned away first
+    away = math.acos((across + 2 * radius) / (4 * radius))
+    path.arc(-side * away, radius)
+    path.arc(side * (math.pi + 2 * away), radius)
+    path.arc(-side * away, radius)
+
+
+@dataclass(frozen=True)
+class Holding(AtSpeed):
+    """Racetracks over ground, whatever the wind, from a fix at the present position."""
+
+    kind = "holding"
+    laps: Annotated[int, Key("laps", "how many", 1, 1000)]
+    bank: Bank
+    course: _Course | None = None
+    leg_time: Annotated[float, Key("leg_s", "of the straights at the airspeed", 0.1, 86400)] = 60.0
+    side: Annotated[Literal["right", "left"], Key("side", "of the turns")] = "right"
+
+    def describe(self) -> str:
+        laps = f"{counted(self.laps, 'lap')} {self.side}, {self.leg_time:g} s straights"
+        return f"{laps}, bank {deg(self.bank)}"
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Turn at the fix, outbound, turn, inbound to the fix again."""
+        plane = cockpit.plane_here()
+        radius, half_turn = turn_radius(cockpit, self.bank), SIDES[self.side] * math.pi
+        length = self.leg_time * cockpit.speed_wanted
+        path = Path(plane.position(), plane.track()[0] if self.course is None else self.course)
+        path.straight(run_in(cockpit, self.bank))
+        for _ in range(self.laps):
+            path.arc(half_turn, radius)
+            path.straight(length)
+            path.arc(half_turn, radius)
+            path.straight(length)
+        yield from follow(cockpit, plane, path, self.bank)
