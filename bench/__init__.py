@@ -76,6 +76,8 @@ _PUBLIC = {
     "sense": "bench.api",
     "solve_rinex": "bench.api",
     "stream_run": "bench.api",
+    "to_arrow": "bench.api",
+    "to_pandas": "bench.api",
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",
     "track_solution": "bench.navigation.wrapping",

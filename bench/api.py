@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from bench.signals.receiver import Ionosphere, Systems
 
 load = store.load
+to_arrow = store.to_arrow
+to_pandas = store.to_pandas
 
 __all__ = [
     "check_limits",
@@ -59,6 +61,8 @@ __all__ = [
     "sense",
     "solve_rinex",
     "stream_run",
+    "to_arrow",
+    "to_pandas",
 ]
 
 
@@ -159,16 +163,16 @@ def save(
     force: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> Path:
-    """Write a result that was just made into a results folder, as a whole or not at all.
+    """Write a result and its records into a results folder, as a whole or not at all.
 
     Parameters
     ----------
     result : RunResult
-        Of :func:`run` or :func:`navigate_log`.
+        Of :func:`run`, :func:`navigate_log` or :func:`load`.
     folder : str or Path
         Where to; :func:`load` reads it back.
     recording : bool
-        Write ``flight.rrd`` too.
+        Write ``flight.rrd`` too; not of a result that was read back.
     force : bool
         Replace an existing results folder.
     say : callable
@@ -184,9 +188,11 @@ def save(
     folder, sensed = Path(folder), result.sensed
     if sensed is None:
         raise ConfigError("bench.save: the result holds no records of its sensors")
+    if recording and "spec" not in result.records:
+        raise ConfigError("bench.save: a result that was read back makes no recording; use recording=False")
     store.check_folder(folder, force=force)
     with store.new_folder(folder, force=force) as partial:
-        store.save(partial, result, result.truth, sensed, result.more)
+        store.save(partial, result)
         if recording:
             from bench import recording as viewer
 

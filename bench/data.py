@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -276,6 +277,11 @@ class SensorTruth(Record):
         object.__setattr__(self, "bias", shaped)
 
 
+def nothing_drawn() -> SensorTruth:
+    """Return an empty table: nothing is known of the errors of real sensors."""
+    return SensorTruth(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+
+
 @declared
 class SkyView(Record):
     """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
@@ -379,7 +385,7 @@ class Sensed(Rebuilt):
     sky: SkyView | None = None  # of a measurement-level receiver
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class RunResult(Rebuilt):
     """One run of one profile: metrics per estimator, with everything needed to repeat it."""
 
@@ -414,3 +420,28 @@ class RunResult(Rebuilt):
         both = [record.events for record in (self.truth, self.sensed) if record is not None]
         rows = [row for e in both for row in zip(e.t.tolist(), e.t_end.tolist(), e.kind, e.text, strict=True)]
         return Events.from_rows(rows)
+
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{label} {values['pos_rmse_h_m']:.3g} m" if values.get("pos_rmse_h_m") is not None else label
+            for label, values in self.metrics.items()
+        )
+        return f"<RunResult {self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}: {found}>"
+
+    def _repr_html_(self) -> str:
+        """Return the metrics as a table of HTML, a column for each estimator, without those over all time."""
+        names = {name: None for values in self.metrics.values() for name in values}
+        rows = [["", *self.metrics]]
+        for name in names:
+            values = [one.get(name) for one in self.metrics.values()]
+            if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
+                rows.append([name, *(_shown(value) for value in values)])
+        cells = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
+        head = escape(f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}")
+        return f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)

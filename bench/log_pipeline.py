@@ -11,7 +11,7 @@ import numpy as np
 from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
-from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, SensorTruth
+from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, nothing_drawn
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
@@ -83,13 +83,10 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
         },
         records={
             "spec": spec,
-            "sensed": Sensed(data, session.initial, _NOTHING_DRAWN, events),
+            "sensed": Sensed(data, session.initial, nothing_drawn(), events),
             "withheld": withheld,
         },
     )
-
-
-_NOTHING_DRAWN = SensorTruth(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
 
 class Session:

@@ -1,11 +1,33 @@
-"""The Python door: run is its four steps, and an argument that would have no effect is refused."""
+"""Python does what the verbs do: run is its four steps, what was made is saved and read back, and an argument
+that would have no effect is refused."""
 
 import numpy as np
 import pytest
 
 import bench
 from bench import pipeline
+from bench.cli import commands
 from bench.errors import ConfigError
+
+FUNCTIONS = {
+    "allan": "measure_allan",
+    "check": "check_limits",
+    "export": "export_run",
+    "fixes": "solve_rinex",
+    "fly": "describe_flight",
+    "list": "list_profiles",
+    "navigate": "navigate_log",
+    "run": "run",
+    "score": "score_solution",
+    "stream": "stream_run",
+}
+"""Verb -> what does it from Python."""
+WITHOUT = {
+    "guide": "shows pages",
+    "new": "writes a starting point to edit",
+    "view": "opens a window",
+}
+"""Verb without a function -> why."""
 
 SHORT = {
     "duration_s": 20.0,
@@ -33,6 +55,30 @@ def test_run_is_fly_sense_navigate_judge(profile):
     assert result.provenance["inputs"]["truth"]
     given = pipeline.run(profile, truth=truth).provenance["inputs"]
     assert given == {**result.provenance["inputs"], "truth": None}
+
+
+def test_every_verb_has_its_function():
+    assert set(commands.commands) == FUNCTIONS.keys() | WITHOUT.keys()
+    for name in FUNCTIONS.values():
+        assert callable(getattr(bench, name))
+        assert name in dir(bench)
+
+
+def test_a_result_is_saved_and_read_back_with_its_truth_and_sensors(profile, tmp_path):
+    result = bench.run(profile)
+    assert result.events.of("leg")
+    folder = bench.save(result, tmp_path / "short")
+    assert (folder / "flight.rrd").is_file()
+    loaded = bench.load(folder)
+    np.testing.assert_array_equal(loaded.truth.lla, result.truth.lla)
+    np.testing.assert_array_equal(loaded.sensors.fixes.lla, result.sensors.fixes.lla)
+    again = bench.navigate("loose-15", loaded.sensors, loaded.sensed.initial)
+    np.testing.assert_array_equal(again.cov, result.solutions["loose-15"].cov)
+    with pytest.raises(ConfigError, match="exists"):
+        bench.save(result, folder)
+    with pytest.raises(ConfigError, match="a result that was read back"):
+        bench.save(loaded, tmp_path / "copy")
+    assert bench.load(bench.save(loaded, tmp_path / "copy", recording=False)).metrics == loaded.metrics
 
 
 def test_another_draw_is_another_result(profile):

@@ -14,7 +14,7 @@ from bench.cli import flights, records
 from bench.cli.group import commands
 from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 
-__all__ = ["flights", "main", "records"]  # the two are here for their verbs
+__all__ = ["commands", "flights", "main", "records"]  # the modules are here for their verbs
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

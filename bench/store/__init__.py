@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bench.store.arrow import to_arrow, to_pandas
 from bench.store.folders import check_folder, new_folder
 from bench.store.provenance import provenance, spec_hash
 from bench.store.results import (
@@ -11,6 +12,7 @@ from bench.store.results import (
     add_solution,
     load,
     load_observations,
+    load_sensed,
     load_sensors,
     load_solution,
     load_truth,
@@ -20,7 +22,7 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.start import START, initial_state, load_start, start_document
+from bench.store.start import START, assumed_specs, initial_state, load_start, start_document
 from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth_said
 
 __all__ = [
@@ -29,10 +31,12 @@ __all__ = [
     "START",
     "TRUTH",
     "add_solution",
+    "assumed_specs",
     "check_folder",
     "initial_state",
     "load",
     "load_observations",
+    "load_sensed",
     "load_sensors",
     "load_solution",
     "load_start",
@@ -44,7 +48,9 @@ __all__ = [
     "solutions_of",
     "spec_hash",
     "start_document",
+    "to_arrow",
     "to_json",
+    "to_pandas",
     "truth_cached",
     "truth_key",
     "truth_pieces",

@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
-from bench.data import (
-    AirData,
-    Controls,
-    ErrorSeries,
-    Events,
-    GnssFixes,
-    GnssObservations,
-    ImuData,
-    Innovations,
-    NavSolution,
-    SensorTruth,
-    SkyView,
-    Trajectory,
-)
+import numpy as np
+
+from bench.data import GnssObservations, Innovations, NavSolution, SensorTruth, Trajectory
 from bench.fields import Column, columns_of
 from bench.instruments import INSTRUMENTS
 from bench.units import unit_of
@@ -26,21 +16,34 @@ from bench.units import unit_of
 Layout = Mapping[str, Column]
 """Field of a record -> its columns."""
 
-_TRUTH = columns_of(Trajectory)
-MOTION: Layout = {name: _TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
-INCREMENTS: Layout = {name: _TRUTH[name] for name in ("dtheta_b", "dvel_b")}
-AIR: Layout = columns_of(AirData)
-CONTROLS: Layout = columns_of(Controls)
-EVENTS: Layout = columns_of(Events)
-IMU: Layout = columns_of(ImuData)
-GNSS: Layout = columns_of(GnssFixes)
-SKY: Layout = columns_of(SkyView)
-ERRORS: Layout = columns_of(ErrorSeries)
 _CODED = columns_of(Innovations)
 INNOVATIONS: Layout = {"sensor" if name == "code" else name: told for name, told in _CODED.items()}
 """With the name of the sensor in each row, instead of its code."""
+TRUTH: Layout = columns_of(Trajectory)
+MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
 
 _BANDED = {"frequency": "hz", "pseudorange": "m", "range_rate": "mps", "cn0": "dbhz"}
+
+
+def rows_of(record: object) -> tuple[object, Layout]:
+    """Return what holds the rows of a record, a field for each of its columns, and these columns."""
+    if isinstance(record, Trajectory):
+        no_interval = np.full((1, 3), np.nan)  # the first instant ends no interval
+        rows = {name: getattr(record, name) for name in TRUTH}
+        rows |= {name: np.vstack([no_interval, rows[name]]) for name in ("dtheta_b", "dvel_b")}
+        return SimpleNamespace(**rows), TRUTH
+    if isinstance(record, SensorTruth):
+        rows = {name: getattr(record, name) for name in columns_of(SensorTruth)} | dict(record.bias)
+        return SimpleNamespace(**rows), drawn(tuple(record.bias))
+    if isinstance(record, Innovations):
+        rows = {name: getattr(record, name) for name in INNOVATIONS}
+        rows["sensor"] = tuple(record.sensor[code] for code in record.code)
+        return SimpleNamespace(**rows), INNOVATIONS
+    if isinstance(record, GnssObservations):
+        return record, observations(record.pseudorange.shape[1])
+    if isinstance(record, NavSolution):
+        return record, solution(record.extra_names)
+    return record, columns_of(type(record))
 
 
 def observations(bands: int) -> Layout:

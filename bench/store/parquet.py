@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from bench.store.columns import Layout
+from bench.store.columns import Layout, rows_of
 
 DAMAGED = (
     pa.ArrowException,
@@ -26,15 +26,16 @@ DAMAGED = (
 """What reading a file that is damaged, or none of ours, raises."""
 
 
-def write(path: Path, record: object, layout: Layout, **facts: Any) -> None:
-    """Write the fields of a record that a layout names, one column each, with facts as JSON metadata.
+def write(path: Path, record: object, layout: Layout | None = None, **facts: Any) -> None:
+    """Write the columns of a record, or the fields that a layout names, with facts as JSON metadata.
 
     Raises
     ------
     OSError
         When the disk does not take it.
     """
-    pq.write_table(_table(record, layout, facts), path, compression="zstd", use_dictionary=False)
+    rows, columns = (record, layout) if layout is not None else rows_of(record)
+    pq.write_table(to_table(rows, columns, facts), path, compression="zstd", use_dictionary=False)
 
 
 def write_csv(path: Path, record: object, layout: Layout) -> None:
@@ -42,7 +43,7 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
 
     Truth values are 1 and 0, what is missing is ``nan``. Errors as for `write`.
     """
-    table = _table(record, layout, {})
+    table = to_table(record, layout, {})
     for k, field in enumerate(table.schema):
         if field.type == pa.bool_():
             table = table.set_column(k, field.name, table.column(k).cast(pa.int8()))
@@ -67,7 +68,8 @@ def write_text(path: Path, rows: Any) -> None:
         csv.write_csv(table, file, csv.WriteOptions(include_header=False, delimiter=" "))
 
 
-def _table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Table:
+def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Table:
+    """Return the fields of a record that a layout names as a table of Arrow, unit and frame in each field."""
     fields, arrays = [], []
     for name, columns in layout.items():
         value = getattr(record, name)
@@ -87,6 +89,11 @@ def read(path: Path, layout: Layout) -> dict[str, Any]:
     """Return the fields of a layout, by name, in the shapes of their record."""
     table = pq.read_table(path)
     return {name: _field(table, columns.names, columns.shape) for name, columns in layout.items()}
+
+
+def names(path: Path) -> Sequence[str]:
+    """Return the names of the columns of a file."""
+    return pq.read_schema(path).names  # type: ignore[no-any-return]
 
 
 def facts(path: Path) -> Mapping[str, Any]:

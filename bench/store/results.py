@@ -7,10 +7,10 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,19 +26,26 @@ from bench.data import (
     NavSolution,
     RunResult,
     Sensed,
+    SensorData,
     SensorTruth,
+    SkyView,
     Trajectory,
+    nothing_drawn,
 )
+from bench.errors import ConfigError
 from bench.fields import columns_of
 from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.store import columns, parquet
-from bench.store.start import START, start_document
+from bench.store.start import START, assumed_specs, initial_state, load_start, start_document
 
 RESULT = "result.json"
 RECORDING = "flight.rrd"
 TRUTH = "truth.parquet"
 OBSERVATIONS = "sensors-observations.parquet"
 DRAWN = "sensors-drawn.parquet"
+SKY = "sensors-sky.parquet"
+EVENTS = "sensors-events.parquet"
+_T = TypeVar("_T")
 
 
 @contextmanager
@@ -82,50 +89,59 @@ def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def save(
-    folder: Path,
-    result: RunResult,
-    truth: Trajectory | None,
-    sensed: Sensed,
-    more: Mapping[str, object] | None = None,
-) -> None:
-    """Write one run into an existing, empty folder: Parquet tables, then ``result.json``.
+def save(folder: Path, result: RunResult) -> None:
+    """Write one run and its records into an existing, empty folder: Parquet tables, then ``result.json``.
 
-    A recording has no truth and nothing that was drawn; ``more`` is what else its ``result.json`` says.
+    A recording has no truth and nothing that was drawn.
 
     Raises
     ------
     OSError
         When the disk does not take it.
     """
-    data = sensed.data
+    sensed = result.sensed
+    assert sensed is not None
+    data, truth = sensed.data, result.truth
     if truth is not None:
-        _save_truth(folder, truth)
-        _save_drawn(folder / DRAWN, sensed.truth)
-    parquet.write(folder / "sensors-imu.parquet", data.imu, columns.IMU)
-    if data.fixes is not None:
-        parquet.write(folder / "sensors-gnss.parquet", data.fixes, columns.GNSS)
-    if data.observations is not None:
-        _save_observations(folder / OBSERVATIONS, data.observations)
+        parquet.write(folder / TRUTH, truth)
+        for name in ("air", "controls", "events"):
+            parquet.write(folder / f"truth-{name}.parquet", getattr(truth, name))
+        parquet.write(folder / DRAWN, sensed.truth)
+    for name, record in aiding(data).items():
+        parquet.write(folder / f"sensors-{name}.parquet", record, **_facts(record, data))
+    parquet.write(folder / "sensors-imu.parquet", data.imu)
     if sensed.sky is not None:
-        parquet.write(folder / "sensors-sky.parquet", sensed.sky, columns.SKY)
-    for name, record in data.instruments.items():
-        parquet.write(folder / f"sensors-{name}.parquet", record, columns_of(type(record)), date=data.date)
+        parquet.write(folder / SKY, sensed.sky)
     write_json(folder / START, start_document(data, sensed.initial))
-    parquet.write(folder / "sensors-events.parquet", sensed.events, columns.EVENTS)
+    parquet.write(folder / EVENTS, sensed.events)
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
     for label, errors in result.errors.items():
-        parquet.write(folder / f"errors-{label}.parquet", errors, columns.ERRORS, states=errors.states)
-    summary = {
-        "profile": result.profile,
-        "seed": result.seed,
-        "run": result.run,
-        "metrics": result.metrics,
-        "provenance": result.provenance,
-        **(more or {}),
-    }
-    write_json(folder / RESULT, summary)
+        parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
+    summary = {name: getattr(result, name) for name in _SUMMARY}
+    write_json(folder / RESULT, {**summary, **result.more})
+
+
+_SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
+"""Fields of a result in its ``result.json``; what else is there is `RunResult.more`."""
+
+
+def aiding(data: SensorData) -> dict[str, Any]:
+    """Return the records of GNSS and the instruments on board, by the name of their tables."""
+    receiver = {"gnss": data.fixes, "observations": data.observations}
+    return {name: record for name, record in receiver.items() if record is not None} | data.instruments
+
+
+def _facts(record: object, data: SensorData) -> dict[str, Any]:
+    """Return what the file of a record says beside its columns."""
+    if isinstance(record, GnssObservations):
+        return {
+            "bands": record.pseudorange.shape[1],
+            "epoch_start": record.epoch_start.tolist(),
+            "klobuchar": record.klobuchar.tolist(),
+            "gps_t0": record.gps_t0,
+        }
+    return {"date": data.date} if isinstance(record, InstrumentData) else {}
 
 
 def add_solution(
@@ -140,17 +156,16 @@ def add_solution(
     """
     summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     _save_solution(folder, label, solution)
-    parquet.write(folder / f"errors-{label}.parquet", errors, columns.ERRORS, states=errors.states)
+    parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
     summary["metrics"][label] = metrics
     write_json(folder / RESULT, summary)
 
 
 def _save_solution(folder: Path, label: str, solution: NavSolution) -> None:
-    layout = columns.solution(solution.extra_names)
-    extra_names = list(solution.extra_names)
-    parquet.write(folder / f"solution-{label}.parquet", solution, layout, extra_names=extra_names)
-    parquet.write(folder / f"events-{label}.parquet", solution.events, columns.EVENTS)
-    _save_innovations(folder / f"innovations-{label}.parquet", solution.innovations)
+    names, sensors = list(solution.extra_names), list(solution.innovations.sensor)
+    parquet.write(folder / f"solution-{label}.parquet", solution, extra_names=names)
+    parquet.write(folder / f"events-{label}.parquet", solution.events)
+    parquet.write(folder / f"innovations-{label}.parquet", solution.innovations, sensors=sensors)
 
 
 def load(folder: str | os.PathLike[str]) -> RunResult:
@@ -164,7 +179,8 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     Returns
     -------
     result : RunResult
-        As it was, except that a metric that was not finite is None.
+        As it was, except that a metric that was not finite is None. The truth and the sensors are read when
+        they are asked for.
 
     Raises
     ------
@@ -174,26 +190,50 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     folder = Path(folder)
     summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     return RunResult(
-        profile=summary["profile"],
-        seed=summary["seed"],
-        run=summary["run"],
-        metrics=summary["metrics"],
+        **{name: summary.pop(name) for name in _SUMMARY},
         errors={label: _load_errors(path) for label, path in _labelled(folder, "errors")},
         solutions={label: load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
-        provenance=summary["provenance"],
+        more=summary,
+        records=FolderRecords(folder),
     )
+
+
+class FolderRecords(Mapping[str, Any]):
+    """The truth and the sensors of a results folder, each read when it is first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._read = folder.absolute(), dict[str, Any]()
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._read:
+            if name not in self:
+                raise KeyError(name)
+            try:
+                self._read[name] = _READERS[name][1](self._folder)
+            except KeyError as error:
+                raise ConfigError(f"{self._folder}: cannot be read: there is no {error} in it") from None
+        return self._read[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in set(self)
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, (file, _) in _READERS.items() if (self._folder / file).exists())
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def load_truth(folder: str | os.PathLike[str]) -> Trajectory:
     """Read the truth of a results folder back."""
     folder = Path(folder)
-    motion = parquet.read(folder / TRUTH, {**columns.MOTION, **columns.INCREMENTS})
-    motion |= {name: motion[name][1:] for name in columns.INCREMENTS}  # the first row ends no interval
+    motion = parquet.read(folder / TRUTH, columns.TRUTH)
+    motion |= {name: motion[name][1:] for name in ("dtheta_b", "dvel_b")}  # the first row ends no interval
     return Trajectory(
         **motion,
-        air=AirData(**parquet.read(folder / "truth-air.parquet", columns.AIR)),
-        controls=Controls(**parquet.read(folder / "truth-controls.parquet", columns.CONTROLS)),
-        events=Events(**parquet.read(folder / "truth-events.parquet", columns.EVENTS)),
+        air=_load(folder / "truth-air.parquet", AirData),
+        controls=_load(folder / "truth-controls.parquet", Controls),
+        events=_load(folder / "truth-events.parquet", Events),
     )
 
 
@@ -202,15 +242,63 @@ def load_sensors(
 ) -> tuple[ImuData, GnssFixes | None, dict[str, InstrumentData]]:
     """Read the sensor records of a results folder back: IMU, fixes, and the instruments on board by name."""
     folder = Path(folder)
-    imu = ImuData(**parquet.read(folder / "sensors-imu.parquet", columns.IMU))
     gnss = folder / "sensors-gnss.parquet"
-    fixes = GnssFixes(**parquet.read(gnss, columns.GNSS)) if gnss.exists() else None
-    instruments = {}
-    for name, row in INSTRUMENTS.items():
-        path = folder / f"sensors-{name}.parquet"
-        if path.exists():
-            instruments[name] = row.record(**parquet.read(path, columns_of(row.record)))
-    return imu, fixes, instruments
+    paths = {name: folder / f"sensors-{name}.parquet" for name in INSTRUMENTS}
+    return (
+        _load(folder / "sensors-imu.parquet", ImuData),
+        _load(gnss, GnssFixes) if gnss.exists() else None,
+        {name: _load(path, INSTRUMENTS[name].record) for name, path in paths.items() if path.exists()},
+    )
+
+
+def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
+    """Read back what the estimators of a results folder were given, and what was drawn for it.
+
+    Of the satellites of a sky only what a receiver computes comes back, with its observations.
+    """
+    folder = Path(folder)
+    imu, fixes, instruments = load_sensors(folder)
+    on_board: dict[str, Any] = dict(instruments)
+    start = load_start(folder)
+    asked = [parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for _, path in _labelled(folder, "solution")]
+    data = SensorData(
+        imu=imu,
+        fixes=fixes,
+        **on_board,
+        antenna_b=np.array(start["antenna_b_m"]),
+        specs=assumed_specs(start),
+        output_t=next((t for t in asked if np.isfinite(t).all()), np.empty(0)),
+        observations=load_observations(folder),
+        ground_alt=start["ground_alt_m"],
+        date=start["date"],
+    )
+    drawn, sky = folder / DRAWN, folder / SKY
+    return Sensed(
+        data,
+        initial_state(start),
+        _load_drawn(drawn) if drawn.exists() else nothing_drawn(),
+        _load(folder / EVENTS, Events),
+        _load(sky, SkyView) if sky.exists() else None,
+    )
+
+
+def _load_drawn(path: Path) -> SensorTruth:
+    there = parquet.names(path)
+    on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in there]
+    fields = parquet.read(path, columns.drawn(on_board))
+    bias = {name: fields.pop(name).reshape(len(fields["t"]), -1) for name in on_board}
+    return SensorTruth(**fields, bias=bias)
+
+
+_READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
+    "truth": (TRUTH, load_truth),
+    "sensed": (START, load_sensed),
+}
+"""Record of a result -> file without which a folder does not have it, and its reader."""
+
+
+def _load(path: Path, record: type[_T]) -> _T:
+    return record(**parquet.read(path, columns_of(record)))
 
 
 def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None:
@@ -225,19 +313,6 @@ def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None
         epoch_start=start,
         klobuchar=np.array(facts["klobuchar"]),
         gps_t0=facts["gps_t0"],
-    )
-
-
-def _save_observations(path: Path, record: GnssObservations) -> None:
-    bands = record.pseudorange.shape[1]
-    parquet.write(
-        path,
-        record,
-        columns.observations(bands),
-        bands=bands,
-        epoch_start=record.epoch_start.tolist(),
-        klobuchar=record.klobuchar.tolist(),
-        gps_t0=record.gps_t0,
     )
 
 
@@ -280,35 +355,6 @@ def _plain(value: object) -> object:
     return value
 
 
-def _save_truth(folder: Path, truth: Trajectory) -> None:
-    no_interval = np.full((1, 3), np.nan)  # the first instant ends no interval
-    motion = SimpleNamespace(
-        t=truth.t,
-        lla=truth.lla,
-        vel_n=truth.vel_n,
-        q_nb=truth.q_nb,
-        dtheta_b=np.vstack([no_interval, truth.dtheta_b]),
-        dvel_b=np.vstack([no_interval, truth.dvel_b]),
-    )
-    parquet.write(folder / TRUTH, motion, {**columns.MOTION, **columns.INCREMENTS})
-    parquet.write(folder / "truth-air.parquet", truth.air, columns.AIR)
-    parquet.write(folder / "truth-controls.parquet", truth.controls, columns.CONTROLS)
-    parquet.write(folder / "truth-events.parquet", truth.events, columns.EVENTS)
-
-
-def _save_drawn(path: Path, truth: SensorTruth) -> None:
-    fields = {name: getattr(truth, name) for name in columns_of(SensorTruth)} | dict(truth.bias)
-    parquet.write(path, SimpleNamespace(**fields), columns.drawn(tuple(truth.bias)))
-
-
-def _save_innovations(path: Path, innovations: Innovations) -> None:
-    """Write innovations with the name of their sensor in each row instead of its code."""
-    names = innovations.sensor
-    fields = {name: getattr(innovations, name) for name in columns.INNOVATIONS}
-    fields["sensor"] = tuple(names[code] for code in innovations.code)
-    parquet.write(path, SimpleNamespace(**fields), columns.INNOVATIONS, sensors=list(names))
-
-
 def solutions_of(folder: str | os.PathLike[str]) -> list[str]:
     """Return the labels of the solutions in a results folder."""
     return [label for label, _ in _labelled(Path(folder), "solution")]
@@ -326,12 +372,12 @@ def load_solution(folder: str | os.PathLike[str], label: str) -> NavSolution:
         **parquet.read(path, columns.solution(extra_names)),
         extra_names=extra_names,
         innovations=Innovations(**{**rows, "sensor": names, "code": code}),
-        events=Events(**parquet.read(folder / f"events-{label}.parquet", columns.EVENTS)),
+        events=_load(folder / f"events-{label}.parquet", Events),
     )
 
 
 def _load_errors(path: Path) -> ErrorSeries:
-    return ErrorSeries(**parquet.read(path, columns.ERRORS), states=parquet.facts(path)["states"])
+    return ErrorSeries(**parquet.read(path, columns_of(ErrorSeries)), states=parquet.facts(path)["states"])
 
 
 def _labelled(folder: Path, kind: str) -> list[tuple[str, Path]]:

@@ -6,13 +6,15 @@ import dataclasses
 import json
 import os
 from collections.abc import Mapping
+from datetime import date
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from bench.arrays import FloatArray
 from bench.data import InitialState, SensorData
+from bench.specs import AssumedSpecs
 
 START = "sensors-start.json"
 _ORBITS = ("gps", "glonass")  # of a sky: what of them a receiver knows is in its observations
@@ -23,7 +25,8 @@ def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
 
     ``initial``: time, position, velocity, attitude and their covariance (9, 9) of (pos_n m, vel_n m/s,
     phi_n rad) errors; null is not known. ``antenna_b_m``: GNSS antenna from the IMU, forward, right, down.
-    ``assumed``: the datasheets, fields as in `bench.specs`, by kind of sensor. ``date``: decimal year.
+    ``ground_alt_m``: ellipsoidal height of the runway. ``assumed``: the datasheets, fields as in
+    `bench.specs`, by kind of sensor. ``date``: decimal year.
     """
     lat, lon, alt = initial.lla
     assumed = dataclasses.asdict(data.specs)
@@ -46,6 +49,7 @@ def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
         },
         "date": data.date,
         "antenna_b_m": data.antenna_b,
+        "ground_alt_m": data.ground_alt,
         "assumed": assumed,
     }
 
@@ -62,9 +66,43 @@ def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:
     return document
 
 
-def initial_state(document: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,), sd (9,) of a start; NaN is not known."""
+def initial_state(document: Mapping[str, Any]) -> InitialState:
+    """Return the start of a `start_document`; what is not known is NaN with infinite variance."""
     told = document["initial"]
-    lla = np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float)
-    variance = np.diag(np.array(told["cov"], float))
-    return lla, np.array(told["vel_n_mps"], float), np.array(told["q_nb"], float), np.sqrt(variance)
+    cov = np.array(told["cov"], float)
+    return InitialState(
+        t=told["t_s"],
+        lla=np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float),
+        vel_n=np.array(told["vel_n_mps"], float),
+        q_nb=np.array(told["q_nb"], float),
+        cov=np.where(np.isnan(cov), np.inf, cov),
+        alignment=told["alignment"],
+        align_for=told["align_for_s"],
+        drift_sd=told["drift_sd_rad"],
+    )
+
+
+def assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
+    """Return the datasheets of a `start_document`; the orbits of a sky are not in it."""
+    specs: AssumedSpecs = _typed(AssumedSpecs, document["assumed"])
+    return specs
+
+
+def _typed(kind: Any, value: Any) -> Any:
+    """Return a value of JSON as what a field of a spec is declared to be; a field that is missing is None."""
+    if value is None:
+        return None
+    if isinstance(kind, UnionType):
+        kind = get_args(kind)[0]  # "or None"
+    if dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind, localns=_NOT_STORED)
+        missing = {f.name: None for f in dataclasses.fields(kind) if f.name not in value}
+        given = {name: _typed(hints[name], inner) for name, inner in value.items()}
+        return kind(**missing, **given)  # type: ignore[operator]
+    if get_origin(kind) is tuple:
+        return tuple(_typed(get_args(kind)[0], inner) for inner in value)
+    return date.fromisoformat(value) if kind is date else value
+
+
+_NOT_STORED = {"KeplerSets": object, "GlonassSets": object}
+"""Types of the orbits of a sky."""

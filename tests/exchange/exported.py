@@ -35,9 +35,18 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     rows = np.round(sensed.data.output_t * rate).astype(int)
     solution = at_rows(wrong_solution(truth, every=1, **ERROR), rows)
     errors, judged = metrics.judge(truth, solution, evaluation_from=5.0, outages=[LOST])
-    result = RunResult(profile.document, 4, 0, {"made": judged}, {"made": errors}, {"made": solution}, {})
+    result = RunResult(
+        profile.document,
+        4,
+        0,
+        {"made": judged},
+        {"made": errors},
+        {"made": solution},
+        {},
+        records={"truth": truth, "sensed": sensed},
+    )
     with store.results_folder(folder) as partial:
-        store.save(partial, result, truth, sensed)
+        store.save(partial, result)
     return truth, sensed
 
 

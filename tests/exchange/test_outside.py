@@ -168,7 +168,7 @@ def test_the_start_holds_what_the_filters_of_the_bench_are_told_and_no_more(run)
     """Neither drawn biases nor truth are in what a program gets: it follows from the two arguments alone."""
     _, _, sensed = run
     document = store.start_document(sensed.data, sensed.initial)
-    assert set(document) == {"initial", "antenna_b_m", "date", "assumed"}
+    assert set(document) == {"initial", "antenna_b_m", "ground_alt_m", "date", "assumed"}
     other = dataclasses.replace(
         sensed, truth=dataclasses.replace(sensed.truth, gyro_bias_b=sensed.truth.gyro_bias_b + 1)
     )

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_array_equal
 
+import bench
 from bench import config, store
 from bench.data import (
     ErrorSeries,
@@ -35,9 +37,11 @@ from bench.data import (
     no_events,
     no_innovations,
 )
+from bench.errors import BenchError
 from bench.instruments import AirspeedData, BaroData, MagData
 from bench.specs import FlightSpec
 from bench.store import truth_cache
+from tests.exchange.exported import make_run
 from tests.synthetic import turning
 
 RNG = np.random.default_rng(3)
@@ -53,6 +57,10 @@ def equal(one: object, other: object) -> None:
             assert_array_equal(a, b, err_msg=field.name, strict=True)
         elif dataclasses.is_dataclass(a):
             equal(a, b)
+        elif isinstance(a, dict):
+            assert a.keys() == b.keys()
+            for key in a:
+                assert_array_equal(a[key], b[key], err_msg=key)
         else:
             assert a == b, field.name
 
@@ -124,7 +132,7 @@ def sensed(truth: Trajectory) -> Sensed:
 
 
 @pytest.fixture(scope="module")
-def result() -> RunResult:
+def result(truth, sensed) -> RunResult:
     k = 6
     innovations = Innovations(
         np.repeat([1.0, 2.0], 3),
@@ -157,6 +165,7 @@ def result() -> RunResult:
         errors={"loose-15": errors, "free": errors},
         solutions={"loose-15": loose, "free": solution(m, (), no_innovations())},
         provenance={"versions": {"bench": "0"}},
+        records={"truth": truth, "sensed": sensed},
     )
 
 
@@ -164,9 +173,9 @@ def result() -> RunResult:
 
 
 @pytest.fixture
-def saved(tmp_path, result, truth, sensed) -> Path:
+def saved(tmp_path, result) -> Path:
     with store.results_folder(tmp_path / "runs" / "one") as partial:
-        store.save(partial, result, truth, sensed)
+        store.save(partial, result)
     return tmp_path / "runs" / "one"
 
 
@@ -178,7 +187,10 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
     for label in result.solutions:
         equal(again.solutions[label], result.solutions[label])
         equal(again.errors[label], result.errors[label])
-    equal(store.load_truth(saved), truth)
+    equal(again.truth, truth)
+    equal(again.sensors, sensed.data)
+    equal(again.sensed, sensed)
+    assert again.events.kind == result.events.kind
     imu, fixes, instruments = store.load_sensors(saved)
     equal(imu, sensed.data.imu)
     equal(fixes, sensed.data.fixes)
@@ -190,7 +202,7 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
     none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
     bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))
-    store.save(tmp_path, result, truth, bare)
+    store.save(tmp_path, dataclasses.replace(result, records={"truth": truth, "sensed": bare}))
     assert store.load_sensors(tmp_path)[1:] == (None, {})
 
 
@@ -525,3 +537,100 @@ def test_entries_nobody_reads_are_removed(cache, spec, truth):
     store.truth_cached(dataclasses.replace(spec, speed=26.0), Flights(truth))
     assert entry not in list(cache.iterdir())
     assert len(list(cache.iterdir())) == 1
+
+
+# --- tables ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "circle"
+    make_run(folder)
+    return folder
+
+
+def test_every_file_of_a_folder_is_a_table_of_the_result(folder):
+    """The columns of the table are those of the file, in value and metadata."""
+    loaded = bench.load(folder)
+    names = {"truth": "truth", "truth-air": "air", "truth-controls": "controls"}
+    for path in folder.glob("*.parquet"):
+        kind, _, name = path.stem.partition("-")
+        if path.stem.endswith("events") or kind == "events":
+            continue
+        record = names.get(path.stem) or {"solution": "solutions"}.get(kind) or kind
+        table = bench.to_arrow(loaded, *((name,) if kind == "sensors" else (record, name or None)))
+        stored = pq.read_table(path)
+        table = table.drop_columns("estimator") if "estimator" in table.column_names else table
+        assert table.column_names == stored.column_names, path.name
+        for field in table.schema:
+            assert field.metadata == stored.schema.field(field.name).metadata, (path.name, field.name)
+            a, b = (t.column(field.name).to_numpy() for t in (table, stored))
+            assert_array_equal(a, b)
+
+
+def test_estimators_are_one_table_and_a_state_that_one_lacks_is_null(result):
+    table = bench.to_arrow(result, "solutions")
+    assert table.column_names[:2] == ["estimator", "t_s"]
+    assert set(table.column("estimator").to_pylist()) == {"loose-15", "free"}
+    assert table.column("state_baro_bias_m").null_count == len(result.solutions["free"])
+    assert table.schema.field("vel_n_mps").metadata[b"unit"] == b"m/s"
+    assert len(bench.to_arrow(result, "errors", "free")) == len(result.errors["free"])
+
+
+def test_pandas_gets_the_same_numbers(result):
+    pytest.importorskip("pandas")
+    frame = bench.to_pandas(result, "errors")
+    rows = frame[frame["estimator"] == "loose-15"]
+    assert_array_equal(rows["pos_err_n_m"], result.errors["loose-15"].pos_n[:, 0])
+
+
+def test_without_pandas_one_line_says_what_to_install(result, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(BenchError, match="pip install pandas"):
+        bench.to_pandas(result, "errors")
+
+
+def test_what_is_not_there_is_said_with_what_is(result):
+    with pytest.raises(
+        BenchError, match=r"the result has no 'lidar'; there are events, truth, air, .*errors"
+    ):
+        bench.to_arrow(result, "lidar")
+    with pytest.raises(BenchError, match="the result has no 'ukf'; there are loose-15, free"):
+        bench.to_arrow(result, "errors", "ukf")
+
+
+@pytest.mark.parametrize("name", ["all-sensors", "circuit", "gnss-faults"])
+def test_the_start_and_the_datasheets_come_back(name, tmp_path):
+    """Of a sky what a receiver does not know is not stored."""
+    specs = bench.load_profile(name).sensors.assumed
+    initial = InitialState(
+        0.0, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), np.diag(np.full(9, np.inf)), "course"
+    )
+    data = SensorData(imu=None, fixes=None, antenna_b=np.zeros(3), specs=specs, output_t=np.zeros(1))
+    store.write_json(tmp_path / store.START, store.start_document(data, initial))
+    document = store.load_start(tmp_path)
+    back = store.assumed_specs(document)
+    if specs.gnss is not None and specs.gnss.sky is not None:
+        assert back.gnss.sky.day == specs.gnss.sky.day
+    else:
+        assert back == specs
+    again = store.initial_state(document)
+    assert_array_equal(again.cov, initial.cov)
+    assert np.isnan(again.lla).all()
+
+
+def test_a_filter_runs_on_a_loaded_folder_as_on_the_run(folder):
+    made, sensed = make_run(folder.parent / "again")
+    loaded = bench.load(folder)
+    equal(loaded.truth, made)
+    for label in ("loose-15", "free-inertial"):
+        first = bench.navigate(label, sensed.data, sensed.initial)
+        equal(bench.navigate(label, loaded.sensors, loaded.sensed.initial), first)
+
+
+def test_a_result_shows_itself_in_a_line_and_as_a_table(result):
+    assert repr(result) == "<RunResult 'a', seed 7, run 2: loose-15, free>"
+    shown = result._repr_html_()
+    assert "<td>nees_mean</td><td>9.5</td><td>-</td>" in shown
+    assert "<td>converged</td><td>True</td><td>False</td>" in shown
+    assert "cep50_m" not in shown  # no estimator has it

@@ -13,9 +13,8 @@ from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import ExportError
 from bench.exchange.rinex import leap_seconds
-from bench.fields import columns_of
 from bench.store import initial_state
-from bench.store.columns import GNSS, IMU, MOTION, Layout, observations, solution
+from bench.store.columns import MOTION, Layout, rows_of
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
@@ -104,16 +103,10 @@ class Outgoing:
 
     def tables(self) -> dict[str, tuple[object, Layout]]:
         """Return every record by the name of its table, with its columns."""
-        found: dict[str, tuple[object, Layout]] = {"imu": (self.imu, IMU)}
-        if self.fixes is not None:
-            found["gnss"] = (self.fixes, GNSS)
-        if self.observations is not None:
-            bands = self.observations.pseudorange.shape[1]
-            found["observations"] = (self.observations, observations(bands))
-        found |= {name: (record, columns_of(type(record))) for name, record in self.instruments.items()}
+        sensors = {"imu": self.imu, "gnss": self.fixes, "observations": self.observations, **self.instruments}
+        found = {name: rows_of(record) for name, record in sensors.items() if record is not None}
         for name, track in self.tracks.items():
-            names = track.extra_names if isinstance(track, NavSolution) else ()
-            found[name] = (track, solution(names) if isinstance(track, NavSolution) else MOTION)
+            found[name] = (track, MOTION) if isinstance(track, Trajectory) else rows_of(track)
         return found
 
     def assumed(self, triad: str) -> Mapping[str, Any]:
@@ -122,21 +115,21 @@ class Outgoing:
         return figures
 
     def whole_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `bench.store.initial_state`.
+        """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and the sd (9,) of a start.
 
         Raises
         ------
         ExportError
             When the filters are not told it as a whole, but have to align.
         """
-        found = initial_state(self.start)
+        told = initial_state(self.start)
+        found = (told.lla, told.vel_n, told.q_nb, np.sqrt(np.diag(told.cov)))
         if not all(np.isfinite(value).all() for value in found):
-            told = self.start["initial"]["alignment"]
-            raise ExportError(f"this format needs a whole start; the run has alignment = {told!r}")
+            raise ExportError(f"this format needs a whole start; the run has alignment = {told.alignment!r}")
         return found
 
     def start_at_first_row(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return what `bench.store.initial_state` does, brought to the end of the first IMU interval.
+        """Return what `whole_start` does, brought to the end of the first IMU interval.
 
         For tools whose first row is the start, not the end of an interval: one step of the increments.
 

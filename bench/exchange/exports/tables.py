@@ -40,8 +40,8 @@ _START = f"""
 What an estimator is told beside the measurements, in SI and radians. `initial`: time, position, velocity and
 attitude of the IMU at the start, and `cov`, the covariance (9 x 9) of their errors: position north, east,
 down [m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the
-GNSS antenna from the IMU. `assumed`: the datasheets of the units: random walks per sqrt(s), biases per s,
-times in s. `date`: when it was flown, as a decimal year.
+GNSS antenna from the IMU. `ground_alt_m`: the runway, above the ellipsoid. `assumed`: the datasheets of the
+units: random walks per sqrt(s), biases per s, times in s. `date`: when it was flown, as a decimal year.
 """
 
 

@@ -1,0 +1,91 @@
+"""The records of a result as tables of Arrow and pandas, in the columns of its Parquet files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pyarrow as pa
+
+from bench.data import RunResult
+from bench.errors import BenchError
+from bench.store.columns import rows_of
+from bench.store.parquet import to_table
+from bench.store.results import aiding
+
+
+def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa.Table:
+    """Return one record of a result as a table of Arrow.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of `bench.run`, `bench.navigate_log` or `bench.load`.
+    record : str
+        "errors", "solutions" or "innovations" of the estimators; "truth", "air" or "controls" of the flight;
+        "imu", "gnss", "observations", "baro" ... of the sensors, "drawn" for their errors, "sky"; "events".
+    estimator : str or None
+        Its rows alone; of all estimators, with a first column ``estimator``, when None.
+
+    Returns
+    -------
+    table : pyarrow.Table
+        A row per instant. Names of columns end in their unit, SI and radians; the metadata of a field hold
+        ``unit`` and ``frame``. A state that an estimator does not have is null.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If the result has no such record or estimator.
+    """
+    by_estimator: dict[str, Mapping[str, object]] = {
+        "errors": result.errors,
+        "solutions": result.solutions,
+        "innovations": {label: solution.innovations for label, solution in result.solutions.items()},
+    }
+    if record not in by_estimator:
+        return _table(_choose(record, _records(result) | by_estimator))
+    found = by_estimator[record]
+    if estimator is not None:
+        return _table(_choose(estimator, found))
+    tables = []
+    for label, rows in found.items():
+        table = _table(rows)
+        tables.append(table.add_column(0, "estimator", pa.array([label] * len(table), pa.string())))
+    return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
+
+
+def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> Any:
+    """Return one record of a result as a DataFrame of pandas; parameters and errors as for `to_arrow`.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If pandas is not installed, too.
+    """
+    try:
+        import pandas  # noqa: F401
+    except ImportError:
+        raise BenchError("bench.to_pandas needs pandas: pip install pandas") from None
+    return to_arrow(result, record, estimator).to_pandas()
+
+
+def _table(record: object) -> pa.Table:
+    return to_table(*rows_of(record), {})
+
+
+def _records(result: RunResult) -> dict[str, object]:
+    """Return the records that are of no estimator, by name."""
+    found: dict[str, object] = {"events": result.events}
+    if (truth := result.truth) is not None:
+        found |= {"truth": truth, "air": truth.air, "controls": truth.controls}
+    if (sensed := result.sensed) is not None:
+        found |= {"imu": sensed.data.imu, **aiding(sensed.data), "drawn": sensed.truth}
+        found |= {"sky": sensed.sky} if sensed.sky is not None else {}
+    return found
+
+
+def _choose(name: str, found: Mapping[str, object]) -> object:
+    if name not in found:
+        raise BenchError(f"the result has no {name!r}; there are {', '.join(found)}")
+    return found[name]
