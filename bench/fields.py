@@ -48,6 +48,22 @@ class Figure:
         return f"{name}_{self.unit}" if self.unit else name
 
 
+@dataclass(frozen=True, slots=True)
+class TriadFigure:
+    """How a figure of three gyros or three accelerometers stands in a datasheet, and the error it is."""
+
+    gyro: tuple[str, ...]  # endings its key may have, by the unit of the datasheet; none: gyros have none
+    accel: tuple[str, ...]
+    key: str  # beginning of its key; empty: the name of the field
+    sought: str  # what a reader looks for on a datasheet; several figures may say it
+    error: str  # what a filter without room for it leaves out, in words; empty: white noise and biases
+
+    def keys(self, name: str, triad: str) -> list[str]:
+        """Return the keys of the field of a spec in the table of "gyro" or "accel"."""
+        endings: tuple[str, ...] = getattr(self, triad)
+        return [f"{self.key or name}_{ending}" for ending in endings]
+
+
 def column(
     *names: str,
     frame: str = "",
@@ -109,7 +125,22 @@ def figure(
     return field(default=default, metadata={"figure": told})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(column, vector, matrix, figure, field))
+def triad_figure(
+    gyro: tuple[str, ...] = (),
+    accel: tuple[str, ...] = (),
+    *,
+    default: float,
+    key: str = "",
+    sought: str = "",
+    error: str = "",
+) -> Any:
+    """Declare a figure of a triad; see :class:`TriadFigure`. 0 is a unit without that error."""
+    return field(default=default, metadata={"triad": TriadFigure(gyro, accel, key, sought, error)})
+
+
+@dataclass_transform(
+    frozen_default=True, field_specifiers=(column, vector, matrix, figure, triad_figure, field)
+)
 def declared(cls: type[_T]) -> type[_T]:
     """Make a frozen dataclass of declared fields."""
     return dataclass(frozen=True, slots=True)(cls)
@@ -189,3 +220,8 @@ def columns_of(record: type) -> dict[str, Column]:
 def figures_of(spec: type) -> dict[str, Figure]:
     """Return the declared figures of a spec, by the field."""
     return {f.name: f.metadata["figure"] for f in fields(spec) if "figure" in f.metadata}
+
+
+def triad_figures_of(spec: type) -> dict[str, TriadFigure]:
+    """Return the declared figures of a triad, by the field."""
+    return {f.name: f.metadata["triad"] for f in fields(spec) if "triad" in f.metadata}

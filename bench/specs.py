@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from bench.fields import declared, figure
+from bench.fields import declared, figure, triad_figure
 from bench.instruments import Units
 
 if TYPE_CHECKING:
@@ -247,32 +247,79 @@ Flight = FlightSpec | ScriptSpec | TableSpec
 # --- the sensors --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
+_ANGLES, _SHARES = ("mrad", "deg", "arcsec", "percent"), ("ppm", "percent")
+_DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
+
+
+@declared
 class TriadSpec:
     """Three gyros (unit rad) or three accelerometers (unit m/s). What a unit does not have is 0."""
 
-    random_walk: float = 0.0  # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
-    bias_instability: float = 0.0  # minimum of the Allan deviation, white noise excluded [unit/s]
-    bias_correlation: float = 0.0  # [s]
+    # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
+    random_walk: float = triad_figure(
+        ("deg_sqrt_h", "deg_s_sqrt_hz"),
+        ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_hz"),
+        key="noise",
+        sought="noise",
+        default=0.0,
+    )
+    # minimum of the Allan deviation, white noise excluded [unit/s]
+    bias_instability: float = triad_figure(_DRIFT, _ACCELERATION, sought="bias instability", default=0.0)
+    bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)  # [s]
     bias_model: str = "flicker"  # or "gauss-markov"
-    turn_on_bias_sd: float = 0.0  # [unit/s]
-    scale_factor_sd: float = 0.0  # [1]
-    misalignment_sd: float = 0.0  # each off-diagonal element [rad]
-    quantization: float = 0.0  # least bit of an increment [unit]
-    rate_random_walk: float = 0.0  # walk of the rate, K [unit/s/sqrt(s)]
-    scale_asymmetry_sd: float = 0.0  # half of what the scale factors of both signs differ by [1]
-    nonlinearity_sd: float = 0.0  # largest departure from the best straight line, over the range [1]
-    quadratic_sd: float = 0.0  # of the squared rate [1/(unit/s)]
-    nonorthogonality_sd: float = 0.0  # of the angle between two sensing axes from 90 deg [rad]
-    alignment_sd: float = 0.0  # turn of the triad in its case, each axis [rad]
-    g_sensitivity_sd: float = 0.0  # gyros: each element, per specific force [unit/s/(m/s^2)]
-    g2_sensitivity_sd: float = 0.0  # gyros: each element, per squared specific force [unit/s/(m/s^2)^2]
-    temperature_sd: float = 0.0  # bias per kelvin from the reference temperature [unit/s/K]
-    dead_zone: float = 0.0  # a rate below it reads 0 [unit/s]
+    # [unit/s]
+    turn_on_bias_sd: float = triad_figure(_DRIFT, _ACCELERATION, sought="turn-on bias", default=0.0)
+    # [1]
+    scale_factor_sd: float = triad_figure(
+        _SHARES, _SHARES, sought="scale factor", error="scale factor", default=0.0
+    )
+    # each off-diagonal element [rad]
+    misalignment_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="misalignment", default=0.0
+    )
+    # least bit of an increment [unit]
+    quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
+    # walk of the rate, K [unit/s/sqrt(s)]
+    rate_random_walk: float = triad_figure(
+        ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0
+    )
+    # half of what the scale factors of both signs differ by [1]
+    scale_asymmetry_sd: float = triad_figure(_SHARES, _SHARES, error="scale factor asymmetry", default=0.0)
+    # largest departure from the best straight line, over the range [1]
+    nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0)
+    # of the squared rate [1/(unit/s)]
+    quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0)
+    # of the angle between two sensing axes from 90 deg [rad]
+    nonorthogonality_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="non-orthogonality", default=0.0
+    )
+    # turn of the triad in its case, each axis [rad]
+    alignment_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="alignment", default=0.0
+    )
+    # gyros: each element, per specific force [unit/s/(m/s^2)]
+    g_sensitivity_sd: float = triad_figure(
+        ("deg_h_g", "deg_s_g"), sought="g-sensitivity", error="g-sensitivity", default=0.0
+    )
+    # gyros: each element, per squared specific force [unit/s/(m/s^2)^2]
+    g2_sensitivity_sd: float = triad_figure(
+        ("deg_h_g2", "deg_s_g2"), sought="g-sensitivity", error="sensitivity to g squared", default=0.0
+    )
+    # bias per kelvin from the reference temperature [unit/s/K]
+    temperature_sd: float = triad_figure(
+        ("deg_h_k", "deg_s_k"), ("ug_k", "mg_k"), sought="temperature", error="temperature bias", default=0.0
+    )
+    # a rate below it reads 0 [unit/s]
+    dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
     dead_zone_kind: str = "subtractive"  # or "hard": a rate above it is whole
-    range: float = 0.0  # largest rate, 0 none; beyond it the sample is clipped and flagged [unit/s]
-    bandwidth: float = 0.0  # -3 dB of a second-order Butterworth filter of the motion, 0 none [Hz]
-    delay: float = 0.0  # of the motion, beyond that of the filter [s]
+    # largest rate, 0 none; beyond it the sample is clipped and flagged [unit/s]
+    range: float = triad_figure(("deg_s",), ("g",), sought="range", default=0.0)
+    # -3 dB of a second-order Butterworth filter of the motion, 0 none [Hz]
+    bandwidth: float = triad_figure(
+        ("hz",), ("hz",), sought="bandwidth", error="bandwidth and delay", default=0.0
+    )
+    # of the motion, beyond that of the filter [s]
+    delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
 
     @property
     def instability_sd(self) -> float:

@@ -14,82 +14,23 @@ from bench.config.sheet import Figure, Sheet, figures, problems, table_of, unsou
 from bench.config.sky_sheet import SkyTable, read_sky
 from bench.config.tables import ROWS, Table, between, checked, noting, read
 from bench.errors import ConfigError
-from bench.fields import figures_of
+from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.specs import GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import split_unit, to_si
 
-_ANGLES, _SHARES = ("mrad", "deg", "arcsec", "percent"), ("ppm", "percent")
-_DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
-_COMMON = {
-    "bias_correlation": ("s",),
-    "scale_factor_sd": _SHARES,
-    "misalignment_sd": _ANGLES,
-    "scale_asymmetry_sd": _SHARES,
-    "nonlinearity_sd": _SHARES,
-    "nonorthogonality_sd": _ANGLES,
-    "alignment_sd": _ANGLES,
-    "bandwidth": ("hz",),
-    "delay": ("s",),
-}
-GYRO: Mapping[str, tuple[str, ...]] = {
-    "noise": ("deg_sqrt_h", "deg_s_sqrt_hz"),
-    "bias_instability": _DRIFT,
-    "turn_on_bias_sd": _DRIFT,
-    "quantization": ("rad", "deg"),
-    "rate_random_walk": ("deg_h_sqrt_h", "deg_s_sqrt_s"),
-    "g_sensitivity_sd": ("deg_h_g", "deg_s_g"),
-    "g2_sensitivity_sd": ("deg_h_g2", "deg_s_g2"),
-    "temperature_sd": ("deg_h_k", "deg_s_k"),
-    "dead_zone": _DRIFT,
-    "range": ("deg_s",),
-    **_COMMON,
-}
-"""Figure of a gyro -> the units a datasheet may give it in."""
-ACCEL: Mapping[str, tuple[str, ...]] = {
-    "noise": ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_hz"),
-    "bias_instability": _ACCELERATION,
-    "turn_on_bias_sd": _ACCELERATION,
-    "quantization": ("m_s",),
-    "rate_random_walk": ("ug_sqrt_h",),
-    "quadratic_sd": ("ug_g2",),
-    "temperature_sd": ("ug_k", "mg_k"),
-    "dead_zone": _ACCELERATION,
-    "range": ("g",),
-    **_COMMON,
-}
-"""The same for accelerometers."""
-_FIELDS = {"noise": "random_walk"}
-"""Figure of a datasheet -> field of ``TriadSpec`` where they are called differently."""
-_TRIAD = {
-    "noise": ("noise",),
-    "bias instability": ("bias_instability",),
-    "turn-on bias": ("turn_on_bias_sd",),
-    "scale factor": ("scale_factor_sd",),
-    "misalignment": ("misalignment_sd", "nonorthogonality_sd", "alignment_sd"),
-    "temperature": ("temperature_sd",),
-    "range": ("range",),
-    "bandwidth": ("bandwidth",),
-}
-_EXPECTED: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "gyro": _TRIAD | {"g-sensitivity": ("g_sensitivity_sd", "g2_sensitivity_sd")},
-    "accel": _TRIAD,
-}  # what a reader looks for on a datasheet -> the figures that may say it
+_TRIADS = ("gyro", "accel")
 _CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
 """What a triad chooses instead of measuring, and what it chooses when it does not say."""
 
 
-def _keys(stem: str, units: Mapping[str, tuple[str, ...]]) -> list[str]:
-    return [f"{stem}_{unit}" for unit in units[stem]]
-
-
-def _triad(name: str, units: Mapping[str, tuple[str, ...]]) -> type[Table]:
-    """Build the model of a triad from its table of units: every figure may be absent."""
-    keys = [key for stem in units for key in _keys(stem, units)]
-    figures: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
-    figures["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
-    figures["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
-    return create_model(name, __base__=Table, **figures)
+def _triad(name: str) -> type[Table]:
+    """Build the table of "gyro" or "accel": every figure may be absent."""
+    keys = [key for field, told in triad_figures_of(TriadSpec).items() for key in told.keys(field, name)]
+    rows: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
+    rows["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
+    rows["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
+    return create_model(name.capitalize(), __base__=Table, **rows)
 
 
 _Metres = Annotated[float, between(-10, 10)]
@@ -111,8 +52,8 @@ _Thermal, _Vibration = table_of(ThermalSpec), table_of(VibrationSpec)
 class ImuSheet(Sheet):
     """An IMU; a figure the datasheet does not give is absent."""
 
-    gyro: _triad("Gyro", GYRO) = Field(default_factory=dict)  # type: ignore[valid-type]
-    accel: _triad("Accel", ACCEL) = Field(default_factory=dict)  # type: ignore[valid-type]
+    gyro: _triad("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
+    accel: _triad("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
     thermal: _Thermal = _Thermal()  # type: ignore[valid-type]
     vibration: _Vibration = _Vibration()  # type: ignore[valid-type]
     layout: LayoutTable = LayoutTable()
@@ -141,14 +82,15 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
     sheet = checked(ImuSheet, document, shown)
     wrong = unsourced(sheet, document)
     triads = {}
-    for name, units in {"gyro": GYRO, "accel": ACCEL}.items():
+    for name in _TRIADS:
         given = document.get(name, {})  # checked above
         values = {key: given.get(key, usual) for key, usual in _CHOICES.items()}
-        for stem in units:
-            keys = [key for key in _keys(stem, units) if key in given]
+        for field, told in triad_figures_of(TriadSpec).items():
+            keys = [key for key in told.keys(field, name) if key in given]
             if len(keys) > 1:
                 wrong.append(f"[{name}] {keys[0]} and {keys[1]} are one figure; give one of them")
-            values |= {_FIELDS.get(stem, stem): to_si(key, given[key]) for key in keys}
+            for key in keys:
+                values[field] = to_si(key, given[key])
         triads[name] = TriadSpec(**values)
         if triads[name].nonlinearity_sd > 0 and triads[name].range <= 0:
             unit = "range_deg_s" if name == "gyro" else "range_g"
@@ -244,15 +186,17 @@ def absent(kind: str, document: Mapping[str, Any]) -> list[str]:
         A file that has been checked.
     """
     if kind == "imu":
-        return [
-            f"{part} {what}"
-            for part, units in (("gyro", GYRO), ("accel", ACCEL))
-            for what, stems in _EXPECTED[part].items()
-            if not any(key in document.get(part, {}) for stem in stems for key in _keys(stem, units))
-        ]
+        found: dict[str, bool] = {}
+        for name in _TRIADS:
+            for field, told in triad_figures_of(TriadSpec).items():
+                keys = told.keys(field, name)
+                if told.sought and keys:
+                    what = f"{name} {told.sought}"
+                    found[what] = found.get(what, False) or any(key in document.get(name, {}) for key in keys)
+        return [what for what, there in found.items() if not there]
+    named = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
     spec = GnssSpec if kind == "gnss" else INSTRUMENTS[kind].spec
-    said = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
-    return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in said]
+    return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in named]
 
 
 SENSORS: Mapping[str, Callable[[Path, str], Any]] = {

@@ -14,13 +14,15 @@ from typing import get_args
 import pytest
 
 from bench import config
-from bench.config.datasheets import ACCEL, GYRO, read_imu
+from bench.config.datasheets import read_imu
 from bench.errors import ConfigError
+from bench.fields import triad_figures_of
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
+from bench.specs import TriadSpec
 
 SHIPPED = [row.name for row in config.list_profiles()]
 
@@ -211,8 +213,13 @@ def test_a_datasheet_figure_becomes_si(tmp_path, triad, key, value, field, si):
 
 
 def test_every_key_of_a_datasheet_is_computed_by_hand():
-    known = {("gyro", f"{stem}_{unit}") for stem, units in GYRO.items() for unit in units}
-    known |= {("accel", f"{stem}_{unit}") for stem, units in ACCEL.items() for unit in units}
+    figures = triad_figures_of(TriadSpec).items()
+    known = {
+        (triad, key)
+        for triad in ("gyro", "accel")
+        for name, told in figures
+        for key in told.keys(name, triad)
+    }
     assert known == {(triad, key) for triad, key, *_ in BY_HAND}
 
 
