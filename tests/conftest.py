@@ -1,5 +1,6 @@
 """What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
+import os
 import signal
 from collections.abc import Callable
 from types import ModuleType
@@ -7,10 +8,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from bench.data import Trajectory
+from bench import sensors
+from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.specs import stream
+from bench.store import truth_cached
 from tests.flight.plans import FIGURE_EIGHT, short_plan
+from tests.weaving import weaving
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -23,9 +27,26 @@ def short_truth() -> Trajectory:
 
 
 @pytest.fixture(scope="session")
-def figure_eight_truth() -> Trajectory:
-    """The shipped flight figure-eight, 600 s at 200 Hz."""
-    return fly(FIGURE_EIGHT)
+def figure_eight_truth(tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
+    """The shipped flight figure-eight, 600 s at 200 Hz; processes of one test run share it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BENCH_CACHE", str(folder / "shared"))
+        return truth_cached(FIGURE_EIGHT, lambda: [fly(FIGURE_EIGHT)])
+
+
+@pytest.fixture(scope="module")
+def truth(request: pytest.FixtureRequest) -> Trajectory:
+    """The flight of tests.weaving; ``FLIGHT`` of the test file says how many seconds, and at which rate."""
+    return weaving(*request.module.FLIGHT)
+
+
+@pytest.fixture(scope="module")
+def sensed(request: pytest.FixtureRequest, truth: Trajectory) -> Sensed:
+    """What the sensors ``UNITS`` of the test file say of that flight, seed 1, run 0."""
+    return sensors.sense(truth, request.module.UNITS, 1, 0)
 
 
 @pytest.fixture

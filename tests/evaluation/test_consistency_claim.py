@@ -11,8 +11,8 @@ import pytest
 
 from bench import baselines, pipeline
 from bench.config import load_profile
-from bench.evaluation.consistency import consistency, nis_by_sensor
 from bench.navigation.fusion import Loose
+from tests.builders import ensemble
 
 RUNS = 50
 DIRECTORY = Path(__file__).parents[1] / "baselines"
@@ -24,22 +24,20 @@ def profile():
     return load_profile("figure-eight-matched")
 
 
-def ensemble(profile, truth, assumed):
-    nees, nis = [], {}
-    for run in range(RUNS):
-        sensed = pipeline.sense(profile, truth, run)
-        data = replace(sensed.data, specs=assumed)
-        solution = Loose().run(data, sensed.initial)
-        errors, _ = pipeline.judge(profile, truth, solution)
-        whole = np.abs(errors.t - np.round(errors.t)) < 1e-6
-        nees.append(errors.nees[whole & (errors.t >= profile.evaluation_from)])
-        for sensor, series in nis_by_sensor(solution.innovations, profile.evaluation_from).items():
-            nis.setdefault(sensor, []).append(series)
-    return consistency(np.array(nees), 9, nis)
+def claims(profile, truth, assumed):
+    """Return the verdict on the three claims over 50 draws."""
+    return ensemble(
+        Loose(),
+        truth,
+        lambda run: pipeline.sense(profile, truth, run),
+        RUNS,
+        profile.evaluation_from,
+        assumed,
+    ).claims()
 
 
 def test_the_matched_filter_knows_its_errors(profile, figure_eight_truth):
-    result = ensemble(profile, figure_eight_truth, profile.sensors.assumed)
+    result = claims(profile, figure_eight_truth, profile.sensors.assumed)
     assert result.verdict, result.reasons
     assert set(result.nis) == {"gnss_position", "gnss_velocity", "baro"}
 
@@ -57,7 +55,7 @@ def test_R_a_fifth_too_small_breaks_every_claim(profile, figure_eight_truth):  #
         ),
         baro=replace(baro, white_sd=baro.white_sd * factor),
     )
-    result = ensemble(profile, figure_eight_truth, small)
+    result = claims(profile, figure_eight_truth, small)
     text = " ".join(result.reasons)
     assert "standard errors" in text
     assert "of the epochs" in text

@@ -27,13 +27,6 @@ from tests.exchange.exported import ERROR, make_run, text_rows
 SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "circle"
-    truth, sensed = make_run(folder)
-    return folder, truth, sensed
-
-
 @pytest.fixture
 def export(run, tmp_path, capsys):
     def go(kind: str, *options: str):

@@ -24,7 +24,6 @@ from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
 from bench.specs import EstimatorChoice
 from tests.cli.test_cli import PROFILE
-from tests.exchange.exported import make_run
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc")
@@ -40,13 +39,6 @@ NR == FNR { n++; at[n] = $2 + 0; ok[n] = $3; rest[n] = $4 OFS $5 OFS $6 OFS $7 O
   if (held != "") print $1, held > solution }
 END { print n " fixes" > "/dev/stderr" }
 """
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "circle"
-    truth, sensed = make_run(folder)
-    return folder, truth, sensed
 
 
 def python(path: Path, code: str) -> str:

@@ -24,15 +24,8 @@ from bench.evaluation import metrics
 from bench.exchange.solutions import FileEstimator, read_solution, resampled
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
-from tests.exchange.exported import LOST, make_run
+from tests.exchange.exported import LOST
 from tests.synthetic import turning
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "circle"
-    truth, sensed = make_run(folder)
-    return folder, truth, sensed
 
 
 def written(path, solution: NavSolution):

@@ -25,7 +25,7 @@ from bench.exchange import trajectory
 from bench.rotation import multiply, to_rotvec
 from bench.specs import TableSpec
 from bench.store.truth_cache import truth_key
-from tests.flight.inertial import inertial, largest_difference, navigate
+from tests.flight.inertial import inertial, largest_difference, navigate, replay
 
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
@@ -89,13 +89,6 @@ def write(path: Path, table: dict[str, np.ndarray], names: tuple[str, ...]) -> P
 
 def fly(path: Path, rate: float = 200.0, duration: float | None = None) -> Trajectory:
     return trajectory.read_trajectory(TableSpec(path.stem, path, rate, duration))
-
-
-def replay(truth: Trajectory, rate: float) -> tuple[float, float]:
-    reference = inertial(truth)
-    start = tuple(column[0] for column in reference)
-    found = navigate(1 / rate, truth.dtheta_b, truth.dvel_b, start, two_sample=True)
-    return largest_difference(found, reference)
 
 
 def sanity(truth: Trajectory) -> str:

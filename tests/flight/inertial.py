@@ -131,3 +131,11 @@ def largest_difference(
         rotation.to_rotvec(rotation.multiply(rotation.conjugate(a[2]), b[2])), axis=1
     ).max()
     return float(distance), float(angle)
+
+
+def replay(truth: Trajectory, rate: float) -> tuple[float, float]:
+    """Return the largest errors of position [m] and attitude [rad] of the increments navigated anew."""
+    reference = inertial(truth)
+    start = tuple(column[0] for column in reference)
+    found = navigate(1 / rate, truth.dtheta_b, truth.dvel_b, start, two_sample=True)
+    return largest_difference(found, reference)

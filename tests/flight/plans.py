@@ -1,4 +1,4 @@
-"""Flight plans for tests: the Aerosonde with the shipped gains, one leg list at a time."""
+"""Flight plans for tests: the Aerosonde with the shipped gains, one leg list at a time; how it turned."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from dataclasses import replace
 from math import radians
 from typing import Any
 
+import numpy as np
+
+from bench import rotation
 from bench.config import load_profile
+from bench.data import Trajectory
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
@@ -39,3 +43,12 @@ def short_plan() -> FlightSpec:
     """A minute at 100 Hz in a west wind of 5 m/s: straight, a 120 deg right turn, a climb, straight."""
     legs = (Straight(10.0), Turn(radians(120.0), radians(30.0)), Climb(1220.0, 2.0), Straight(5.0))
     return plan(*legs, wind_from=radians(270.0), wind_speed=5.0, duration=60.0)
+
+
+def turned(truth: Trajectory) -> np.ndarray:
+    """Heading since the start, not wrapped [deg]."""
+    return np.rad2deg(np.unwrap(rotation.to_euler(truth.q_nb)[2]))
+
+
+def roll(truth: Trajectory) -> np.ndarray:
+    return np.rad2deg(rotation.to_euler(truth.q_nb)[0])

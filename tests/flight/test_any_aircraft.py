@@ -29,7 +29,7 @@ from bench.flight.legs.runway import Static, TakeOff
 from bench.rotation import rotate, to_euler
 from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, WindLayer
 from bench.store.truth_cache import truth_key
-from tests.flight.inertial import inertial, largest_difference, navigate
+from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT
 
 WHEEL = Path(jsbsim.get_default_root_dir())
@@ -82,13 +82,6 @@ def profile(folder: Path, **values: object):
 
 def plan(folder: Path, **values: object) -> FlightSpec:
     return profile(folder, **values).flight
-
-
-def replay(truth: Trajectory, rate: float) -> tuple[float, float]:
-    reference = inertial(truth)
-    start = tuple(column[0] for column in reference)
-    found = navigate(1 / rate, truth.dtheta_b, truth.dvel_b, start, two_sample=True)
-    return largest_difference(found, reference)
 
 
 @pytest.mark.parametrize(("values", "alt_off"), [(CESSNA, 12.0), (BOEING, 8.0)])

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 from bench import earth, rotation
 from bench.config import load_profile
-from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.legs.climbs import Climb
@@ -18,17 +17,7 @@ from bench.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
 from bench.flight.legs.turns import STurns, Turn
 from bench.specs import Gust, WindLayer
-from tests.flight.plans import AEROSONDE, plan
-
-
-def turned(truth: Trajectory) -> np.ndarray:
-    """Heading since the start, not wrapped [deg]."""
-    return np.rad2deg(np.unwrap(rotation.to_euler(truth.q_nb)[2]))
-
-
-def roll(truth: Trajectory) -> np.ndarray:
-    return np.rad2deg(rotation.to_euler(truth.q_nb)[0])
-
+from tests.flight.plans import AEROSONDE, plan, roll, turned
 
 # --- by heading ---------------------------------------------------------------------------------------
 

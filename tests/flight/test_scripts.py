@@ -25,7 +25,7 @@ from bench.flight.increments import from_states
 from bench.flight.model import silent_log
 from bench.flight.units import FT
 from bench.store.truth_cache import truth_key
-from tests.flight.inertial import inertial, largest_difference, navigate
+from tests.flight.inertial import replay
 
 WHEEL = Path(jsbsim.get_default_root_dir())
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
@@ -38,13 +38,6 @@ def profile(folder: Path, text: str, **overrides: object):
 
 def sanity(truth: Trajectory) -> str:
     return "\n".join(text for _, _, text in truth.events.of("sanity"))
-
-
-def replay(truth: Trajectory, rate: float) -> tuple[float, float]:
-    reference = inertial(truth)
-    start = tuple(column[0] for column in reference)
-    found = navigate(1 / rate, truth.dtheta_b, truth.dvel_b, start, two_sample=True)
-    return largest_difference(found, reference)
 
 
 @pytest.fixture(scope="module")

@@ -8,29 +8,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation
 from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
-from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan
+from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan, roll, turned
 
 
 def legs(truth: Trajectory) -> list[tuple[slice, str]]:
     """Samples of each leg, and its text."""
     rate = 1 / truth.t[1]
     return [(slice(round(a * rate), round(b * rate) + 1), text) for a, b, text in truth.events.of("leg")]
-
-
-def turned(truth: Trajectory) -> np.ndarray:
-    """Heading since the start, not wrapped [deg]."""
-    return np.rad2deg(np.unwrap(rotation.to_euler(truth.q_nb)[2]))
-
-
-def roll(truth: Trajectory) -> np.ndarray:
-    return np.rad2deg(rotation.to_euler(truth.q_nb)[0])
 
 
 def test_legs_follow_each_other_without_gaps_on_instants_of_the_sequencer(figure_eight_truth):

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import stats
 
 import bench
 from bench import earth, pipeline, rotation, sensors
@@ -25,6 +24,7 @@ from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.navigation.state_model import Blocks, state_model
 from bench.specs import ImuSpec, TriadSpec
+from tests.builders import band
 from tests.weaving import DEG, IMU, units, weaving
 
 FINE = ImuSpec(
@@ -84,11 +84,6 @@ def found(truth, spec, seed=1, run=0):
         earth.difference_n(start.lla, truth.lla[k]), start.vel_n - truth.vel_n[k], rotation.to_rotvec(turn)
     ]  # fmt: skip
     return start, np.concatenate(error)
-
-
-def band(states, runs):
-    """99.9 % of the mean of as many chi-square variables."""
-    return stats.chi2.ppf([0.0005, 0.9995], states * runs) / runs
 
 
 # --- what is told ---------------------------------------------------------------------------------------
@@ -192,7 +187,7 @@ def test_level_errors_are_what_the_covariance_says():
         claimed = replace(level(), assumed=replace(level().assumed, imu=half))
         start, error = found(truth, claimed, run=run)
         tight.append(error[use] @ np.linalg.solve(start.cov[np.ix_(use, use)], error[use]))
-    low, high = band(6, runs)
+    low, high = band(runs, states=6)
     assert low < np.mean(nees) < high
     assert np.mean(tight) > high
 
@@ -222,7 +217,7 @@ def tilts(motion, believed):
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_what_tilt_and_biases_have_in_common_is_told(motion):
     """The tilt an accelerometer bias made stays when the filter sees no motion: NEES 2, not 3 or more."""
-    low, high = band(2, 100)
+    low, high = band(100, states=2)
     assert low < tilts(motion, lambda start: start).mean() < high
     strangers = tilts(motion, lambda start: replace(start, bias_cov=np.zeros((9, 6))))
     assert strangers.mean() > high
@@ -253,7 +248,7 @@ def test_the_joint_covariance_with_the_biases_is_that_of_the_errors(motion, mode
         w, V = np.linalg.eigh(P / np.outer(sd, sd))
         assert w[0] > 0
         narrow.append(np.sum((V[:, :2].T @ (np.concatenate([error[6:], -bias]) / sd)) ** 2 / w[:2]))
-    low, high = band(2, 100)
+    low, high = band(100, states=2)
     assert np.mean(narrow) < high
     if model == "none":
         assert np.mean(narrow) > low
@@ -269,7 +264,7 @@ def test_a_gyro_that_feels_gravity_has_it_in_its_heading_sd():
         square.append(error[8] ** 2 / start.cov[8, 8])
         start, error = found(truth, replace(level(felt), assumed=level().assumed), run=run)
         deaf.append(error[8] ** 2 / start.cov[8, 8])
-    low, high = band(1, runs)
+    low, high = band(runs, states=1)
     assert low < np.mean(square) < high
     assert np.mean(deaf) > high
 
@@ -285,7 +280,7 @@ def test_a_mems_unit_levels_and_says_that_its_heading_is_unknown():
     assert "deg/h of Earth rate" in text
     errors = np.array([found(truth, level(IMU), run=run)[1][6:8] for run in range(100)])
     squares = np.mean(errors**2, axis=0) / np.diag(start.cov)[6:8]
-    low, high = stats.chi2.ppf([0.0005, 0.9995], 100) / 100
+    low, high = band(100)
     assert ((low < squares) & (squares < high)).all()
 
 
@@ -371,7 +366,7 @@ def test_course_errors_are_what_the_covariance_says():
         ):
             start, error = found(crab, spec, run=run)
             into.append(error @ np.linalg.solve(start.cov, error))
-    low, high = band(9, runs)
+    low, high = band(runs, states=9)
     assert low < np.mean(nees) < high
     assert np.mean(tight) > high
 
@@ -419,7 +414,7 @@ def test_an_aircraft_on_its_wheels_is_levelled_and_gyrocompassed():
         claimed.append(np.sqrt(np.diag(start.cov)[6:]))
     ratio = np.array(errors) / np.array(claimed)
     assert np.abs(ratio).max() < 4.0
-    low, high = stats.chi2.ppf([0.0005, 0.9995], 60) / 60
+    low, high = band(60)
     assert low < np.mean(ratio**2) < high
 
 

@@ -32,6 +32,7 @@ WANDERING = replace(
     pos_decay_time=5e-4,
     vel_decay_time=0.01,
 )
+FLIGHT, UNITS = (60.0,), units(gnss=WANDERING)
 
 
 def rms(a, b):
@@ -45,11 +46,6 @@ def rms(a, b):
 
 def assert_close(a, b, tolerance):
     assert (np.array(rms(a, b)) < tolerance).all(), rms(a, b)
-
-
-@pytest.fixture(scope="module")
-def sensed():
-    return sensors.sense(weaving(60.0), units(gnss=WANDERING), 1, 0)
 
 
 @pytest.fixture(scope="module")

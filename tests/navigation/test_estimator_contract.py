@@ -22,9 +22,12 @@ from bench.errors import EstimatorError
 from bench.evaluation import metrics
 from bench.navigation.estimator import BUILT_IN, check_needs, load
 from bench.navigation.fusion import Loose
+from tests.builders import assert_same_solution
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
 COLUMNS = ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd")
+
+FLIGHT, UNITS = (30.0,), units()
 
 STANDING = '''
 import numpy as np
@@ -43,23 +46,6 @@ class Standing:
         extra = np.empty((len(t), 0))
         return NavSolution(t, one * a, one * b, one * c, none, none, cov, (), extra, extra)
 '''
-
-
-@pytest.fixture(scope="module")
-def truth():
-    return weaving(30.0)
-
-
-@pytest.fixture(scope="module")
-def sensed(truth):
-    return sensors.sense(truth, units(), 1, 0)
-
-
-def assert_same(a, b):
-    for name in COLUMNS:
-        assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    for f in fields(a.innovations):
-        assert_array_equal(getattr(a.innovations, f.name), getattr(b.innovations, f.name))
 
 
 # --- what every estimator owes --------------------------------------------------------------------------
@@ -350,7 +336,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
     truth_side = ("flight", "sensors", "evaluation", "pipeline", "store", "config")
     assert not [m for m in seen if m.split(".")[-1] == "jsbsim" or m.split(".")[1] in truth_side]
     for name, solution in solutions.items():
-        assert_same(solution, load(name, {}).run(sensed.data, sensed.initial))
+        assert_same_solution(solution, load(name, {}).run(sensed.data, sensed.initial))
     assert compiled == 1  # one kernel for all of them: records and their absence look the same to it
 
 
@@ -499,7 +485,7 @@ def test_a_sub_vector_is_used_again_after_so_many_refusals(sensed, after):
 def test_aiding_switched_off_is_aiding_absent(sensed, option):
     record = {"gnss": "fixes", "baro": "baro"}[option]
     off = Loose(**{option: False}).run(sensed.data, sensed.initial)
-    assert_same(off, Loose().run(replace(sensed.data, **{record: None}), sensed.initial))
+    assert_same_solution(off, Loose().run(replace(sensed.data, **{record: None}), sensed.initial))
     assert not np.array_equal(off.lla, Loose().run(sensed.data, sensed.initial).lla)
 
 

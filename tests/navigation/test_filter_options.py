@@ -24,11 +24,7 @@ from bench.signals.magnetic import field_n
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
 RUNS = 8
-
-
-@pytest.fixture(scope="module")
-def truth():
-    return weaving(120.0)
+FLIGHT = (120.0,)
 
 
 def with_columns(record, **values):

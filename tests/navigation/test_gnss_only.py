@@ -23,6 +23,7 @@ from bench.evaluation.errors import error_series
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from bench.navigation.gnss_only import GnssOnly, singer
+from tests.builders import band
 from tests.weaving import GNSS, units, weaving
 
 
@@ -92,14 +93,14 @@ def test_it_is_consistent_in_the_world_it_believes_in(latency):
     late = replace(GNSS, latency=latency)
     nees, nis = ensemble(50, 3.0, units(gnss=late, baro=None))
     assert abs(nees.mean() - 6.0) < 3.3 * nees.std(ddof=1) / np.sqrt(50)
-    low, high = stats.chi2.ppf([0.0005, 0.9995], 3 * len(nis)) / len(nis)
+    low, high = band(len(nis), states=3)
     assert low < nis.mean() < high
 
 
 def test_a_world_twice_as_wild_is_seen():
     nees, nis = ensemble(10, 1.5)
     assert (nees.mean() - 6.0) > 3.3 * nees.std(ddof=1) / np.sqrt(10)
-    assert nis.mean() > stats.chi2.ppf(0.9995, 3 * len(nis)) / len(nis)
+    assert nis.mean() > band(len(nis), states=3)[1]
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 from bench import earth, pipeline
 from bench.config import load_profile
-from bench.evaluation.consistency import consistency, mean_nis, nis_by_sensor
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
+from tests.builders import band, ensemble, first_rows
 
 RUNS = 100
 
@@ -27,10 +27,7 @@ def profile():
 
 @pytest.fixture(scope="module")
 def five_minutes(figure_eight_truth):
-    n = 60_001
-    cut = {name: getattr(figure_eight_truth, name)[:n] for name in ("t", "lla", "vel_n", "q_nb")}
-    cut |= {name: getattr(figure_eight_truth, name)[: n - 1] for name in ("dtheta_b", "dvel_b")}
-    return replace(figure_eight_truth, **cut)
+    return first_rows(figure_eight_truth, 60_001)
 
 
 def without_markov(specs):
@@ -62,6 +59,23 @@ def test_scale_factors_without_variance_change_nothing(profile, five_minutes):
     assert not large.extra[:, -15:].any()
 
 
+def draws(estimator, profile, truth, runs, assumed=None):
+    """Return an ensemble over the draws of a profile's sensors."""
+    return ensemble(
+        estimator,
+        truth,
+        lambda run: pipeline.sense(profile, truth, run),
+        runs,
+        profile.evaluation_from,
+        assumed,
+    )
+
+
+def claims(name, profile, truth, runs):
+    """Return the verdict on the three claims of consistency."""
+    return draws(load(name, {}), profile, truth, runs).claims()
+
+
 def with_mems_errors(profile):
     """Scale factors of 3000 ppm and a g-sensitivity of 36 deg/h/g, on board and assumed."""
     imu = profile.sensors.imu
@@ -83,11 +97,11 @@ def test_loose_mems_knows_scale_factors_and_g_sensitivity(profile, five_minutes)
     result = claims("loose-mems", with_mems_errors(load_profile("figure-eight-matched")), five_minutes, 50)
     assert result.verdict, result.reasons
     mems = with_mems_errors(profile)
-    nees, nis = ensemble(load("loose-mems", {"covariance_hz": 20.0}), mems, five_minutes, 50)
-    assert abs(standard_errors_from(nees, 9)) < 3.3
-    assert all(band.inside for band in nis.values()), nis
-    without, _ = ensemble(load("loose-22", {"covariance_hz": 20.0}), mems, five_minutes, 10)
-    assert np.median(without) > 30
+    found = draws(load("loose-mems", {"covariance_hz": 20.0}), mems, five_minutes, 50)
+    assert abs(standard_errors_from(found.averages(), 9)) < 3.3
+    assert all(nis.inside for nis in found.pooled_nis().values()), found.pooled_nis()
+    without = draws(load("loose-22", {"covariance_hz": 20.0}), mems, five_minutes, 10)
+    assert np.median(without.averages()) > 30
 
 
 def test_scale_factors_are_found(profile, five_minutes):
@@ -100,38 +114,6 @@ def test_scale_factors_are_found(profile, five_minutes):
     assert np.sum(kept < 2 / 3) >= 2
     assert "gyro scale factor" not in load("loose-mems", {}).unmodelled(sensed.data.specs)
     assert "gyro g-sensitivity" in load("loose-22", {}).unmodelled(sensed.data.specs)
-
-
-def ensemble(estimator, profile, truth, runs, assumed=None):
-    """Return the time-averaged NEES of each run and the NIS of every sensor."""
-    nees, nis = [], {}
-    for run in range(runs):
-        sensed = pipeline.sense(profile, truth, run)
-        data = sensed.data if assumed is None else replace(sensed.data, specs=assumed)
-        solution = estimator.run(data, sensed.initial)
-        errors, _ = pipeline.judge(profile, truth, solution)
-        nees.append(errors.nees[errors.t >= profile.evaluation_from].mean())
-        for sensor, series in nis_by_sensor(solution.innovations, profile.evaluation_from).items():
-            nis.setdefault(sensor, []).append(series)
-    pooled = {
-        sensor: mean_nis(np.concatenate([s.nis for s in each]), np.concatenate([s.dof for s in each]))
-        for sensor, each in nis.items()
-    }
-    return np.array(nees), pooled
-
-
-def claims(name, profile, truth, runs):
-    """Return the three claims of the consistency test: NEES at 1 Hz, and NIS of every sensor."""
-    estimator, nees, nis = load(name, {}), [], {}
-    for run in range(runs):
-        sensed = pipeline.sense(profile, truth, run)
-        solution = estimator.run(sensed.data, sensed.initial)
-        errors, _ = pipeline.judge(profile, truth, solution)
-        whole = np.abs(errors.t - np.round(errors.t)) < 1e-6
-        nees.append(errors.nees[whole & (errors.t >= profile.evaluation_from)])
-        for sensor, series in nis_by_sensor(solution.innovations, profile.evaluation_from).items():
-            nis.setdefault(sensor, []).append(series)
-    return consistency(np.array(nees), 9, nis)
 
 
 def standard_errors_from(nees, states):
@@ -149,9 +131,9 @@ def test_loose_22_keeps_all_three_claims_on_matched_sensors(five_minutes):
 @pytest.mark.slow
 def test_loose_22_knows_the_error_of_a_wandering_receiver(profile, five_minutes):
     """Mean NEES within 3.3 standard errors of 9 (the runs are the samples), mean NIS in the 99.9 % band."""
-    nees, nis = ensemble(load("loose-22", {}), profile, five_minutes, RUNS)
-    assert abs(standard_errors_from(nees, 9)) < 3.3
-    assert all(band.inside for band in nis.values()), nis
+    found = draws(load("loose-22", {}), profile, five_minutes, RUNS)
+    assert abs(standard_errors_from(found.averages(), 9)) < 3.3
+    assert all(nis.inside for nis in found.pooled_nis().values()), found.pooled_nis()
 
 
 @pytest.mark.slow
@@ -166,9 +148,9 @@ def test_the_same_check_fails_for_markov_errors_assumed_a_third_too_small(profil
             vel_markov_sd=gnss.vel_markov_sd * 0.67,
         ),
     )
-    nees, nis = ensemble(load("loose-22", {}), profile, five_minutes, RUNS, small)
-    assert standard_errors_from(nees, 9) > 3.3
-    assert not nis["gnss_velocity"].inside
+    found = draws(load("loose-22", {}), profile, five_minutes, RUNS, small)
+    assert standard_errors_from(found.averages(), 9) > 3.3
+    assert not found.pooled_nis()["gnss_velocity"].inside
 
 
 def test_loose_15_believes_what_the_receiver_averages_away(profile, five_minutes):
@@ -197,10 +179,8 @@ def test_open_loop_covariance_against_monte_carlo(profile, five_minutes):
 
     Each component over 60 runs, chi-square with 60 degrees of freedom, 99.9 % band: 0.47 to 1.77 of its mean.
     """
-    from scipy.stats import chi2
-
     runs = 60
-    low, high = chi2.ppf([0.0005, 0.9995], runs) / runs
+    low, high = band(runs)
     for name in ("free-inertial", "baro-inertial"):
         squares = np.zeros(9)
         for run in range(runs):

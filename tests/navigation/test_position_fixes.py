@@ -24,9 +24,12 @@ from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.specs import ImuSpec, TriadSpec
 from tests import twin
+from tests.builders import band
 from tests.exchange import drives, test_log_formats
 from tests.navigation import test_alignment, test_twin
 from tests.weaving import units, weaving
+
+FLIGHT, UNITS = (40.0, 100.0), units()
 
 
 def without(data, rows=slice(None), axes=slice(None)):
@@ -34,11 +37,6 @@ def without(data, rows=slice(None), axes=slice(None)):
     vel_n, cov = data.fixes.vel_n.copy(), data.fixes.cov_vel_n.copy()
     vel_n[rows, axes], cov[rows] = np.nan, np.nan
     return replace(data, fixes=replace(data.fixes, vel_n=vel_n, cov_vel_n=cov))
-
-
-@pytest.fixture(scope="module")
-def sensed():
-    return sensors.sense(weaving(40.0, rate=100.0), units(), 1, 0)
 
 
 # --- filters ------------------------------------------------------------------------------------------
@@ -174,7 +172,7 @@ def test_course_errors_are_what_the_covariance_says():
             place = earth.difference_n(found.lla, crab.lla[k])
             error = np.concatenate([place, found.vel_n - crab.vel_n[k], turn])
             into.append(error @ np.linalg.solve(found.cov, error))
-    low, high = test_alignment.band(9, runs)
+    low, high = band(runs, states=9)
     assert low < np.mean(nees) < high
     assert np.mean(tight) > high
 

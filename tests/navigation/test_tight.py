@@ -14,15 +14,15 @@ from numpy.testing import assert_allclose
 import bench
 from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
-from bench.evaluation import errors as judge
 from bench.evaluation import metrics
-from bench.evaluation.consistency import chi2_quantile, consistency, nis_by_sensor
+from bench.evaluation.consistency import chi2_quantile
 from bench.navigation import aiding, error_state, ranging
 from bench.navigation.agenda import Agenda
 from bench.navigation.cycle import Belief, Pending, work_for
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
 from bench.specs import Fault
+from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving
 
@@ -36,6 +36,7 @@ ERROR_FREE = dict.fromkeys(
     0.0,
 )  # fmt: skip
 MATCHED = replace(SKY, sky=replace(SKY.sky, **ERROR_FREE))  # only noise and the clock are left
+FLIGHT, UNITS = (60.0,), units(gnss=MATCHED)
 GPS_ONLY = replace(SKY, sky=replace(SKY.sky, systems="gps"))
 
 
@@ -55,16 +56,6 @@ def shifted(o, rows, metres):
     pseudorange = o.pseudorange.copy()
     pseudorange[rows] += np.reshape(metres, (-1, 1))
     return GnssObservations(**{f.name: getattr(o, f.name) for f in fields(o)} | {"pseudorange": pseudorange})
-
-
-@pytest.fixture(scope="module")
-def truth():
-    return weaving(60.0)
-
-
-@pytest.fixture(scope="module")
-def sensed(truth):
-    return sensors.sense(truth, units(gnss=MATCHED), 1, 0)
 
 
 def horizontal(solution, truth, t):
@@ -159,19 +150,11 @@ def test_tight_knows_its_errors():
     """50 matched runs of 300 s: all three claims; a covariance a third too small keeps none of NEES."""
     truth = weaving(300.0)
     estimator = load("tight", {"covariance_hz": 20.0})
-    nees, nis = [], {}
-    for run in range(50):
-        drawn = sensors.sense(truth, units(gnss=MATCHED), 5, run)
-        solution = estimator.run(drawn.data, drawn.initial)
-        series = judge.error_series(truth, solution)
-        whole = np.abs(series.t - np.round(series.t)) < 1e-6
-        nees.append(series.nees[whole & (series.t > 60.0)])
-        for sensor, values in nis_by_sensor(solution.innovations, 60.0).items():
-            nis.setdefault(sensor, []).append(values)
-    result = consistency(np.array(nees), 9, nis)
+    found = ensemble(estimator, truth, lambda run: sensors.sense(truth, UNITS, 5, run), 50, 60.0)
+    result = found.claims()
     assert result.verdict, result.reasons
     assert set(result.nis) == {"pseudorange", "range_rate", "baro"}
-    assert not consistency(1.5 * np.array(nees), 9, nis).verdict
+    assert not found.claims(nees_factor=1.5).verdict
 
 
 # --- few satellites -------------------------------------------------------------------------------------

@@ -13,17 +13,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import sensors
 from bench.navigation import timeline
 from bench.navigation.fusion import Loose
-from tests.weaving import units, weaving
+from tests.builders import assert_same_solution, put, take
+from tests.weaving import units
 
-COLUMNS = ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd")
-
-
-@pytest.fixture(scope="module")
-def sensed():
-    return sensors.sense(weaving(20.0), units(), 1, 0)
+FLIGHT, UNITS = (20.0,), units()
 
 
 @pytest.fixture(scope="module")
@@ -31,19 +26,6 @@ def sound(sensed):
     solution = Loose().run(sensed.data, sensed.initial)
     assert len(solution.events) == 0
     return solution
-
-
-def take(record, rows):
-    """Rows of a record, in this order."""
-    return type(record)(*(getattr(record, f.name)[rows] for f in fields(record)))
-
-
-def put(record, row, **values):
-    """A record with values of one row replaced."""
-    columns = {f.name: getattr(record, f.name).copy() for f in fields(record)}
-    for name, value in values.items():
-        columns[name][row] = value
-    return type(record)(**columns)
 
 
 def with_bad_row(record, after, **values):
@@ -54,13 +36,6 @@ def with_bad_row(record, after, **values):
 
 def run(sensed, **changes):
     return Loose().run(replace(sensed.data, **changes), sensed.initial)
-
-
-def assert_same(solution, expected):
-    for name in COLUMNS:
-        assert_array_equal(getattr(solution, name), getattr(expected, name), err_msg=name)
-    for name in ("t", "code", "z", "nis"):
-        assert_array_equal(getattr(solution.innovations, name), getattr(expected.innovations, name))
 
 
 def left_out(solution):
@@ -92,7 +67,7 @@ def test_a_fix_left_out_is_counted_and_leaves_no_trace(sensed, sound, case):
     values, why = BAD_FIXES[case]
     fixes = with_bad_row(sensed.data.fixes, 7, **values)
     solution = run(sensed, fixes=fixes)
-    assert_same(solution, sound)
+    assert_same_solution(solution, sound)
     assert left_out(solution) == [f"gnss: 1 rows left out: {why}"]
 
 
@@ -109,7 +84,7 @@ BAD_HEIGHTS = {
 def test_a_height_left_out_is_counted_and_leaves_no_trace(sensed, sound, case):
     values, why = BAD_HEIGHTS[case]
     solution = run(sensed, baro=with_bad_row(sensed.data.baro, 39, **values))
-    assert_same(solution, sound)
+    assert_same_solution(solution, sound)
     assert left_out(solution) == [f"baro: 1 rows left out: {why}"]
 
 
@@ -136,7 +111,7 @@ def test_rows_in_any_order_are_used_in_the_order_they_arrive(sensed, sound):
         fixes=take(sensed.data.fixes, np.s_[::-1]),
         baro=take(sensed.data.baro, np.s_[::-1]),
     )
-    assert_same(solution, sound)
+    assert_same_solution(solution, sound)
     assert left_out(solution) == []
 
 
@@ -206,7 +181,7 @@ BAD_SAMPLES = {
 def test_an_imu_row_left_out_is_counted_and_leaves_no_trace(sensed, sound, case):
     values, why = BAD_SAMPLES[case]
     solution = run(sensed, imu=with_bad_row(sensed.data.imu, 1000, **values))
-    assert_same(solution, sound)
+    assert_same_solution(solution, sound)
     assert left_out(solution) == [f"imu: 1 rows left out: {why}"]
 
 

@@ -21,6 +21,7 @@ from bench.specs import ImuSpec
 from tests import twin
 from tests.weaving import BARO, IMU, units, weaving
 
+FLIGHT = (120.0,)
 TOLERANCE = np.array([1e-6, 1e-7, 1e-8])  # m, m/s, rad
 TIGHT_TOLERANCE = np.array([5e-4, 1e-4, 5e-5])
 
@@ -63,11 +64,6 @@ def first(data, seconds):
     n = int(np.searchsorted(data.imu.t, seconds + 1e-6))
     imu = ImuData(*(getattr(data.imu, name)[:n] for name in ("t", "dt", "valid", "dtheta_b", "dvel_b")))
     return replace(data, imu=imu, output_t=data.output_t[data.output_t <= seconds + 1e-6])
-
-
-@pytest.fixture(scope="module")
-def truth():
-    return weaving(120.0)
 
 
 @pytest.fixture(scope="module")

@@ -12,25 +12,22 @@ from scipy import stats
 import bench
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
-from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.errors import error_series
 from bench.navigation import unscented
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from bench.navigation.state_model import Blocks, state_model
 from bench.navigation.unscented import Unscented, _differences, _less
+from tests.builders import ensemble
 from tests.navigation.test_layouts import standard_errors_from
 from tests.weaving import DEG, GNSS, units, weaving
+
+FLIGHT, UNITS = (30.0, 100.0), units()
 
 
 @pytest.fixture(scope="module")
 def two_minutes():
     return weaving(120.0, rate=100.0)
-
-
-@pytest.fixture(scope="module")
-def sensed():
-    return sensors.sense(weaving(30.0, rate=100.0), units(), 1, 0)
 
 
 def test_on_a_short_flight_it_says_what_loose_15_says(sensed):
@@ -61,35 +58,24 @@ def test_the_covariance_step_is_that_of_the_linear_filter_for_small_errors(sense
     assert_allclose(mine.cov / scale, theirs.cov / scale, atol=1e-3)
 
 
-def ensemble(estimator, truth, spec, runs, believed=None):
-    nees, nis = [], {}
-    for run in range(runs):
-        sensed = sensors.sense(truth, spec, 11, run)
-        data = sensed.data if believed is None else replace(sensed.data, specs=believed)
-        solution = estimator.run(data, sensed.initial)
-        errors = error_series(truth, solution)
-        nees.append(errors.nees[errors.t >= 30.0].mean())
-        for name, series in nis_by_sensor(solution.innovations, 30.0).items():
-            nis.setdefault(name, []).append(series)
-    pooled = {
-        name: mean_nis(np.concatenate([s.nis for s in each]), np.concatenate([s.dof for s in each]))
-        for name, each in nis.items()
-    }
-    return np.array(nees), pooled
-
-
 @pytest.mark.slow
 def test_ten_seeds_over_two_minutes_are_consistent(two_minutes):
     """Mean NEES within 3.3 (of 10 runs: 4.8 by Student) standard errors of 9, mean NIS in 99.9 % bands.
 
     A receiver believed to have half the noise it has leaves the bands.
     """
-    nees, nis = ensemble(Unscented(), two_minutes, units(), 10)
+
+    def draw(run):
+        return sensors.sense(two_minutes, units(), 11, run)
+
+    found = ensemble(Unscented(), two_minutes, draw, 10, 30.0)
+    nees, nis = found.averages(), found.pooled_nis()
     assert abs(standard_errors_from(nees, 9)) < 4.8
     assert abs(nees.mean() - 9) < 3.0
     assert all(band.inside for band in nis.values()), nis
     half = replace(GNSS, pos_h_white_sd=0.75, pos_v_white_sd=1.25, vel_white_sd=0.025)
-    nees, nis = ensemble(Unscented(), two_minutes, units(), 2, replace(units().assumed, gnss=half))
+    believed = replace(units().assumed, gnss=half)
+    nis = ensemble(Unscented(), two_minutes, draw, 2, 30.0, believed).pooled_nis()
     assert not nis["gnss_position"].inside
     assert not nis["gnss_velocity"].inside
 

@@ -10,15 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 from bench.data import no_air
 from bench.instruments import AirspeedSpec
 from bench.sensors import airspeed
 from bench.signals import air
+from tests.builders import band
 from tests.synthetic import still
 
-TAIL = 0.0005  # each side of a 99.9 % band
 OFF = AirspeedSpec("off", rate=20.0)
 FULL = AirspeedSpec("full", 20.0, 2.0, 0.1, pressure_bias_sd=3.0, bias_sd=0.2, scale_factor_sd=0.01, lag=0.5)
 
@@ -32,11 +31,6 @@ def flown(speed, duration=300.0):
 @pytest.fixture(scope="module")
 def steady():
     return flown(lambda t: 25.0 + 0 * t)
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
 
 
 def error(truth, spec, run=0):

@@ -10,13 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 from bench.instruments import BaroSpec
 from bench.sensors import baro
+from tests.builders import band
 from tests.synthetic import ORIGIN, still
 
-TAIL = 0.0005  # each side of a 99.9 % band
 OFF = BaroSpec("off", rate=5.0, white_sd=0.0, bias_sd=0.0, bias_walk=0.0)
 FULL = BaroSpec("full", rate=5.0, white_sd=0.5, bias_sd=3.0, bias_walk=0.05)
 
@@ -24,11 +23,6 @@ FULL = BaroSpec("full", rate=5.0, white_sd=0.5, bias_sd=3.0, bias_walk=0.05)
 @pytest.fixture(scope="module")
 def rest():
     return still(600.0, 100.0)
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
 
 
 def test_without_errors_it_reads_the_ellipsoidal_height(rest):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv, ndtri
+from scipy.special import ndtri
 
 import bench
 from bench import config, earth
@@ -25,6 +25,7 @@ from bench.errors import ConfigError
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.sensors import faults, sense
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
+from tests.builders import band
 from tests.synthetic import still, turning
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
@@ -397,7 +398,7 @@ def test_a_noise_burst_is_as_large_as_it_says(sensor):
             )
     rows = (t > 5.0 - 1e-6) & (t < 35.0 - 1e-6)
     unit = (added / (6.0 * sd))[rows].ravel()
-    low, high = (2 * gammaincinv(len(unit) / 2, p) / len(unit) for p in (0.0005, 0.9995))
+    low, high = band(len(unit))
     assert low < np.mean(unit**2) < high
     assert not low < np.mean(unit**2) * 1.25**2 < high
 

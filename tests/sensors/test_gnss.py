@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv, ndtri
 
 import bench
 from bench import earth, rotation
@@ -20,11 +19,10 @@ from bench.config.datasheets import read_gnss
 from bench.errors import ConfigError
 from bench.sensors import gnss
 from bench.specs import GnssSpec
+from tests.builders import Z, band
 from tests.synthetic import ORIGIN, still, turning
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
-TAIL = 0.0005  # each side of a 99.9 % band
-Z = -ndtri(TAIL)
 LEVER = (1.5, -0.4, -0.8)
 SILENT = GnssSpec("silent", rate=1.0, pos_h_white_sd=0.0, pos_v_white_sd=0.0, vel_white_sd=0.0)
 FULL = GnssSpec(
@@ -59,11 +57,6 @@ def errors(truth, spec, **options):
 
 def silence(spec):
     return replace(SILENT, rate=spec.rate)
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
 
 
 def test_without_errors_a_fix_is_the_antenna(turn):

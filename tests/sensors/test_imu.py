@@ -12,15 +12,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv, ndtri
 
 from bench.sensors import imu, processes
 from bench.signals import allan
 from bench.specs import ImuSpec, TriadSpec
+from tests.builders import Z, band
 from tests.synthetic import still, turning
 
-TAIL = 0.0005  # each side of a 99.9 % band
-Z = -ndtri(TAIL)  # 3.29
 OFF = TriadSpec()
 FULL = TriadSpec(
     random_walk=4e-5,
@@ -45,11 +43,6 @@ def rest():
 
 def measure(truth, gyro=OFF, accel=OFF, seed=1, run=0):
     return imu.measure(truth, ImuSpec("test", gyro, accel), seed, run)
-
-
-def band(edf):
-    """99.9 % band of a variance estimate with edf degrees of freedom over the true variance."""
-    return 2 * gammaincinv(edf / 2, np.array([TAIL, 1 - TAIL])) / edf
 
 
 def test_without_errors_the_record_is_the_truth_to_the_last_bit(turn):
@@ -152,7 +145,7 @@ def test_white_noise_has_the_allan_deviation_of_the_datasheet(rest):
             m, n = np.round(taus * rate), len(noise) + 1
             edf = (1.5 * (n - 1) / m - 2 * (n - 2) / n) * 4 * m**2 / (4 * m**2 + 5)
             ratio = adev**2 / (spec.random_walk**2 / taus)
-            low, high = 2 * gammaincinv(edf / 2, TAIL) / edf, 2 * gammaincinv(edf / 2, 1 - TAIL) / edf
+            low, high = band(edf)
             assert len(taus) == 10
             assert (low < ratio).all()
             assert (ratio < high).all()

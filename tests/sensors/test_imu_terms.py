@@ -12,14 +12,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 from bench.data import AirData
 from bench.sensors import imu, imu_terms, processes, vibration
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
+from tests.builders import band
 from tests.synthetic import still, turning
 
-TAIL = 0.0005  # each side of a 99.9 % band
 G = 9.80665
 OFF = TriadSpec()
 UNIT = ImuSpec("unit", OFF, OFF)
@@ -58,10 +57,6 @@ def rate_table(top=1.5):
     """Each axis from -top to top rad/s in 31 steps of 0.2 s, one axis after another."""
     w = np.vstack([np.repeat(np.outer(np.linspace(-top, top, 31), axis), 20, axis=0) for axis in np.eye(3)])
     return made(w, np.tile([0.0, 0.0, -G], (len(w), 1)))
-
-
-def band(edf):
-    return 2 * gammaincinv(edf / 2, np.array([TAIL, 1 - TAIL])) / edf
 
 
 # --- calibration runs ---------------------------------------------------------------------------------

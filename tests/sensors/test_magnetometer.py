@@ -10,15 +10,14 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 from bench import rotation
 from bench.instruments import MagSpec
 from bench.sensors import magnetometer
 from bench.signals.magnetic import field_n
+from tests.builders import band
 from tests.synthetic import still, turning
 
-TAIL = 0.0005  # each side of a 99.9 % band
 DATE = 2026.0
 OFF = MagSpec("off", rate=10.0, white_sd=0.0)
 FULL = MagSpec(
@@ -31,11 +30,6 @@ ERRORS = ("white_sd", "hard_iron_sd", "soft_iron_sd", "scale_factor_sd", "misali
 def turn():
     """A turn at a bank: all axes see the field change."""
     return turning(60.0, 100.0)
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
 
 
 def reading(truth, spec, run=0):

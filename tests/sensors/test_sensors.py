@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 from bench import earth, rotation
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
 from bench.sensors import initial, sense
 from bench.sensors.timing import output_times
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec, stream
+from tests.builders import band
 from tests.synthetic import still, turning
 
 TRIAD = TriadSpec(
@@ -194,6 +194,6 @@ def test_initial_errors_fill_their_covariance():
         pos_n = earth.difference_n(state.lla, truth.lla[0])
         error = np.concatenate([pos_n, state.vel_n, phi_n])
         ratios.append(error @ np.linalg.solve(state.cov, error) / 9)
-    low, high = (2 * gammaincinv(1800, p) / 3600 for p in (0.0005, 0.9995))
+    low, high = band(3600)
     assert low < np.mean(ratios) < high
     assert not low < 1.1**2 * np.mean(ratios) < high  # sds 10 % too large would be seen

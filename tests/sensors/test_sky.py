@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import gammaincinv
 
 import bench
 from bench import config, earth, rotation
@@ -21,6 +20,7 @@ from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
 from bench.signals import allan, delays, orbits, receiver
 from bench.specs import SkySpec
+from tests.builders import band
 from tests.data import gnss_file
 from tests.synthetic import ORIGIN, still, turning
 
@@ -56,11 +56,6 @@ def exact(truth, fixes, antenna_b=LEVER):
     rows = np.searchsorted(truth.t, fixes.t - 1e-6)
     lla, vel_n = gnss.antenna(truth, rows, antenna_b)
     return earth.difference_n(fixes.lla, lla), fixes.vel_n - vel_n
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, 0.0005) / count, 2 * gammaincinv(count / 2, 0.9995) / count
 
 
 @pytest.mark.parametrize("bands", [1, 2])

@@ -10,16 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.special import gammaincinv
 
 from bench import rotation
 from bench.data import no_air
 from bench.instruments import BaroSpec, StaticPressureSpec
 from bench.sensors import static_pressure
 from bench.signals import air
+from tests.builders import band
 from tests.synthetic import still
 
-TAIL = 0.0005  # each side of a 99.9 % band
 STANDARD = 101325.0
 NONE = StaticPressureSpec()
 FULL = StaticPressureSpec(
@@ -48,11 +47,6 @@ def read(truth, unit=NONE, qnh=STANDARD, port=(0.0, 0.0, 0.0), run=0, **fields):
 
 def level(height=1000.0, **columns):
     return flown(lambda t: height + 0 * t, **columns)
-
-
-def band(count):
-    """99.9 % band of a mean of count squared standard normals."""
-    return 2 * gammaincinv(count / 2, TAIL) / count, 2 * gammaincinv(count / 2, 1 - TAIL) / count
 
 
 @pytest.mark.parametrize("height", [-100.0, 1000.0, 9000.0, 14000.0])

@@ -13,25 +13,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import sensors
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
-from tests.weaving import units, weaving
+from tests.weaving import units
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(scope="module")
-def truth():
-    return weaving(120.0, rate=100.0)
-
-
-@pytest.fixture(scope="module")
-def sensed(truth):
-    return sensors.sense(truth, units(baro=None), 1, 0)
+FLIGHT, UNITS = (120.0, 100.0), units(baro=None)
 
 
 # --- the starting point ------------------------------------------------------------------------------

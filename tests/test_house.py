@@ -1,0 +1,114 @@
+"""The layout of the package: short files, one module of each name, no circular imports.
+
+Every exemption says why it is there, and fails when it is no longer needed.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import bench
+
+PACKAGE = Path(bench.__file__).parent
+MOST_LINES = 450
+
+LONG_FILES = {
+    "api.py": "all public functions of Python beside each other",
+    "evaluation/metrics.py": "the table of metrics beside the functions in it",
+    "navigation/alignment.py": "level and course, coarse and fine",
+    "navigation/classic.py": "the equations of the source in its order; to be divided by section",
+    "recording/plots.py": "one tab of the recording after the other; to be divided by tab",
+    "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
+    "signals/receiver.py": "from observations to fixes",
+    "specs.py": "all that a profile asks for, in SI",
+}
+
+SAME_NAMES = {
+    "errors": "the family of errors, and the errors of a solution in evaluation",
+    "log": "a recording in config and in exchange",
+    "navego": "the format, written by exports and read by imports",
+    "navigation": "the package, and the navigation file of RINEX",
+    "tables": "TOML tables in config, columns in exchange, files of columns in its exports",
+    "units": "those of the project, and those of JSBSim in flight",
+    "view": "the verb in workbench, the view of the sky in sensors",
+}
+
+CIRCLES = {
+    ("bench.evaluation.detection", "bench.evaluation.metrics"): "detection annotates a type of metrics",
+}
+
+
+def modules() -> dict[str, Path]:
+    """Return every module and package of bench by its dotted name."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """Yield the modules of bench that the statements of a file name, those in functions included.
+
+    ``from bench.earth import RATE`` names ``bench.earth``, ``from bench import earth`` as well; the packages
+    above a module, which Python imports first, are not counted.
+    """
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            for alias in node.names:
+                target = f"{base}.{alias.name}"
+                if target in known or base in known:
+                    yield target if target in known else base
+
+
+def circle(graph: dict[str, set[str]]) -> list[str] | None:
+    """Return modules that import each other in a circle, the first again at the end, or None."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return None
+
+
+def test_files_are_short():
+    lengths = {
+        path.relative_to(PACKAGE).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in PACKAGE.rglob("*.py")
+    }
+    long = {name for name, lines in lengths.items() if lines > MOST_LINES}
+    assert sorted(long - LONG_FILES.keys()) == [], "divide the file, or say in LONG_FILES why it is one thing"
+    assert sorted(LONG_FILES.keys() - long) == [], "no longer long: take it out of LONG_FILES"
+
+
+def test_a_module_name_is_used_once():
+    names: dict[str, list[str]] = {}
+    for name in modules():
+        names.setdefault(name.rpartition(".")[2], []).append(name)
+    twice = {short: full for short, full in names.items() if len(full) > 1 and short != "__main__"}
+    assert {short: full for short, full in twice.items() if short not in SAME_NAMES} == {}, "rename one of them"
+    assert sorted(SAME_NAMES.keys() - twice.keys()) == [], "unique now: take it out of SAME_NAMES"
+
+
+def test_imports_are_not_circular():
+    """Under TYPE_CHECKING and inside functions too."""
+    known = modules()
+    graph = {name: set(imported(name, path, known)) - {name} for name, path in known.items()}
+    for importer, target in CIRCLES:
+        assert target in graph[importer], f"{importer} no longer imports {target}: take it out of CIRCLES"
+        without = graph[importer] - {target}
+        assert circle({**graph, importer: without}) != circle(graph), "the exemption breaks no circle"
+        graph[importer] = without
+    assert circle(graph) is None
+
+
+def test_a_circle_is_found():
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) is not None
+    assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
