@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import GLONASS, GPS, GnssFixes, GnssObservations, SensorData
+from bench.data import GLONASS, GPS, GnssFixes, GnssObservations, InitialState, SensorData
 from bench.navigation import ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
+from bench.navigation.blocks import assumed
+from bench.navigation.error_state import StateLayout
+from bench.navigation.measurements import AidingSensor
 from bench.navigation.timeline import TIME_TOLERANCE, Steps
-from bench.specs import AssumedSpecs
+from bench.specs import GnssSpec
 
 AT_ONCE, MEASURE, USE, OUTPUT = range(4)
 """What is done: measured and used, measured, used, answered."""
@@ -44,32 +47,41 @@ class Agenda:
         self._output_t = wanted[self.outputs]
 
     def add(
-        self, kind: int, name: str, record: timeline.AidingRecord, values: FloatArray, variance: FloatArray
+        self, sensor: AidingSensor, sensors: SensorData, initial: InitialState, layout: StateLayout
     ) -> None:
-        """Take a record: its values (M, m), up to six, and their variance (m,) or (M, m)."""
-        variance = np.broadcast_to(variance, values.shape)
+        """Take the record of a sensor.
+
+        Raises
+        ------
+        ValueError
+            If its datasheet is not among those assumed.
+        """
+        assert sensor.read is not None
+        record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
+        values, white = sensor.read(record, spec, initial, layout)
+        variance = np.broadcast_to(white, values.shape)
         if isinstance(record, GnssFixes):
             rows, _, told = timeline.fix_rows(record, self.imu_t, self._start)
         else:
-            rows, _, told = timeline.aiding_rows(record, values, name, self.imu_t, self._start)
+            rows, _, told = timeline.aiding_rows(record, values, sensor.spec, self.imu_t, self._start)
         self.events += told
-        self._plan(kind, name, record.t[rows], record.t_arrival[rows], values[rows], variance[rows])
+        t, arrival = record.t[rows], record.t_arrival[rows]
+        self._plan(sensor.kind, sensor.spec, t, arrival, values[rows], variance[rows])
 
     def add_samples(self, kind: int, last: IntArray, values: FloatArray, variance: FloatArray) -> None:
         """Take what follows from the IMU itself at the samples ``last``: values (M, m), variance (6,)."""
         t = self.imu_t[last]
         self._plan(kind, "imu", t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
-    def add_satellites(self, o: GnssObservations, specs: AssumedSpecs, lat: float, clock: int) -> ranging.Sky:
+    def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float) -> ranging.Sky:
         """Take the epochs of satellites, each with those that can be used; return them."""
-        assert specs.gnss is not None
-        assert specs.gnss.sky is not None
-        values, variance = ranging.usable(o, specs.gnss)
+        assert gnss.sky is not None
+        values, variance = ranging.usable(o, gnss)
         sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
         sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
         sound &= np.isfinite(o.frequency[:, 0])
         self.events += timeline.left_out("satellites", o.t, ~sound, "not finite")
-        system = {"gps": [GPS], "glonass": [GLONASS]}.get(specs.gnss.sky.systems, [GPS, GLONASS])
+        system = {"gps": [GPS], "glonass": [GLONASS]}.get(gnss.sky.systems, [GPS, GLONASS])
         wanted = np.isin(o.system, system)
         self.events += timeline.empty_epochs(o.t, o.epoch_start, self._start, self._end)
         filled = np.flatnonzero(np.diff(o.epoch_start) > 0)
@@ -85,7 +97,7 @@ class Agenda:
         of_row = number[o.epoch]
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
-        return ranging.sky_of(o, specs.gnss, rows, of_row[rows], len(epochs), lat, clock)
+        return ranging.sky_of(o, gnss, rows, of_row[rows], len(epochs), lat)
 
     def _plan(
         self,

@@ -22,6 +22,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.earth import RATE, gravity_kernel, radii_kernel
+from bench.navigation.blocks import Index
 from bench.navigation.cycle import Belief, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
 from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
@@ -47,18 +48,13 @@ _SLOWEST_AIR = 5.0  # below it a pitot tube says nothing [m/s]
 
 
 class Aid(NamedTuple):
-    """Measurements of all kinds but satellites, and where their own states lie (-1: there are none)."""
+    """Measurements of all kinds but satellites."""
 
     values: FloatArray  # (R, 6)
     variance: FloatArray  # (R, 6)
     antenna_b: FloatArray  # (3,) [m], b
     field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change by metre north, east, down
     field_lla: FloatArray  # (3,)
-    baro: int
-    markov: int
-    lever: int
-    wind: int
-    g_sensitivity: int
 
 
 class Gate(NamedTuple):
@@ -227,28 +223,31 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def place_kernel(belief: Belief, aid: Aid, work: Work) -> None:
+def place_kernel(belief: Belief, aid: Aid, index: Index, work: Work) -> None:
     """Fill ``work.lever`` with the antenna as it is believed to lie, ``work.C`` with the attitude."""
+    at = index.antenna_b
     for i in range(3):
-        work.lever[i] = belief.state[aid.lever + 1 + i] if aid.lever >= 0 else aid.antenna_b[i]
+        work.lever[i] = belief.state[at + 1 + i] if at >= 0 else aid.antenna_b[i]
     matrix_kernel(belief.state, work.C)
 
 
 @inner
-def _fix_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
+def _fix_kernel(
+    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+) -> int:
     state, values = belief.state, aid.values[row]
-    place_kernel(belief, aid, work)
+    place_kernel(belief, aid, index, work)
     for i in range(6):
         code = i // 3
         _row_kernel(pending, first + i, code, code, i - 3 * code, 3, aid.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
     antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:], H, z)
-    if aid.lever >= 0:
-        lever_kernel(work.C, work.w_ib_b, aid.lever, H)
-    if aid.markov >= 0:
+    if index.antenna_b >= 0:
+        lever_kernel(work.C, work.w_ib_b, index.antenna_b, H)
+    if index.gnss_pos >= 0:
         for i in range(6):
-            H[i, aid.markov + i] = 1.0
-            z[i] += state[aid.markov + 1 + i]
+            H[i, index.gnss_pos + i] = 1.0
+            z[i] += state[index.gnss_pos + 1 + i]
     return 6 if np.isfinite(values[3] + values[4] + values[5]) else 3  # a fix may have no velocity
 
 
@@ -274,10 +273,10 @@ def _magnetic_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pe
 
 
 @inner
-def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending) -> int:
-    state = belief.state
-    u = state[3] - state[aid.wind + 1]
-    v = state[4] - state[aid.wind + 2]
+def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending) -> int:
+    state, wind = belief.state, index.wind_north
+    u = state[3] - state[wind + 1]
+    v = state[4] - state[wind + 2]
     w = state[5]
     speed = np.sqrt(u * u + v * v + w * w)
     if not speed > _SLOWEST_AIR:
@@ -285,15 +284,17 @@ def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pe
     _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, aid.variance[row, 0])
     H = pending.H[first]
     H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
-    H[aid.wind], H[aid.wind + 1] = -u / speed, -v / speed
+    H[wind], H[wind + 1] = -u / speed, -v / speed
     pending.z[first] = speed - aid.values[row, 0]
     return 1
 
 
 @inner
-def _standstill_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
+def _standstill_kernel(
+    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+) -> int:
     """Zero velocity, and the rate of the Earth in the mean of the gyros."""
-    state, C, at = belief.state, work.C, aid.g_sensitivity
+    state, C, at = belief.state, work.C, index.g_sensitivity_x
     matrix_kernel(state, C)
     s, c = np.sin(state[0]), np.cos(state[0])
     _, g_d = gravity_kernel(s, c, state[2])
@@ -320,21 +321,21 @@ def _standstill_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: 
 
 @inner
 def measure_kernel(
-    kind: int, row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work
+    kind: int, row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
 ) -> int:
     """Fill the rows of one measurement from ``first`` on; return their number."""
     if kind == FIX_ROWS:
-        return _fix_kernel(row, first, belief, aid, pending, work)
+        return _fix_kernel(row, first, belief, aid, index, pending, work)
     if kind == BARO_ROWS:
         _row_kernel(pending, first, BARO, BARO, 0, 1, aid.variance[row, 0])
         pending.H[first, POS + 2] = -1.0
         pending.z[first] = belief.state[2] - aid.values[row, 0]
-        if aid.baro >= 0:
-            pending.H[first, aid.baro] = 1.0
-            pending.z[first] += belief.state[aid.baro + 1]
+        if index.baro_bias >= 0:
+            pending.H[first, index.baro_bias] = 1.0
+            pending.z[first] += belief.state[index.baro_bias + 1]
         return 1
     if kind == MAGNETIC_ROWS:
         return _magnetic_kernel(row, first, belief, aid, pending, work)
     if kind == AIRSPEED_ROWS:
-        return _airspeed_kernel(row, first, belief, aid, pending)
-    return _standstill_kernel(row, first, belief, aid, pending, work)
+        return _airspeed_kernel(row, first, belief, aid, index, pending)
+    return _standstill_kernel(row, first, belief, aid, index, pending, work)

@@ -30,8 +30,9 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import timeline
+from bench.navigation.blocks import assumed
+from bench.navigation.measurements import fix_variance
 from bench.navigation.mechanization import propagate
-from bench.navigation.state_model import fix_variance, known
 from bench.specs import TriadSpec
 
 WINDOW = 1.0  # means that are compared to see the aircraft move [s]
@@ -161,7 +162,7 @@ def _rest(
     last = initial.t + initial.align_for + timeline.TIME_TOLERANCE
     why, until = "the time of the alignment is over", last
     if sensors.fixes is not None and sensors.specs.gnss is not None:
-        sd = np.sqrt(fix_variance(sensors.specs, gnss_markov=False)[3])
+        sd = np.sqrt(fix_variance(sensors.specs.gnss, gnss_markov=False)[3])
         speed = np.linalg.norm(sensors.fixes.vel_n, axis=1)
         moving = sensors.fixes.valid & (speed > REST_SPEED_SD + SIGMAS * sd) & (sensors.fixes.t >= initial.t)
         if moving.any():
@@ -233,7 +234,7 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
     fixes, specs = sensors.fixes, sensors.specs
     if fixes is None:
         raise EstimatorError("alignment course needs GNSS fixes; the record has none")
-    known(specs.gnss, "gnss")
+    gnss = assumed(specs, "gnss")
     rows, span, _ = timeline.imu_rows(sensors.imu, initial.t)
     t = np.concatenate([[initial.t], sensors.imu.t[rows]])
     usable, arrival, _ = timeline.fix_rows(fixes, t[1:], initial.t)
@@ -257,7 +258,7 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
     end = states[-1]
     T = float(span[a:b].sum())
 
-    r = fix_variance(specs, gnss_markov=False)
+    r = fix_variance(gnss, gnss_markov=False)
     r_first, r_last = r[3:], r[3:]
     share, common = 0.0, np.zeros(3)
     T_gain = T  # over which the velocity is gained
@@ -267,7 +268,7 @@ def _course(sensors: SensorData, initial: InitialState) -> tuple[InitialState, R
         r_first, r_last = 2.0 * r[:3] / early**2, 2.0 * r[:3] / late**2
         T_gain = T - 0.5 * float(early + late)
         share = 0.5 * float(late) / T_gain  # of the error of the gain, from the middle of the end to its last
-        common = fix_variance(specs, gnss_markov=True)[:3] / late  # by the last fix
+        common = fix_variance(gnss, gnss_markov=True)[:3] / late  # by the last fix
     g = float(earth.gravity_n(end[0], end[2])[2])
     speed = float(np.hypot(end[3], end[4]))
     across = np.array([-end[4], end[3]]) / speed**2

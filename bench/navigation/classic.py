@@ -34,10 +34,11 @@ from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.earth import RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
 from bench.navigation import alignment, square_root, timeline
+from bench.navigation.blocks import GNSS_MARKOV
 from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
+from bench.navigation.measurements import BARO, FIXES, unmodelled
 from bench.navigation.options import is_count, is_number
-from bench.navigation.state_model import unmodelled
 from bench.specs import AssumedSpecs, TriadSpec
 
 R3 = 6_371_000.0  # sphere of the reduced coordinates [m], equations 1.5
@@ -763,11 +764,11 @@ class Classic22:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
-        found = list(unmodelled(specs, gnss=True, baro=True, gnss_markov=True))
+        found = unmodelled(specs, (FIXES, BARO), GNSS_MARKOV.takes)
         for name, triad in (("gyro", specs.imu.gyro), ("accelerometer", specs.imu.accel)):
             if triad.bias_instability > 0 and triad.turn_on_bias_sd == 0 and triad.bias_model != "flicker":
-                found.append(f"{name} bias instability that fades (taken as a random walk)")
-        return tuple(found)
+                found += (f"{name} bias instability that fades (taken as a random walk)",)
+        return found
 
 
 class _Flight:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
+from bench.navigation.blocks import Index, Process
 from bench.navigation.error_state import (
     GYRO,
     PHI,
@@ -32,20 +33,6 @@ class Belief(NamedTuple):
     dx: FloatArray  # (n,) error estimated and not yet fed back
 
 
-class Process(NamedTuple):
-    """How the states move, as `bench.navigation.state_model.StateModel` says, and where they lie."""
-
-    q: FloatArray  # (n,)
-    decay_time: FloatArray  # (n,)
-    decay_distance: FloatArray  # (n,)
-    stationary: FloatArray  # (n,)
-    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate (0-2) or force (3-5) it multiplies
-    scale: int  # first scale factor error: gyros, then accelerometers; -1 without
-    g_sensitivity: int  # first of 9, row by row; -1 without
-    clock: int  # offset of the receiver's clock, its drift follows; -1 without
-    interval: float  # of the covariance step [s]
-
-
 class ImuSteps(NamedTuple):
     """`bench.navigation.timeline.Steps` and the increments they go by."""
 
@@ -56,6 +43,7 @@ class ImuSteps(NamedTuple):
     unknown: FloatArray  # (K, 2)
     dtheta_b: FloatArray  # (N, 3)
     dvel_b: FloatArray  # (N, 3)
+    interval: float  # of the covariance step [s]; 0: every sample
 
 
 class Pending(NamedTuple):
@@ -156,7 +144,13 @@ def clock_kernel(P: FloatArray, at: int, T: float) -> None:
 
 @inner
 def noise_kernel(
-    T: float, process: Process, speed: float, unknown: FloatArray, decay: FloatArray, noise: FloatArray
+    T: float,
+    process: Process,
+    clock: int,
+    speed: float,
+    unknown: FloatArray,
+    decay: FloatArray,
+    noise: FloatArray,
 ) -> None:
     """Fill decay and noise (n,) of an interval T, flown at a ground speed [m/s]."""
     q, stationary = process.q, process.stationary
@@ -168,21 +162,21 @@ def noise_kernel(
     for i in range(3):
         noise[VEL + i] += unknown[0]
         noise[PHI + i] += unknown[1]
-    if process.clock >= 0:
-        noise[process.clock] += q[process.clock + 1] * T * T * T / 3.0
+    if clock >= 0:
+        noise[clock] += q[clock + 1] * T * T * T / 3.0
 
 
 @inner
-def wait_kernel(T: float, pending: Pending, process: Process, work: Work) -> None:
+def wait_kernel(T: float, pending: Pending, drives: IntArray, clock: int, work: Work) -> None:
     """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
     width = pending.width
     transition_kernel(work.F, -T, work.back)
     for slot in range(pending.live.shape[0]):
         for a in range(slot * width, slot * width + pending.live[slot]):
             h = pending.H[a]
-            backward_kernel(h, work.back, work.decay, process.drives, work.factor, work.row)
-            if process.clock >= 0:
-                h[process.clock + 1] -= T * h[process.clock]
+            backward_kernel(h, work.back, work.decay, drives, work.factor, work.row)
+            if clock >= 0:
+                h[clock + 1] -= T * h[clock]
 
 
 @inner
@@ -191,6 +185,7 @@ def advance_kernel(
     until: int,
     belief: Belief,
     process: Process,
+    index: Index,
     steps: ImuSteps,
     work: Work,
     pending: Pending,
@@ -201,8 +196,8 @@ def advance_kernel(
     What the loop needs is named before it: a field of a tuple costs a reference count each time.
     """
     state, P, Phi = belief.state, belief.P, work.Phi
-    drives, scale, sensitivity = process.drives, process.scale, process.g_sensitivity
-    clock, interval = process.clock, process.interval
+    drives, interval = process.drives, steps.interval
+    scale, sensitivity, clock = index.gyro_scale, index.g_sensitivity_x, index.clock_offset
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
     C, C_mean, reference, F, G = work.C, work.C_mean, work.reference, work.F, work.G
@@ -257,7 +252,7 @@ def advance_kernel(
             by = drives[d, 2]
             factor[d] = (w_sum[by] if by < 3 else f_sum[by - 3]) / T
         speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
-        noise_kernel(T, process, speed, lost, decay, noise)
+        noise_kernel(T, process, clock, speed, lost, decay, noise)
         for i in range(GYRO, n):
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
@@ -276,5 +271,5 @@ def advance_kernel(
                 for j in range(n):
                     Phi[clock, j] += T * Phi[clock + 1, j]
         if waiting:
-            wait_kernel(T, pending, process, work)
+            wait_kernel(T, pending, drives, clock, work)
         T = 0.0

@@ -22,6 +22,14 @@ from bench.navigation.mechanization import turn_kernel
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
 """First index of the blocks every inertial layout begins with."""
 CORE = 15
+CORE_BLOCKS = (
+    ("pos", "m", 3),
+    ("vel", "m_s", 3),
+    ("phi", "rad", 3),
+    ("gyro_bias", "rad_s", 3),
+    ("accel_bias", "m_s2", 3),
+)
+"""The same by name, unit of the values and size."""
 _TOP = 9  # states with dynamics of their own: position, velocity, attitude
 _E2 = WGS84.e2
 
@@ -40,14 +48,7 @@ class StateLayout:
     blocks: tuple[tuple[str, str, int], ...]  # (name, unit of its values, size)
 
     def __init__(self, *extra: tuple[str, str, int]) -> None:
-        core = (
-            ("pos", "m", 3),
-            ("vel", "m_s", 3),
-            ("phi", "rad", 3),
-            ("gyro_bias", "rad_s", 3),
-            ("accel_bias", "m_s2", 3),
-        )
-        object.__setattr__(self, "blocks", (*core, *extra))
+        object.__setattr__(self, "blocks", (*CORE_BLOCKS, *extra))
 
     @property
     def size(self) -> int:

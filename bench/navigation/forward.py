@@ -13,10 +13,10 @@ from bench.data import Events, InitialState, Innovations, NavSolution, SensorDat
 from bench.navigation import timeline
 from bench.navigation.agenda import MEASURE, OUTPUT, USE, Agenda
 from bench.navigation.aiding import SATELLITE_ROWS, SENSORS, Aid, Gate, Log, measure_kernel, use_kernel
-from bench.navigation.cycle import Belief, ImuSteps, Pending, Process, Work, advance_kernel, work_for
+from bench.navigation.blocks import Index, Process, StateModel
+from bench.navigation.cycle import Belief, ImuSteps, Pending, Work, advance_kernel, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
-from bench.navigation.state_model import StateModel
 
 
 class Stores(NamedTuple):
@@ -46,6 +46,7 @@ def _fusion_kernel(
     agenda: IntArray,
     belief: Belief,
     process: Process,
+    index: Index,
     steps: ImuSteps,
     aid: Aid,
     sky: Sky,
@@ -66,7 +67,7 @@ def _fusion_kernel(
     e, node, output = 0, 0, 0
     while e < agenda.shape[0]:
         until = agenda[e, 0]
-        advance_kernel(k, until, belief, process, steps, work, pending, keep)
+        advance_kernel(k, until, belief, process, index, steps, work, pending, keep)
         k = until
         t = steps.t[k]  # the last one serves the start, index -1
         before = work.B  # nobody looks there
@@ -83,9 +84,9 @@ def _fusion_kernel(
             first = slot * pending.width
             if action != USE:
                 if kind == SATELLITE_ROWS:
-                    made = satellites_kernel(row, first, belief, aid, sky, pending, work)
+                    made = satellites_kernel(row, first, belief, aid, index, sky, pending, work)
                 else:
-                    made = measure_kernel(kind, row, first, belief, aid, pending, work)
+                    made = measure_kernel(kind, row, first, belief, aid, index, pending, work)
                 pending.live[slot] = made
             if action != MEASURE:
                 made = pending.live[slot]
@@ -152,7 +153,7 @@ def forward_run(
     steps, entries, slots = agenda.order()
     values, variance = agenda.table()
     state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, np.zeros(n - 9)])
-    lever = model.at("antenna_b")
+    lever = model.index.antenna_b
     if lever >= 0:
         state[lever + 1 : lever + 4] = sensors.antenna_b
     visible = int(np.diff(sky.epoch_start).max(initial=0))
@@ -172,17 +173,8 @@ def forward_run(
     _fusion_kernel(
         entries,
         Belief(state, model.P, np.zeros(n)),
-        Process(
-            model.q,
-            model.decay_time,
-            model.decay_distance,
-            model.stationary,
-            model.drives,
-            model.at("gyro_scale"),
-            model.at("g_sensitivity_x"),
-            model.at("clock_offset"),
-            interval,
-        ),
+        model.process,
+        model.index,
         ImuSteps(
             np.append(steps.t, initial.t),  # the last one serves the start, index -1
             steps.span,
@@ -191,19 +183,9 @@ def forward_run(
             steps.unknown,
             sensors.imu.dtheta_b,
             sensors.imu.dvel_b,
+            interval,
         ),
-        Aid(
-            values,
-            variance,
-            sensors.antenna_b.copy(),
-            field,
-            initial.lla.copy(),
-            model.at("baro_bias"),
-            model.at("gnss_pos"),
-            lever,
-            model.at("wind_north"),
-            model.at("g_sensitivity_x"),
-        ),
+        Aid(values, variance, sensors.antenna_b.copy(), field, initial.lla.copy()),
         sky,
         Pending(
             np.zeros((slots * width, n)),
@@ -216,7 +198,7 @@ def forward_run(
         gate,
         log,
         stores,
-        work_for(n, len(model.drives)),
+        work_for(n, len(model.process.drives)),
     )
     count = int(log.filled[0])
     numbers, marks = log.numbers[:count], log.marks[:count]

@@ -18,40 +18,26 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
-from bench.navigation import alignment, ranging, standstill
+from bench.navigation import aiding, alignment, ranging, standstill
 from bench.navigation.agenda import Agenda
-from bench.navigation.aiding import (
-    AIRSPEED_ROWS,
-    BARO,
-    BARO_ROWS,
-    FIX_ROWS,
-    MAGNETIC_ROWS,
-    POSITION,
-    SENSORS,
-    STANDSTILL_ROWS,
-    VELOCITY,
-    ZERO_RATE,
-    ZERO_VELOCITY,
-    Gate,
-)
+from bench.navigation.aiding import POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
+from bench.navigation.blocks import Block, StateModel, assumed, chosen_blocks, state_model
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import Nodes, forward_run
 from bench.navigation.integrity import nis_limit
-from bench.navigation.options import is_count, is_number
-from bench.navigation.state_model import (
-    Blocks,
-    StateModel,
-    airspeed_variance,
-    field_variance,
-    fix_variance,
-    known,
-    state_model,
+from bench.navigation.measurements import (
+    AIDING,
+    FIXES,
+    LATENCY,
+    MAGNETOMETER,
+    SATELLITES,
+    AidingSensor,
+    magnetic_map,
+    records_needed,
     unmodelled,
 )
-from bench.signals.magnetic import field_n
+from bench.navigation.options import is_count, is_number
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
@@ -62,7 +48,7 @@ class Fusion:
 
     The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
     ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
-    whose mean decays too. Q, R and P0 come from the assumed specs (`bench.navigation.state_model`): R is the
+    whose mean decays too. Q, R and P0 come from the assumed specs (`bench.navigation.blocks`): R is the
     white variance of the GNSS datasheet with Markov states, and the white and Markov variance together,
     taken as white, without.
 
@@ -198,63 +184,39 @@ class Fusion:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
         initial, aligned = alignment.complete(sensors, initial)
         specs = sensors.specs
-        fixes = sensors.fixes if self.gnss and not self.tight else None
-        seen = sensors.observations if self.gnss and self.tight else None
-        baro = sensors.baro if self.baro else None
-        wind = self.airspeed and sensors.airspeed is not None
-        if seen is not None and specs.gnss is not None and specs.gnss.sky is None:
+        used = [sensor for sensor in self.aiding() if getattr(sensors, sensor.record) is not None]
+        records = {sensor.record for sensor in used}
+        if SATELLITES in used and specs.gnss is not None and specs.gnss.sky is None:
             raise ValueError(
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
-        model = state_model(
-            initial,
-            specs,
-            Blocks(
-                baro_bias=baro is not None,
-                gnss_markov=self.gnss_markov and fixes is not None,
-                mems=self.mems,
-                clock=seen is not None,
-                lever_arm=self.lever_arm_sd if fixes is not None or seen is not None else 0.0,
-                wind=wind,
-            ),
-        )
+        blocks = [b for b in self.blocks() if not b.records or records & set(b.records)]
+        model = state_model(initial, specs, blocks)
         agenda = Agenda(sensors, initial.t, compensate=self.compensate_latency)
         agenda.events += aligned
-        if fixes is not None:
-            values = np.hstack([fixes.lla, fixes.vel_n])
-            agenda.add(FIX_ROWS, "gnss", fixes, values, fix_variance(specs, gnss_markov=self.gnss_markov))
-        sky = ranging.no_sky()
+        sky, seen = ranging.no_sky(), sensors.observations if SATELLITES in used else None
         if seen is not None:
-            sky = agenda.add_satellites(seen, specs, float(initial.lla[0]), model.at("clock_offset"))
-        if baro is not None:
-            variance = np.array([known(specs.baro, "baro").white_sd ** 2])
-            agenda.add(BARO_ROWS, "baro", baro, baro.alt_baro[:, None], variance)
-        if wind and sensors.airspeed is not None:
-            air = sensors.airspeed
-            variance = airspeed_variance(air, specs, float(initial.lla[2]))
-            agenda.add(AIRSPEED_ROWS, "airspeed", air, air.airspeed_true[:, None], variance)
+            sky = agenda.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
+        for sensor in used:
+            if sensor is not SATELLITES:
+                agenda.add(sensor, sensors, initial, model.layout)
         field = np.zeros((4, 3))
-        if self.magnetometer and sensors.mag is not None:
-            mag = sensors.mag
+        if MAGNETOMETER in used:
             field = magnetic_map(initial.lla, sensors.date)
-            agenda.add(MAGNETIC_ROWS, "mag", mag, mag.field_b, field_variance(mag, specs))
         if self.standstill:
             last, rate_b = standstill.windows(sensors.imu, agenda.rows, specs.imu)
             variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
-            agenda.add_samples(STANDSTILL_ROWS, last, rate_b, variance)
+            agenda.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
         names = list(SENSORS)
         if seen is not None:
             names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
-        asked = {
-            "airspeed": self.airspeed and sensors.airspeed is None,
-            "magnetometer": self.magnetometer and sensors.mag is None,
-            "tight coupling": self.tight and self.gnss and seen is None and sensors.fixes is not None,
-        }
+        absent = [sensor.option for sensor in self.aiding() if sensor.on_request and sensor not in used]
+        if SATELLITES in self.aiding() and seen is None and sensors.fixes is not None:
+            absent.append("tight coupling")
         end = float(agenda.imu_t[-1]) if len(agenda.imu_t) else initial.t
         agenda.events += [
             (initial.t, end, "aiding", f"{what}: asked for, but the record holds nothing for it")
-            for what, absent in asked.items()
-            if absent
+            for what in absent
         ]
         interval = 0.0 if self.covariance_hz is None else (1.0 - 1e-6) / self.covariance_hz
         gate = self._gate(len(names), initial.t, model)
@@ -271,7 +233,7 @@ class Fusion:
         readmit[[ZERO_VELOCITY, ZERO_RATE]] = _NEVER
         own = np.full((len(SENSORS), 3), -1)  # one satellite of many opens nothing: it is outvoted
         own[POSITION], own[VELOCITY] = POS + np.arange(3), VEL + np.arange(3)
-        own[BARO, 0] = model.at("baro_bias")
+        own[aiding.BARO, 0] = model.index.baro_bias
         return Gate(
             nis=bounds,
             trace=self.trace_ratio if "trace" in self.integrity else np.inf,
@@ -285,25 +247,27 @@ class Fusion:
             level=np.ones(len(SENSORS)),
         )
 
+    def aiding(self) -> list[AidingSensor]:
+        """Return the aiding sensors that the options ask for."""
+        other = FIXES if self.tight else SATELLITES
+        return [sensor for sensor in AIDING if sensor is not other and getattr(self, sensor.option)]
+
+    def blocks(self) -> list[Block]:
+        """Return the states beyond position, velocity, attitude and biases, as the options ask for them.
+
+        A block whose record is not there is left out of a run.
+        """
+        return chosen_blocks(self)
+
     @property
     def needs(self) -> tuple[str, ...]:
         """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
-        aiding = ("observations" if self.tight else "fixes",) if self.gnss else ("baro",) if self.baro else ()
-        return aiding + ("airspeed",) * self.airspeed + ("mag",) * self.magnetometer
+        return records_needed(self.aiding())
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
-        return unmodelled(
-            specs,
-            gnss=self.gnss,
-            baro=self.baro,
-            gnss_markov=self.gnss_markov,
-            mems=self.mems,
-            tight=self.tight,
-            latency=self.compensate_latency,
-            airspeed=self.airspeed,
-            magnetometer=self.magnetometer,
-        )
+        taken = {words for block in self.blocks() for words in block.takes}
+        return unmodelled(specs, self.aiding(), taken | ({LATENCY} if self.compensate_latency else set()))
 
 
 class Loose(Fusion):
@@ -318,14 +282,3 @@ class Tight(Fusion):
     """
 
     tight = True
-
-
-def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
-    """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
-
-    What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
-    """
-    step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
-    ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])
-    around = field_n(np.vstack([lla, earth.displace(lla, ends)]), date)
-    return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])

@@ -19,9 +19,11 @@ from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
+from bench.navigation.blocks import assumed
 from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.measurements import LATENCY, fix_errors, fix_variance
 from bench.navigation.options import is_count, is_number
-from bench.navigation.state_model import fix_variance, gnss_unmodelled
+from bench.navigation.unmodelled import remaining
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
@@ -80,7 +82,7 @@ class GnssOnly:
         used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[tuple[float, float, str, str]]()
         r = np.zeros(6)
         if fixes is not None:
-            r = fix_variance(sensors.specs, gnss_markov=False)
+            r = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
             used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         m = len(sensors.output_t)
         out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
@@ -124,7 +126,7 @@ class GnssOnly:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of the receiver that the state has no room for, in words."""
-        return gnss_unmodelled(specs, latency=True)
+        return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
 
 
 def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:

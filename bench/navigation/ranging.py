@@ -28,6 +28,7 @@ from bench.navigation.aiding import (
     lever_kernel,
     place_kernel,
 )
+from bench.navigation.blocks import Index
 from bench.navigation.cycle import Belief, Pending, Work
 from bench.signals import receiver
 from bench.signals.delays import (
@@ -59,7 +60,6 @@ class Sky(NamedTuple):
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
-    clock: int  # state of the clock's offset, its drift follows, then the offset of GLONASS
 
 
 def no_sky() -> Sky:
@@ -76,7 +76,6 @@ def no_sky() -> Sky:
         none,
         none,
         0.0,
-        -1,
     )
 
 
@@ -92,7 +91,7 @@ def usable(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, Floa
 
 
 def sky_of(
-    o: GnssObservations, spec: GnssSpec, rows: IntArray, epochs: IntArray, count: int, lat: float, clock: int
+    o: GnssObservations, spec: GnssSpec, rows: IntArray, epochs: IntArray, count: int, lat: float
 ) -> Sky:
     """Return the rows of observations to use as the kernel wants them.
 
@@ -106,8 +105,6 @@ def sky_of(
         Rows in use, and the number of each one's epoch among the ``count`` in use, growing.
     lat : float
         Where the vertical delay is taken [rad]; 500 km north or south it is 1 mm another.
-    clock : int
-        Where the states of the receiver's clock begin.
     """
     values, variance = usable(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
@@ -124,7 +121,6 @@ def sky_of(
         zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
         klobuchar=o.klobuchar.copy(),
         sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
-        clock=clock,
     )
 
 
@@ -143,12 +139,12 @@ def satellite_names(o: GnssObservations) -> list[str]:
 
 @inner
 def satellites_kernel(
-    epoch: int, first: int, belief: Belief, aid: Aid, sky: Sky, pending: Pending, work: Work
+    epoch: int, first: int, belief: Belief, aid: Aid, index: Index, sky: Sky, pending: Pending, work: Work
 ) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
     state, C, H, z = belief.state, work.C, pending.H, pending.z
-    n, at = belief.P.shape[0], sky.clock
-    place_kernel(belief, aid, work)
+    n, at = belief.P.shape[0], index.clock_offset
+    place_kernel(belief, aid, index, work)
     # the last six rows of the slot take the antenna
     last = first + pending.width - 6
     for j in range(last, last + 6):
@@ -156,8 +152,8 @@ def satellites_kernel(
             H[j, i] = 0.0
     arm = z[last : last + 6]
     antenna_kernel(state, C, work.lever, work.w_ib_b, state[:3], state[3:6], H[last : last + 6], arm)
-    if aid.lever >= 0:
-        lever_kernel(C, work.w_ib_b, aid.lever, H[last : last + 6])
+    if index.antenna_b >= 0:
+        lever_kernel(C, work.w_ib_b, index.antenna_b, H[last : last + 6])
     s, c = np.sin(state[0]), np.cos(state[0])
     sl, cl = np.sin(state[1]), np.cos(state[1])
     _, prime = radii_kernel(s)

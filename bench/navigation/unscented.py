@@ -23,12 +23,13 @@ from bench.compiled import kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import alignment
 from bench.navigation.agenda import OUTPUT, Agenda
-from bench.navigation.aiding import BARO_ROWS, FIX_ROWS
-from bench.navigation.error_state import CORE, GYRO, PHI, POS, VEL
+from bench.navigation.aiding import FIX_ROWS
+from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
+from bench.navigation.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import is_count, is_number
-from bench.navigation.state_model import Blocks, StateModel, fix_variance, known, state_model, unmodelled
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
@@ -115,17 +116,12 @@ class Unscented:
             When the record does not allow the alignment that is asked for.
         """
         initial, aligned = alignment.complete(sensors, initial)
-        fixes = sensors.fixes if self.gnss else None
-        baro = sensors.baro if self.baro else None
-        model = state_model(initial, sensors.specs, Blocks(baro_bias=baro is not None))
+        used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
+        model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
         agenda = Agenda(sensors, initial.t, compensate=False)
         agenda.events += aligned
-        if fixes is not None:
-            r = fix_variance(sensors.specs, gnss_markov=False)
-            agenda.add(FIX_ROWS, "gnss", fixes, np.hstack([fixes.lla, fixes.vel_n]), r)
-        if baro is not None:
-            r = np.array([known(sensors.specs.baro, "baro").white_sd ** 2])
-            agenda.add(BARO_ROWS, "baro", baro, baro.alt_baro[:, None], r)
+        for sensor in used:
+            agenda.add(sensor, sensors, initial, model.layout)
         steps, entries, _ = agenda.order()
         values, variance = agenda.table()
         share = steps.share[:, None]
@@ -175,11 +171,14 @@ class Unscented:
     @property
     def needs(self) -> tuple[str, ...]:
         """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
-        return ("fixes",) if self.gnss else ("baro",) if self.baro else ()
+        return records_needed(self._aiding())
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Name the errors of these units that the state has no room for, in words."""
-        return unmodelled(specs, gnss=self.gnss, baro=self.baro, gnss_markov=False)
+        return unmodelled(specs, self._aiding(), ())
+
+    def _aiding(self) -> list[AidingSensor]:
+        return [FIXES] * self.gnss + [BARO] * self.baro
 
 
 @dataclass
@@ -230,9 +229,9 @@ class _Flight:
         if self.lost:
             self.nav[:], self.rest[:] = np.nan, np.nan
             return
-        model, T = self.model, float(dt.sum())
+        process, T = self.model.process, float(dt.sum())
         ground_speed = np.hypot(self.nav[3], self.nav[4])
-        decay = np.exp(-(model.decay_time + model.decay_distance * ground_speed) * T)
+        decay = np.exp(-(process.decay_time + process.decay_distance * ground_speed) * T)
         points = self.points()
         x = points.x
         nav = np.empty((len(x) + 1, 10))
@@ -248,7 +247,7 @@ class _Flight:
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(
-            np.where(model.stationary > 0, model.stationary * (1 - decay**2), model.q * T)
+            np.where(process.stationary > 0, process.stationary * (1 - decay**2), process.q * T)
         )
         self.P[VEL : VEL + 3, VEL : VEL + 3] += unknown[0] * np.eye(3)
         self.P[PHI : PHI + 3, PHI : PHI + 3] += unknown[1] * np.eye(3)
@@ -288,11 +287,13 @@ class _Flight:
         if self.lost:
             return
 
+        at = self.model.index.baro_bias
+
         def height(x: FloatArray) -> FloatArray:
-            y = self.nav[2] + x[:, POS + 2] - alt_baro + self.rest[CORE - 9] - x[:, CORE]
+            y = self.nav[2] + x[:, POS + 2] - alt_baro + self.rest[at - 9] - x[:, at]
             return np.asarray(y[:, None])
 
-        self._update(t, 2, height, np.array([r]), slice(CORE, CORE + 1))
+        self._update(t, 2, height, np.array([r]), slice(at, at + 1))
 
     def _update(
         self, t: float, code: int, measure: Callable[[FloatArray], FloatArray], r: FloatArray, own: slice

@@ -20,9 +20,9 @@ from bench.errors import ConfigError, EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.errors import error_series
 from bench.navigation import alignment
+from bench.navigation.blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
-from bench.navigation.state_model import Blocks, state_model
 from bench.specs import ImuSpec, TriadSpec
 from tests.builders import band
 from tests.weaving import DEG, IMU, units, weaving
@@ -241,7 +241,7 @@ def test_the_joint_covariance_with_the_biases_is_that_of_the_errors(motion, mode
     for run in range(100):
         start, error = found(truth, spec, seed=3, run=run)
         sensed = sensors.sense(truth, spec, 3, run)
-        P = state_model(start, sensed.data.specs, Blocks()).P[6:, 6:]
+        P = state_model(start, sensed.data.specs, ()).P[6:, 6:]
         k = np.searchsorted(sensed.truth.t, start.t - 1e-6)
         bias = np.concatenate([sensed.truth.gyro_bias_b[k], sensed.truth.accel_bias_b[k]])
         sd = np.sqrt(np.diag(P))

@@ -19,7 +19,7 @@ from bench.evaluation import errors as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation import integrity, standstill, timeline
 from bench.navigation.fusion import Loose, Tight
-from bench.navigation.state_model import airspeed_variance
+from bench.navigation.measurements import airspeed_variance
 from bench.signals.magnetic import field_n
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
@@ -297,12 +297,11 @@ def test_airspeed_slows_the_drift_without_gnss():
 def test_the_zero_of_a_pitot_tube_counts_as_a_speed(truth):
     """5 Pa at 25 m/s and at 50 m/s: dV = dp / (rho V), with the density of the height of the start."""
     spec = AirspeedSpec("pitot", 10.0, pressure_bias_sd=5.0, white_sd=0.3)
-    assumed = replace(units().assumed, airspeed=spec)
     t, speed = np.array([0.0, 1.0]), np.array([25.0, 50.0])
     record = AirspeedData(t, t, np.ones(2, bool), speed, np.array([0.3, 0.3]))
     rho = 1.225 * (1 - 2.25577e-5 * 2000.0) ** 4.2559  # ISA troposphere
     expected = 0.3**2 + (5.0 / (rho * speed)) ** 2
-    assert_allclose(airspeed_variance(record, assumed, 2000.0)[:, 0], expected, rtol=0.02)
+    assert_allclose(airspeed_variance(record, spec, 2000.0)[:, 0], expected, rtol=0.02)
 
 
 def test_a_magnetometer_gives_the_heading():

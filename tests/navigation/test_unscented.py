@@ -14,9 +14,9 @@ from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.errors import error_series
 from bench.navigation import unscented
+from bench.navigation.blocks import BARO_BIAS, state_model
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
-from bench.navigation.state_model import Blocks, state_model
 from bench.navigation.unscented import Unscented, _differences, _less
 from tests.builders import ensemble
 from tests.navigation.test_layouts import standard_errors_from
@@ -104,12 +104,12 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     The biases of the IMU, which are random walks here, stay.
     """
     tau, sd, T = 4.0, 3.0, 10.0
-    model = state_model(sensed.initial, sensed.data.specs, Blocks(baro_bias=True))
-    at = model.at("baro_bias")
-    decay_time, stationary = model.decay_time.copy(), model.stationary.copy()
-    decay_time[9:], stationary[9:] = 0.0, 0.0
+    model = state_model(sensed.initial, sensed.data.specs, [BARO_BIAS])
+    at, n = model.index.baro_bias, model.layout.size
+    decay_time, stationary = np.zeros((2, n))
     decay_time[at], stationary[at] = 1 / tau, sd**2
-    model = replace(model, decay_time=decay_time, stationary=stationary)
+    process = model.process._replace(decay_time=decay_time, stationary=stationary)
+    model = replace(model, process=process)
     flight = unscented._Flight(Unscented(), model, sensed.initial)
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0

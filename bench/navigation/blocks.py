@@ -1,0 +1,257 @@
+"""The states of a filter in blocks; each block says once how its states are called, begin and move.
+
+A state beyond position, velocity, attitude and IMU biases is a :class:`Block` here and its column of H
+(`bench.navigation.aiding`, `bench.navigation.ranging`), found by :class:`Index`. A state that adds to the
+errors of the IMU needs no column: ``drives`` says how it acts. All figures come from the datasheets that the
+estimator assumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.data import InitialState
+from bench.navigation.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
+from bench.signals.orbits import C
+from bench.specs import AssumedSpecs, TriadSpec
+
+WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
+WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
+
+_Figure = float | FloatArray  # the same for every state of a block, or one for each
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """One to three states of one name and the process they follow.
+
+    A drive ``(state, error, rate)`` adds a state (0 to 2) times a measured rate (0 to 2) or specific force
+    (3 to 5) to an error of the gyros (0 to 2) or accelerometers (3 to 5).
+    """
+
+    name: str
+    unit: str
+    size: int
+    variance: _Figure = 0.0  # at the start [unit^2]
+    density: _Figure = 0.0  # of the white noise that drives it [unit^2/s]
+    decay_time: _Figure = 0.0  # rate at which a Gauss-Markov state decays by time [1/s]
+    decay_distance: _Figure = 0.0  # and by distance over ground [1/m]
+    stationary: _Figure = 0.0  # variance that a Gauss-Markov state tends to, in place of the density [unit^2]
+    drives: tuple[tuple[int, int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """States that are estimated together or not at all."""
+
+    option: str  # of the compiled filters, that asks for it
+    states: Callable[[AssumedSpecs], Sequence[States]]
+    takes: tuple[
+        str, ...
+    ] = ()  # errors that are modelled with it, as `bench.navigation.unmodelled` names them
+    records: tuple[str, ...] = ()  # of `SensorData`, one of which has to be in use; none: always there
+
+
+class Index(NamedTuple):
+    """The first state of each block that a kernel asks for by name; -1 where it is absent."""
+
+    baro_bias: int
+    gnss_pos: int  # gnss_vel follows
+    gyro_scale: int  # accel_scale follows
+    g_sensitivity_x: int  # the first of 9, row by row
+    clock_offset: int  # clock_drift and glonass_offset follow
+    antenna_b: int
+    wind_north: int  # wind_east follows
+
+
+class Process(NamedTuple):
+    """How n states move between measurements; columns as in :class:`States`."""
+
+    q: FloatArray  # (n,) density
+    decay_time: FloatArray  # (n,)
+    decay_distance: FloatArray  # (n,)
+    stationary: FloatArray  # (n,)
+    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate (0-2) or force (3-5) it multiplies
+
+
+@dataclass(frozen=True, slots=True)
+class StateModel:
+    """A layout of n states, their covariance at the start and the processes they follow."""
+
+    layout: StateLayout
+    P: FloatArray  # (n, n) at the start
+    process: Process
+    index: Index
+
+
+def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Block]) -> StateModel:
+    """Return the model of position, velocity, attitude, IMU biases and the given blocks.
+
+    Parameters
+    ----------
+    initial : InitialState
+        Covariance of position, velocity and attitude at the start, and theirs with the biases.
+    specs : AssumedSpecs
+        The datasheets to believe.
+    blocks : iterable of Block
+        The further states, in the order of the layout.
+
+    Raises
+    ------
+    ValueError
+        If a block needs the datasheet of a sensor that has none.
+    """
+    extra = [states for block in blocks for states in block.states(specs)]
+    layout = StateLayout(*((states.name, states.unit, states.size) for states in extra))
+    n = layout.size
+    P = np.zeros((n, n))
+    q, decay_time, decay_distance, stationary = np.zeros((4, n))
+    drives: list[tuple[int, int, int]] = []
+    for states in (*_core(specs), *extra):
+        at = layout.slice(states.name)
+        np.fill_diagonal(P[at, at], states.variance)
+        q[at], stationary[at] = states.density, states.stationary
+        decay_time[at], decay_distance[at] = states.decay_time, states.decay_distance
+        drives += [(at.start + own, GYRO + error, rate) for own, error, rate in states.drives]
+    P[:9, :9] = initial.cov
+    P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
+    table = np.array(drives, np.int64).reshape(-1, 3)
+    process = Process(q, decay_time, decay_distance, stationary, table)
+    return StateModel(layout, P, process, index_of(layout))
+
+
+def index_of(layout: StateLayout) -> Index:
+    """Return where the kernels find the blocks of a layout."""
+    return Index(*(layout.slice(name).start if layout.has(name) else -1 for name in Index._fields))
+
+
+def assumed(specs: AssumedSpecs, name: str) -> Any:
+    """Return the datasheet of a sensor in use.
+
+    Raises
+    ------
+    ValueError
+        If the estimator was given none.
+    """
+    spec = getattr(specs, name)
+    if spec is None:
+        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+    return spec
+
+
+def _core(specs: AssumedSpecs) -> list[States]:
+    """Return the states of every layout; P of the first three comes from the initial state."""
+    gyro, accel = specs.imu.gyro, specs.imu.accel
+    pos, vel, phi, gyro_bias, accel_bias = CORE_BLOCKS
+    return [
+        States(*pos),
+        States(*vel, density=accel.random_walk**2),
+        States(*phi, density=gyro.random_walk**2),
+        _bias(*gyro_bias, gyro),
+        _bias(*accel_bias, accel),
+    ]
+
+
+def _bias(name: str, unit: str, size: int, triad: TriadSpec) -> States:
+    """Return bias states: random walks, or without a turn-on bias Gauss-Markov processes."""
+    instability2 = triad.instability_sd**2
+    variance = triad.turn_on_bias_sd**2 + instability2
+    if instability2 == 0:
+        return States(name, unit, size, variance)
+    decay = 0.0 if triad.turn_on_bias_sd > 0 else 1 / triad.bias_correlation
+    return States(name, unit, size, variance, 2 * instability2 / triad.bias_correlation, decay)
+
+
+def _baro_bias(specs: AssumedSpecs) -> list[States]:
+    baro = assumed(specs, "baro")
+    return [States("baro_bias", "m", 1, baro.bias_sd**2, baro.bias_walk**2)]
+
+
+BARO_BIAS = Block("baro", _baro_bias, records=("baro",))
+"""Bias of the barometric height, a random walk (A-5.3.2)."""
+
+
+def _gnss_markov(specs: AssumedSpecs) -> list[States]:
+    gnss = assumed(specs, "gnss")
+    pos = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
+    vel = gnss.vel_markov_sd**2
+    return [
+        States("gnss_pos", "m", 3, pos, 0.0, gnss.pos_decay_time, gnss.pos_decay_distance, pos),
+        States("gnss_vel", "m_s", 3, vel, 0.0, gnss.vel_decay_time, stationary=vel),
+    ]
+
+
+GNSS_MARKOV = Block(
+    "gnss_markov",
+    _gnss_markov,
+    takes=("time-correlated GNSS position error", "time-correlated GNSS velocity error"),
+    records=("fixes",),
+)
+"""Gauss-Markov part of the position and velocity errors of a fix (A-5.2.2, A-5.4.2)."""
+
+
+def _mems(specs: AssumedSpecs) -> list[States]:
+    gyro, accel = specs.imu.gyro, specs.imu.accel
+    same = [(i, i, i) for i in range(3)]
+    return [
+        States("gyro_scale", "1", 3, gyro.scale_factor_sd**2, drives=tuple(same)),
+        States(
+            "accel_scale", "1", 3, accel.scale_factor_sd**2, drives=tuple((i, 3 + i, 3 + i) for i in range(3))
+        ),
+        *(
+            States(
+                f"g_sensitivity_{axis}",
+                "rad_s_per_m_s2",
+                3,
+                gyro.g_sensitivity_sd**2,
+                drives=tuple((j, i, 3 + j) for j in range(3)),
+            )
+            for i, axis in enumerate("xyz")
+        ),
+    ]
+
+
+MEMS = Block("mems", _mems, takes=("gyro scale factor", "accelerometer scale factor", "gyro g-sensitivity"))
+"""Scale factors, and the g-sensitivity of the gyros: 3 x 3, as the sensor has it (A-5.1.8)."""
+
+
+def _clock(specs: AssumedSpecs) -> list[States]:
+    sky = assumed(specs, "gnss").sky
+    return [
+        States("clock_offset", "m", 1, sky.clock_offset_sd**2, 0.5 * C**2 * sky.clock_h_0),
+        States("clock_drift", "m_s", 1, sky.clock_drift_sd**2, 2.0 * np.pi**2 * C**2 * sky.clock_h_m2),
+        States("glonass_offset", "m", 1, sky.glonass_offset_sd**2),
+    ]
+
+
+CLOCK = Block("tight", _clock, records=("observations",))
+"""Offset and drift of the receiver's clock, and its offset for GLONASS.
+
+``c^2 h_0 / 2`` drives the offset and ``2 pi^2 c^2 h_-2`` the drift (Brown and Hwang); flicker, h_-1, has no
+state of finite size. The offset grows by the drift: `bench.navigation.cycle`.
+"""
+
+
+def antenna(sd: float) -> Block:
+    """Return the place of the GNSS antenna, known to ``sd`` [m] along each axis of b."""
+    states = (States("antenna_b", "m", 3, sd**2),)
+    return Block("lever_arm_sd", lambda _: states, records=("fixes", "observations"))
+
+
+WIND = Block(
+    "airspeed",
+    lambda _: [States(name, "m_s", 1, WIND_SD**2, WIND_WALK**2) for name in ("wind_north", "wind_east")],
+    records=("airspeed",),
+)
+"""Horizontal wind, random walks."""
+
+
+def chosen_blocks(options: Any) -> list[Block]:
+    """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
+    every = (BARO_BIAS, GNSS_MARKOV, MEMS, CLOCK, antenna(options.lever_arm_sd), WIND)
+    return [block for block in every if getattr(options, block.option)]

@@ -1,0 +1,195 @@
+"""What each aiding instrument gives a filter: one row a sensor.
+
+A row says which record and datasheet belong to the sensor, which rows of `bench.navigation.aiding` it fills
+and how, and the errors that its datasheet lists. A new instrument is a row here
+and its branch in :func:`bench.navigation.aiding.measure_kernel`. Satellites alone come another way
+(`bench.navigation.ranging`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import GnssFixes, InitialState
+from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
+from bench.navigation.aiding import AIRSPEED_ROWS, BARO_ROWS, FIX_ROWS, MAGNETIC_ROWS, SATELLITE_ROWS
+from bench.navigation.error_state import StateLayout
+from bench.navigation.unmodelled import Errors, imu_errors, remaining
+from bench.signals import air
+from bench.signals.magnetic import field_n
+from bench.specs import AssumedSpecs, GnssSpec
+
+LATENCY = "GNSS latency"
+
+Reader = Callable[[Any, Any, InitialState, StateLayout], tuple[FloatArray, FloatArray]]
+"""Record (M rows), datasheet, start, layout -> values (M, m), up to six, and variance (m,) or (M, m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class AidingSensor:
+    """One aiding sensor, its place in the records and what a filter makes of it."""
+
+    option: str  # of the estimator, that switches it on
+    record: str  # of `SensorData`
+    spec: str  # of `AssumedSpecs`; its name in events, too
+    kind: int  # of its rows
+    read: Reader | None  # None: satellites
+    errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
+    on_request: bool = True  # without its record a filter that asks for it has nothing to work on
+
+
+# --- GNSS -------------------------------------------------------------------------------------------------
+
+
+def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
+    """Return the variances (6,) taken as white in a fix, position [m^2] then velocity [m^2/s^2], n.
+
+    With Markov states the white part of the datasheet; without, white and Markov part together.
+    """
+    rest = 0.0 if gnss_markov else 1.0
+    h = gnss.pos_h_white_sd**2 + rest * gnss.pos_h_markov_sd**2
+    v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2
+    s = gnss.vel_white_sd**2 + rest * gnss.vel_markov_sd**2
+    return np.array([h, h, v, s, s, s])
+
+
+def _read_fixes(
+    fixes: GnssFixes, gnss: GnssSpec, _: InitialState, layout: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    variance = fix_variance(gnss, gnss_markov=layout.has("gnss_pos"))
+    return np.hstack([fixes.lla, fixes.vel_n]), variance
+
+
+def fix_errors(gnss: GnssSpec) -> Errors:
+    """Yield the errors of a receiver's fixes beyond white noise."""
+    yield "time-correlated GNSS position error", max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd)
+    yield "time-correlated GNSS velocity error", gnss.vel_markov_sd
+    yield LATENCY, gnss.latency
+    yield "jumps of the GNSS error where the satellites change", gnss.jumps
+
+
+def _satellite_errors(gnss: GnssSpec) -> Errors:
+    sky = gnss.sky
+    if sky is None:
+        yield "GNSS at all: tight coupling needs a receiver with [sky]", True
+    else:
+        yield "satellite orbit and clock error", max(sky.gps_space_sd, sky.glonass_space_sd)
+        yield "ionosphere beyond the broadcast model", sky.ionosphere_sd if sky.bands == 1 else 0.0
+        yield "troposphere beyond the model", sky.troposphere_sd
+        yield "multipath", max(sky.multipath_zenith_sd, sky.multipath_horizon_sd)
+        yield "flicker of the receiver's clock", sky.clock_h_m1
+        yield "g-sensitivity of the receiver's clock", sky.clock_g
+    yield LATENCY, gnss.latency
+
+
+# --- barometer --------------------------------------------------------------------------------------------
+
+
+def _read_baro(
+    record: BaroData, baro: BaroSpec, _: InitialState, __: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    return record.alt_baro[:, None], np.array([baro.white_sd**2])
+
+
+def _baro_errors(baro: BaroSpec) -> Errors:
+    yield "barometer quantization", baro.quantization
+    yield "barometer errors with height, airspeed and incidence", baro.physical is not None
+
+
+# --- airspeed ---------------------------------------------------------------------------------------------
+
+
+def airspeed_variance(record: AirspeedData, airspeed: AirspeedSpec, height: float) -> FloatArray:
+    """Return the variance (M, 1) taken as white in an airspeed [m^2/s^2]: with bias, zero and scale factor.
+
+    The zero of the pressure counts as a speed in the standard air at a ``height`` [m]: that of the start.
+    """
+    zero = replace(airspeed, white_sd=0.0, pressure_white_sd=airspeed.pressure_bias_sd)
+    pressure, temperature, _ = air.standard(height)
+    shifted = air.airspeed_sd(zero, record.airspeed_true, pressure, temperature)
+    scale = airspeed.scale_factor_sd * record.airspeed_true
+    variance: FloatArray = (record.sd**2 + airspeed.bias_sd**2 + shifted**2 + scale**2)[:, None]
+    return variance
+
+
+def _read_airspeed(
+    record: AirspeedData, airspeed: AirspeedSpec, initial: InitialState, _: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    variance = airspeed_variance(record, airspeed, float(initial.lla[2]))
+    return record.airspeed_true[:, None], variance
+
+
+def _airspeed_errors(airspeed: AirspeedSpec) -> Errors:
+    sizes = (airspeed.bias_sd, airspeed.pressure_bias_sd, airspeed.scale_factor_sd)
+    yield "airspeed bias and scale factor", max(sizes)
+    yield "airspeed lag", airspeed.lag
+
+
+# --- magnetometer -----------------------------------------------------------------------------------------
+
+
+def field_variance(record: MagData, mag: MagSpec) -> FloatArray:
+    """Return the variance (M, 3) taken as white in a magnetic field [T^2], with what calibration left."""
+    size2 = np.sum(record.field_b**2, axis=1)
+    left = mag.scale_factor_sd**2 + mag.soft_iron_sd**2 + mag.misalignment_sd**2
+    total = record.sd**2 + mag.hard_iron_sd**2 + left * size2
+    variance: FloatArray = np.repeat(total[:, None], 3, axis=1)
+    return variance
+
+
+def _read_field(
+    record: MagData, mag: MagSpec, _: InitialState, __: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    return record.field_b, field_variance(record, mag)
+
+
+def _magnetometer_errors(mag: MagSpec) -> Errors:
+    sizes = (mag.hard_iron_sd, mag.soft_iron_sd, mag.scale_factor_sd, mag.misalignment_sd)
+    yield "magnetometer calibration", max(sizes)
+
+
+def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
+    """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
+
+    What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
+    """
+    step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
+    ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])
+    around = field_n(np.vstack([lla, earth.displace(lla, ends)]), date)
+    return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])
+
+
+# --- the table --------------------------------------------------------------------------------------------
+
+FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors, on_request=False)
+SATELLITES = AidingSensor(
+    "gnss", "observations", "gnss", SATELLITE_ROWS, None, _satellite_errors, on_request=False
+)
+AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed, _airspeed_errors)
+MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field, _magnetometer_errors)
+BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, on_request=False)
+
+AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, BARO)
+
+
+def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
+    """Return the records a filter has nothing to work on without: GNSS, else the barometer, and requests."""
+    usual = [sensor.record for sensor in aiding if not sensor.on_request]
+    return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
+
+
+def unmodelled(
+    specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collection[str]
+) -> tuple[str, ...]:
+    """Return the errors of the IMU and of the sensors in use, but those that are ``taken``, in words."""
+    found = list(imu_errors(specs.imu))
+    for sensor in aiding:
+        spec = getattr(specs, sensor.spec)
+        found += () if spec is None else sensor.errors(spec)
+    return remaining(found, taken)
