@@ -22,11 +22,12 @@ from pydantic import Field
 
 from bench import pipeline, store
 from bench.config import load_profile
-from bench.config.tables import NOT_NEGATIVE, Table, checked, noting, suggest
+from bench.config.tables import NOT_NEGATIVE, Table, checked, noting
 from bench.data import RunResult
 from bench.errors import ConfigError
 from bench.evaluation.metrics import metric_of
 from bench.specs import Profile
+from bench.wording import suggest
 
 DIRECTORY = Path("tests/baselines")
 """Where ``bench check`` looks for baselines when not told."""

@@ -11,11 +11,11 @@ from bench.config.profile_tables import (
     ScriptTable,
     TrajectoryTable,
 )
-from bench.config.tables import suggest
 from bench.errors import ConfigError, FlightError
 from bench.flight.foreign import script_facts, system_files
 from bench.flight.script import LONGEST
 from bench.specs import Flight, ScriptSpec, TableSpec
+from bench.wording import suggest
 
 _TABLES = (".csv", ".parquet")
 

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.config.profile_tables import ExperimentTable
-from bench.config.tables import quantity, suggest
 from bench.instruments import INSTRUMENTS
 from bench.navigation.estimator import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
+from bench.wording import quantity, suggest
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
@@ -147,6 +147,18 @@ def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
         if choice.label in labels:
             wrong.append(f"{what} is taken by an entry above; give each its own label")
         labels.append(choice.label)
+    return wrong
+
+
+def options(document: Mapping[str, Any]) -> list[str]:
+    """Check the options of the built-in estimators of a file; what is no table is left to its own check."""
+    wrong = []
+    rows = document.get("estimator")
+    for number, row in enumerate(rows if isinstance(rows, list) else (), 1):
+        use, given = (row.get("use"), row.get("options")) if isinstance(row, Mapping) else (None, None)
+        if isinstance(use, str) and use in BUILT_IN and isinstance(given, Mapping):
+            place = f"[[estimator]] {number} ({row.get('label', use)}): options: "
+            wrong += [f"{place}{line}" for line in BUILT_IN[use].wrong(given)]
     return wrong
 
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, Field, TypeAdapter, create_model
 from pydantic_core import PydanticCustomError
 
-from bench.config.tables import ROWS, Table, between, quantity
+from bench.config.tables import ROWS, Table, between
 from bench.data import GLONASS, GPS
 from bench.fields import figures_of
 from bench.instruments import INSTRUMENTS
 from bench.specs import Fault, GnssSpec, ImuSpec
 from bench.units import to_si
+from bench.wording import quantity
 
 _SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
 """Letter of a system -> its code, and the number of its last satellite."""

@@ -7,10 +7,10 @@ import math
 from dataclasses import replace
 
 from bench.config.profile_tables import ProfileTable
-from bench.config.tables import quantity
 from bench.flight.legs.keys import wrong
 from bench.flight.legs.runway import TakeOff
 from bench.specs import AircraftSpec, Leg, LegStart, Runway
+from bench.wording import quantity
 
 
 def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

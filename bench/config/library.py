@@ -14,13 +14,14 @@ from pydantic import Field
 from bench.config import brought
 from bench.config.datasheets import SENSORS, absent
 from bench.config.profile_tables import Altitude, Category, Speed
-from bench.config.tables import ROWS, Table, between, checked, quantity, read, suggest
+from bench.config.tables import ROWS, Table, between, checked, read
 from bench.errors import ConfigError
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
+from bench.wording import quantity, suggest
 
 _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
@@ -362,8 +363,13 @@ def _keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return every built-in estimator."""
-    return [CatalogEntry(name, what, "estimator") for name, (what, _, _) in BUILT_IN.items()]
+    """Return every built-in estimator, with the options that its name fixes."""
+    return [
+        CatalogEntry(
+            name, row.title, "estimator", ", ".join(quantity(key, value) for key, value in row.fixed.items())
+        )
+        for name, row in BUILT_IN.items()
+    ]
 
 
 def _provenance(kind: str, sheet: Mapping[str, Any]) -> str:

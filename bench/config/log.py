@@ -195,8 +195,11 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     """
     path = Path(name)
     document = read(path, name)
-    table = checked(LogTable, document, name)
-    wrong: list[str] = []
+    wrong = [f"{name}: {line}" for line in checks.options(document)]
+    try:
+        table = checked(LogTable, document, name)
+    except ConfigError as error:
+        raise ConfigError(*error.messages, *wrong) from None
     beside, place = path.parent, f"{name}: "
     given = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
     sources = {kind: _source(row, kind, beside, place, wrong) for kind, row in given.items()}

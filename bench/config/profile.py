@@ -89,7 +89,7 @@ def load_profile(
         document |= {"seed": both} | ({} if "trajectory" in document else {"turbulence_seed": both})
     for key, value in overrides.items():
         document = _override(document, key, value)
-    beside, wrong = path.parent, list[str]()
+    beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.options(document)]
     flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(flown_by) > 1:
         raise ConfigError(f"{shown}: {' and '.join(flown_by)}: a profile has only one of them")

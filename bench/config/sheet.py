@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.tables import Table, between, quantity
+from bench.config.tables import Table, between
 from bench.fields import figures_of
 from bench.units import from_si, to_si
+from bench.wording import quantity
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
 Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]

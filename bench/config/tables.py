@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -13,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from bench.errors import ConfigError
-from bench.units import unit_of
+from bench.wording import as_toml, complaint, suggest
 
 _T = TypeVar("_T", bound=BaseModel)
 
@@ -103,33 +102,13 @@ def checked(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
     raise ConfigError(*(f"{shown}: {line}" for line in lines)) from None
 
 
-def quantity(key: str, value: object) -> str:
-    """Return ``key = value unit`` as it stands in the file."""
-    text = f"{key} = {_toml(value)}"
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    unit = unit_of(_name(key)) if is_number else ""
-    return f"{text} {unit}" if unit else text
-
-
-def _name(key: str) -> str:
-    return key.partition("[")[0]  # pos_m[1] is an entry of pos_m
-
-
-def suggest(wrong: str, known: Iterable[str], what: str) -> str:
-    """Return `` Did you mean ...?`` and the list of known names, as the end of a message."""
-    names = sorted(known)
-    near = difflib.get_close_matches(wrong, names, n=1)
-    hint = f". Did you mean {near[0]!r}?" if near else ""
-    return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
-
-
 def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
     loc, kind, value = detail["loc"], detail["type"], detail["input"]
     context = detail.get("ctx", {})
     if kind == "union_tag_invalid":
         tag = str(context["tag"])
         known = [name.strip("'") for name in str(context["expected_tags"]).split(", ")]
-        return f"{_table(loc)}: kind = {_toml(tag)} is unknown{suggest(tag, known, 'kinds')}"
+        return f"{_table(loc)}: kind = {as_toml(tag)} is unknown{suggest(tag, known, 'kinds')}"
     if kind == "union_tag_not_found":
         return f"{_table(loc)}: kind is missing"
     place, key = _place(loc)
@@ -142,37 +121,7 @@ def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
     place = f"{place}{joint}" if place else ""
     if kind == "missing":
         return f"{place}{key} is missing"
-    if kind == "range":
-        unit = unit_of(_name(key))
-        limits = f"{context['low']:g} to {context['high']:g}{' ' + unit if unit else ''}"
-        return f"{place}{quantity(key, value)} is outside {limits}"
-    return f"{place}{quantity(key, value)} {_wanted(kind, detail['msg'], context)}"
-
-
-def _wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
-    if kind == "message":
-        return message
-    if kind == "literal_error":
-        return f"must be {context['expected']}"
-    if kind == "too_short" or kind == "too_long":
-        few, limit = kind == "too_short", context["min_length" if kind == "too_short" else "max_length"]
-        return f"must have {'at least' if few else 'at most'} {limit} {'entry' if limit == 1 else 'entries'}"
-    if kind == "missing_positional_only_argument" or kind == "missing":
-        return "has too few values"
-    wanted = {
-        "float_type": "a number",
-        "finite_number": "a finite number",
-        "int_type": "a whole number",
-        "int_from_float": "a whole number",
-        "string_type": "a text in quotes",
-        "bool_type": "true or false",
-        "model_type": "a table",
-        "model_attributes_type": "a table",
-        "dict_type": "a table",
-        "tuple_type": "a list",
-        "date_type": "a date, as 2026-01-31",
-    }
-    return f"must be {wanted[kind]}" if kind in wanted else f"is wrong: {message}"
+    return f"{place}{complaint(key, value, kind, detail['msg'], context)}"
 
 
 def _place(loc: Sequence[int | str]) -> tuple[str, str]:
@@ -214,18 +163,3 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     if get_origin(annotation) is Literal:
         return []
     return [m for inner in get_args(annotation) for m in _models(inner)]
-
-
-def _toml(value: object) -> str:
-    """Write a value as it could stand in a TOML file, shortened."""
-    if isinstance(value, bool):
-        text = str(value).lower()
-    elif isinstance(value, list | tuple):
-        text = f"[{', '.join(_toml(v) for v in value)}]"
-    elif isinstance(value, Mapping):
-        text = "{ ... }"
-    elif isinstance(value, str | float):
-        text = repr(value).removesuffix(".0")
-    else:
-        text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -17,6 +17,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import InitialState
 from bench.navigation.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
+from bench.navigation.options import FusionOptions
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, TriadSpec
 
@@ -251,7 +252,7 @@ WIND = Block(
 """Horizontal wind, random walks."""
 
 
-def chosen_blocks(options: Any) -> list[Block]:
+def chosen_blocks(options: FusionOptions) -> list[Block]:
     """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
     every = (BARO_BIAS, GNSS_MARKOV, MEMS, CLOCK, antenna(options.lever_arm_sd), WIND)
     return [block for block in every if getattr(options, block.option)]

@@ -22,7 +22,6 @@ covariance is `filterpy`'s, and everything else is its own, so that one can be h
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,7 +37,7 @@ from bench.navigation.blocks import GNSS_MARKOV
 from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
 from bench.navigation.measurements import BARO, FIXES, unmodelled
-from bench.navigation.options import is_count, is_number
+from bench.navigation.options import ClassicOptions, read_options
 from bench.specs import AssumedSpecs, TriadSpec
 
 R3 = 6_371_000.0  # sphere of the reduced coordinates [m], equations 1.5
@@ -582,128 +581,13 @@ class Classic22:
     corrected by what the filter knows and has not fed back. A fix is used with the barometer reading of the
     same IMU sample.
 
-    Parameters
-    ----------
-    covariance_hz : float
-        Rate of (5.4.4) between measurements; F takes the mean attitude and specific force of each step.
-    discretization : {"van-loan", "euler"}
-        Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D).
-    rows : {7, 8}
-        Measurements in the update. With 8, the published vector (A-5.4.3), whose S is singular and gets its
-        pseudo-inverse: the answer is that of 7. Epochs with a part missing or refused use what is left of
-        the 7.
-    form : {"joseph", "potter", "carlson"}
-        Of (5.4.5): Joseph's with all rows at once, or a square root of P a row at a time
-        (`bench.navigation.square_root`); the answer is the same.
-    floor : float
-        No standard deviation of a state falls below this part of its value at the start (A-5.4.F); 0: no
-        floor.
-    integrity : sequence of {"nis", "trace", "tolerance"}
-        Tests every sub-vector has to pass (A-5.4.7, A-5.4.T); the tolerance test looks at fixes only.
-    gate_probability : float
-        Chance of "nis" to refuse a sound sub-vector, (0, 1).
-    trace_limit : float
-        Largest ratio of "trace"; the source asks for 10 or more.
-    max_acceleration : float
-        What the aircraft can do between fixes [m/s^2], for "tolerance".
-    tolerance_sigmas : float
-        Multiple of the receiver's standard deviation granted by "tolerance".
-    readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
-    monitor_sigmas : float
-        Difference of barometer and GNSS height, over its standard deviation, that is reported (row 8 of
-        A-5.4.3).
-    feedback : bool
-        Correct the navigator (closed loop), or leave it alone and correct its output only (open loop, B-20
-        to B-22).
-    correction_period : float or "auto"
-        Shortest time between two corrections [s]; 0: after every update. "auto": until the attitude error
-        could reach ``admissible_deg`` by (A-5.4.10) with three standard deviations of P.
-    admissible_deg : float
-        Attitude error "auto" keeps below [deg].
-    jump_white_sd, jump_markov_sd : three floats
-        Spread of the jump of the fixes and of their Markov part when the number of satellites changes:
-        horizontal [m, each axis], height [m], velocity [m/s, each axis] (A-5.2.1, A-5.2.2).
+    Options: `bench.navigation.options.ClassicOptions`.
     """
 
     needs = ("fixes",)
 
-    def __init__(
-        self,
-        *,
-        covariance_hz: float = 20.0,
-        discretization: str = "van-loan",
-        rows: int = 7,
-        form: str = "joseph",
-        floor: float = 0.0,
-        integrity: Sequence[str] = ("nis",),
-        gate_probability: float = 1e-5,
-        trace_limit: float = 10.0,
-        max_acceleration: float = 20.0,
-        tolerance_sigmas: float = 5.0,
-        readmit_after: int = 10,
-        monitor_sigmas: float = 5.0,
-        feedback: bool = True,
-        correction_period: float | str = 0.0,
-        admissible_deg: float = 1.0,
-        jump_white_sd: Sequence[float] = (0.0, 0.0, 0.0),
-        jump_markov_sd: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
-        for name, value in {
-            "covariance_hz": covariance_hz,
-            "trace_limit": trace_limit,
-            "max_acceleration": max_acceleration,
-            "tolerance_sigmas": tolerance_sigmas,
-            "monitor_sigmas": monitor_sigmas,
-            "admissible_deg": admissible_deg,
-        }.items():
-            if not (is_number(value) and 0 < value < np.inf):
-                raise ValueError(f"{name} = {value!r} must be a positive number")
-        if discretization not in ("van-loan", "euler"):
-            raise ValueError(f"discretization = {discretization!r} must be 'van-loan' or 'euler'")
-        if rows not in (7, 8) or isinstance(rows, bool):
-            raise ValueError(f"rows = {rows!r} must be 7 or 8")
-        if form not in ("joseph", "potter", "carlson"):
-            raise ValueError(f"form = {form!r} must be 'joseph', 'potter' or 'carlson'")
-        if form != "joseph" and rows == 8:
-            raise ValueError(f"form = {form!r} needs rows = 7: the noise of eight rows is not independent")
-        if not (is_number(floor) and 0 <= floor < 1):
-            raise ValueError(f"floor = {floor!r} must lie in 0 to 1, a part of the spread at the start")
-        unknown = [test for test in integrity if test not in ("nis", "trace", "tolerance")]
-        if isinstance(integrity, str) or unknown:
-            raise ValueError(f"integrity = {integrity!r} must be a list of 'nis', 'trace', 'tolerance'")
-        if not (is_number(gate_probability) and 0 < gate_probability < 1):
-            raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not is_count(readmit_after):
-            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
-        if not isinstance(feedback, bool):
-            raise ValueError(f"feedback = {feedback!r} must be true or false")
-        if correction_period != "auto" and not (
-            is_number(correction_period) and 0 <= float(correction_period) < np.inf
-        ):
-            raise ValueError(f"correction_period = {correction_period!r} must be 0 or more, or 'auto'")
-        if not feedback and correction_period != 0:
-            raise ValueError("correction_period needs feedback = True: without there is no correction")
-        self.jumps = []
-        for name, values in (("jump_white_sd", jump_white_sd), ("jump_markov_sd", jump_markov_sd)):
-            if len(values) != 3 or not all(is_number(v) and 0 <= v < np.inf for v in values):
-                raise ValueError(f"{name} = {values!r} must be three numbers, 0 or more")
-            self.jumps.append((float(values[0]), float(values[1]), float(values[2])))
-        self.covariance_hz = covariance_hz
-        self.discretization = discretization
-        self.rows = rows
-        self.form = form
-        self.floor = floor
-        self.integrity = tuple(integrity)
-        self.gates = {name: nis_limit(len(rows), gate_probability) for name, rows in _ROWS.items()}
-        self.trace_limit = trace_limit
-        self.max_acceleration = max_acceleration
-        self.tolerance_sigmas = tolerance_sigmas
-        self.readmit_after = readmit_after
-        self.monitor_sigmas = monitor_sigmas
-        self.feedback = feedback
-        self.correction_period = correction_period
-        self.admissible = math.radians(admissible_deg)
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(ClassicOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, sensor errors and their covariance.
@@ -740,7 +624,7 @@ class Classic22:
         scale = (span / sensors.imu.dt[rows])[:, None]
         dtheta = (sensors.imu.dtheta_b[rows] * scale @ FRD_OF_FUR).tolist()
         dvel = (sensors.imu.dvel_b[rows] * scale @ FRD_OF_FUR).tolist()
-        interval = (1.0 - 1e-6) / self.covariance_hz
+        interval = (1.0 - 1e-6) / self.options.covariance_hz
         wanted = sensors.output_t
         served = wanted >= initial.t - timeline.TIME_TOLERANCE
         served &= wanted <= (t[-1] if len(t) else initial.t) + timeline.TIME_TOLERANCE
@@ -750,7 +634,7 @@ class Classic22:
         for k in output_at.tolist():
             outputs[k] = outputs.get(k, 0) + 1
 
-        flight = _Flight(self, sensors, initial)
+        flight = _Flight(self.options, sensors, initial)
         answers = [flight.answer()] * outputs.get(-1, 0)
         for k, (now, dt) in enumerate(zip(t.tolist(), span.tolist(), strict=True)):
             flight.advance(dt, dtheta[k], dvel[k])
@@ -774,11 +658,14 @@ class Classic22:
 class _Flight:
     """The navigator, its filter and their book-keeping over one record."""
 
-    def __init__(self, settings: Classic22, sensors: SensorData, initial: InitialState) -> None:
+    def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
         from filterpy.kalman import KalmanFilter
 
-        self.settings, self.sensors = settings, sensors
-        self.sig = replace(sigmas(sensors.specs), jump_white=settings.jumps[0], jump_markov=settings.jumps[1])
+        self.options, self.sensors = options, sensors
+        self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
+        self.sig = replace(
+            sigmas(sensors.specs), jump_white=options.jump_white_sd, jump_markov=options.jump_markov_sd
+        )
         self.antenna = FRD_OF_FUR.T @ sensors.antenna_b
         lat, lon, h = initial.lla.tolist()
         B = NED_OF_ENU @ rotation.matrix(initial.q_nb) @ FRD_OF_FUR
@@ -795,7 +682,7 @@ class _Flight:
         P[np.arange(9, SIZE), np.arange(9, SIZE)] = np.square(rest)
         P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
         P[9:15, :9] = P[:9, 9:15].T
-        self.floor = settings.floor**2 * np.diag(P)
+        self.floor = options.floor**2 * np.diag(P)
         self.kf: Any = KalmanFilter(dim_x=SIZE, dim_z=7)
         self.kf.P = P
         self.scale = (east, north)  # of the reduced Markov states
@@ -837,7 +724,7 @@ class _Flight:
         earth = ellipsoid(self.start.lat, self.start.h)
         mean = replace(self.start, B=self.B_sum / T)
         a = self.dv_sum / T
-        if self.settings.discretization == "euler":
+        if self.options.discretization == "euler":
             Phi, G = model(mean, earth, a, self.sig, T)
             Q = G @ G.T
         else:
@@ -884,19 +771,19 @@ class _Flight:
                 use += _ROWS[name]
         if fix_row is not None and baro_row is not None:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
-            if ratio > self.settings.monitor_sigmas:
+            if ratio > self.options.monitor_sigmas:
                 text = f"barometer and GNSS height differ by {ratio:.1f} sigma"
                 self.events.append((now, now, "integrity", text))
         use.sort()
         if not use:
             return
-        if self.settings.rows == 8 and len(use) == 7:
+        if self.options.rows == 8 and len(use) == 7:
             use = list(range(8))
             self.kf.inv = pseudo_inverse
-        if self.settings.form == "joseph":
+        if self.options.form == "joseph":
             self.kf.update(Y[use, None], R=R[np.ix_(use, use)], H=H[use])  # A-5.4.5
         else:
-            step = square_root.potter if self.settings.form == "potter" else square_root.carlson
+            step = square_root.potter if self.options.form == "potter" else square_root.carlson
             x, root = self.kf.x[:, 0], square_root.upper_root(self.kf.P)
             for k in use:
                 x, root = step(x, root, H[k], float(Y[k]), float(R[k, k]))
@@ -944,13 +831,13 @@ class _Flight:
 
         S and PH are those before any of an instant is used; the compiled filter uses one after the other.
         """
-        rows, settings = _ROWS[name], self.settings
+        rows, options = _ROWS[name], self.options
         y, S = y[rows], S[np.ix_(rows, rows)]
         value = nis(y, S)
         failed = [
-            test for test in settings.integrity if self._fails(test, now, name, apart[rows], y, S, value)
+            test for test in options.integrity if self._fails(test, now, name, apart[rows], y, S, value)
         ]
-        readmitted = bool(failed) and self.misses[name] >= settings.readmit_after
+        readmitted = bool(failed) and self.misses[name] >= options.readmit_after
         use = not failed or readmitted
         if readmitted:
             earth = ellipsoid(self.nav.lat, self.nav.h)
@@ -976,11 +863,11 @@ class _Flight:
     def _fails(
         self, test: str, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, value: float
     ) -> bool:
-        settings = self.settings
+        options = self.options
         if test == "nis":
-            return value > settings.gates[name]
+            return value > self.gates[name]
         if test == "trace":
-            return trace_ratio(y, S) > settings.trace_limit
+            return trace_ratio(y, S) > options.trace_limit
         if name not in self.accepted:  # no fix to carry on yet, or the barometer
             return False
         at, offset = self.accepted[name]
@@ -992,8 +879,8 @@ class _Flight:
             now - at,
             sd,
             order=2 if name == "gnss_position" else 1,
-            max_acceleration=settings.max_acceleration,
-            sigmas=settings.tolerance_sigmas,
+            max_acceleration=options.max_acceleration,
+            sigmas=options.tolerance_sigmas,
         )
         return bool((np.abs(apart - offset) > bound).any())
 
@@ -1007,8 +894,8 @@ class _Flight:
 
     def _correct(self, now: float) -> None:
         """Feed the estimate back when it is due (A-5.4.8, A-5.4.9, A-5.4.11)."""
-        settings = self.settings
-        if not settings.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
+        options = self.options
+        if not options.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
             return
         x = self.kf.x[:, 0]
         self.nav = corrected(self.nav, x)
@@ -1016,12 +903,11 @@ class _Flight:
         self.eps = self.eps + x[9:12]
         self.da = self.da + x[12:15]
         self.kf.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 and P are kept
-        period = settings.correction_period
+        period = options.correction_period
         if isinstance(period, str):
             spread = 3.0 * np.sqrt(np.diag(self.kf.P))
-            period = correction_period(
-                settings.admissible, spread[6:9].max(), spread[9:12].max(), spread[12:15].max()
-            )
+            attitude, gyro, accel = (spread[first : first + 3].max() for first in (6, 9, 12))
+            period = correction_period(math.radians(options.admissible_deg), attitude, gyro, accel)
         self.next_correction = now + period
 
     # -- the answer

@@ -6,7 +6,7 @@ import importlib
 import inspect
 import pickle
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +14,17 @@ import numpy as np
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
+from bench.navigation.options import (
+    ClassicOptions,
+    FusionOptions,
+    GnssOnlyOptions,
+    Options,
+    SmootherOptions,
+    TightOptions,
+    UnscentedOptions,
+    wrong_options,
+)
+from bench.wording import as_toml, suggest
 
 
 class Estimator(Protocol):
@@ -34,59 +45,79 @@ class Estimator(Protocol):
         ...
 
 
-BUILT_IN: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
-    "loose-15": (
-        "INS/GNSS/baro, 15 states and a baro bias",
-        "bench.navigation.fusion:Loose",
-        {"gnss_markov": False},
+@dataclass(frozen=True, slots=True)
+class BuiltIn:
+    """A built-in estimator."""
+
+    title: str
+    place: str  # "module:Class"
+    options: type[Options]
+    fixed: Mapping[str, Any]  # options that make it what it is
+
+    def wrong(self, given: Mapping[str, Any]) -> list[str]:
+        """Return a line for each option of a profile that is wrong."""
+        clash = sorted(set(self.fixed) & set(given))
+        return [
+            *(f"option {name!r} is fixed to {as_toml(self.fixed[name])}; leave it out" for name in clash),
+            *wrong_options(self.options, {k: v for k, v in given.items() if k not in clash}, self.fixed),
+        ]
+
+
+_LOOSE = "bench.navigation.fusion:Loose"
+
+BUILT_IN: Mapping[str, BuiltIn] = {
+    "loose-15": BuiltIn(
+        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, FusionOptions, {"gnss_markov": False}
     ),
-    "loose-22": (
-        "the same with GNSS Markov errors, 22 states",
-        "bench.navigation.fusion:Loose",
-        {"gnss_markov": True},
+    "loose-22": BuiltIn(
+        "the same with GNSS Markov errors, 22 states", _LOOSE, FusionOptions, {"gnss_markov": True}
     ),
-    "loose-mems": (
+    "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
-        "bench.navigation.fusion:Loose",
+        _LOOSE,
+        FusionOptions,
         {"gnss_markov": True, "mems": True},
     ),
-    "tight": (
+    "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
         "bench.navigation.fusion:Tight",
+        TightOptions,
         {"gnss_markov": False},
     ),
-    "smoother": (
+    "smoother": BuiltIn(
         "loose-15 and a pass back over its record",
         "bench.navigation.smoother:Smoother",
+        SmootherOptions,
         {"gnss": True, "gnss_markov": False},
     ),
-    "baro-inertial": (
-        "IMU and barometer",
-        "bench.navigation.fusion:Loose",
-        {"gnss": False, "gnss_markov": False},
+    "baro-inertial": BuiltIn(
+        "IMU and barometer", _LOOSE, FusionOptions, {"gnss": False, "gnss_markov": False}
     ),
-    "free-inertial": (
+    "free-inertial": BuiltIn(
         "IMU alone, with its open-loop covariance",
-        "bench.navigation.fusion:Loose",
+        _LOOSE,
+        FusionOptions,
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
-    "gnss-only": (
+    "gnss-only": BuiltIn(
         "position and velocity from the fixes, without IMU",
         "bench.navigation.gnss_only:GnssOnly",
+        GnssOnlyOptions,
         {},
     ),
-    "ukf": (
+    "ukf": BuiltIn(
         "the states of loose-15 by sigma points, slow",
         "bench.navigation.unscented:Unscented",
+        UnscentedOptions,
         {},
     ),
-    "classic-22": (
+    "classic-22": BuiltIn(
         "the source's 22 states step by step, slow: the oracle of loose-22",
         "bench.navigation.classic:Classic22",
+        ClassicOptions,
         {},
     ),
 }
-"""Name -> (what it is, "module:Class", options that make it so)."""
 
 
 RECORDS: Mapping[str, str] = {
@@ -103,16 +134,13 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
     Raises
     ------
     EstimatorError
-        When there is no such estimator or it refuses its options, in one line. An error inside a user's
+        If there is no such estimator or an option is wrong, one message each. An error inside a user's
         module on import keeps its traceback.
     """
     if use in BUILT_IN:
-        _, place, fixed = BUILT_IN[use]
-        clash = sorted(set(fixed) & set(options))
-        if clash:
-            raise EstimatorError(
-                f"estimator {use!r}: option {clash[0]!r} is what makes it {use}; leave it out"
-            )
+        place, fixed = BUILT_IN[use].place, BUILT_IN[use].fixed
+        if wrong := BUILT_IN[use].wrong(options):
+            raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
     elif all(part.isidentifier() for part in use.replace(":", ".", 1).split(".")) and ":" in use:
         place, fixed = use, {}
     else:
@@ -129,32 +157,25 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         raise EstimatorError(
             f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
         )
-    return construct(use, factory, options, fixed)
+    return construct(use, factory, {**fixed, **options})
 
 
-def construct(
-    use: str,
-    factory: Callable[..., Estimator],
-    options: Mapping[str, Any],
-    fixed: Mapping[str, Any] | None = None,
-) -> Estimator:
+def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
     """Build an estimator from the keywords it takes.
 
     Raises
     ------
     EstimatorError
-        When it has no such option or refuses one, in one line.
+        If it has no such option or refuses one.
     """
-    fixed = fixed or {}
-    keywords = {**fixed, **options}
     known = inspect.signature(factory).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in known.values())
-    unknown = sorted(set(keywords) - set(known))
+    unknown = sorted(set(options) - set(known))
     if unknown and not open_ended:
-        offered = ", ".join(name for name in known if name not in fixed) or "none"
-        raise EstimatorError(f"estimator {use!r}: unknown option {unknown[0]!r}; known options: {offered}")
+        what = f"estimator {use!r}: unknown option"
+        raise EstimatorError(*(f"{what} {name!r}{suggest(name, known, 'options')}" for name in unknown))
     try:
-        return factory(**keywords)
+        return factory(**options)
     except (ValueError, TypeError) as error:
         raise EstimatorError(f"estimator {use!r}: {error}") from error
 

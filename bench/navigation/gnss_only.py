@@ -12,6 +12,8 @@ valid at, so that latency costs nothing but a longer way to the output.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from bench import earth
@@ -22,7 +24,7 @@ from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import LATENCY, fix_errors, fix_variance
-from bench.navigation.options import is_count, is_number
+from bench.navigation.options import GnssOnlyOptions, read_options
 from bench.navigation.unmodelled import remaining
 from bench.specs import AssumedSpecs
 
@@ -35,37 +37,13 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 class GnssOnly:
     """A Kalman filter over the fixes of a receiver.
 
-    Parameters
-    ----------
-    acceleration : float
-        Standard deviation of the acceleration along each axis [m/s^2].
-    correlation_s : float
-        How long a manoeuvre lasts [s].
-    gate_probability : float
-        Chance of refusing a sound sub-vector of a matched filter, (0, 1).
-    readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
+    Options: `bench.navigation.options.GnssOnlyOptions`.
     """
 
     needs = ("fixes",)
 
-    def __init__(
-        self,
-        *,
-        acceleration: float = 3.0,
-        correlation_s: float = 10.0,
-        gate_probability: float = 1e-5,
-        readmit_after: int = 10,
-    ) -> None:
-        for name, value in (("acceleration", acceleration), ("correlation_s", correlation_s)):
-            if not (is_number(value) and 0 < value < np.inf):
-                raise ValueError(f"{name} = {value!r} must be a positive number")
-        if not (is_number(gate_probability) and 0 < gate_probability < 1):
-            raise ValueError(f"gate_probability = {gate_probability!r} must lie between 0 and 1")
-        if not is_count(readmit_after):
-            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
-        self.acceleration, self.correlation_s = acceleration, correlation_s
-        self.gate, self.readmit_after = nis_limit(3, gate_probability), readmit_after
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(GnssOnlyOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity and their covariance; attitude and sensor errors are NaN.
@@ -78,7 +56,7 @@ class GnssOnly:
             When the receiver has no assumed spec.
         """
         fixes, told = sensors.fixes, initial.alignment == "given"
-        track = _Track(self, initial) if told else None
+        track = _Track(self.options, initial) if told else None
         used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[tuple[float, float, str, str]]()
         r = np.zeros(6)
         if fixes is not None:
@@ -94,7 +72,9 @@ class GnssOnly:
                 assert fixes is not None
                 row = used[next_fix]
                 if track is None:
-                    track = _Track(self, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row])))
+                    track = _Track(
+                        self.options, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row]))
+                    )
                     moving = np.isfinite(fixes.vel_n[row]).all()
                     told_by = "position and velocity" if moving else "position"
                     text = f"{told_by} of the first fix; attitude is not estimated"
@@ -169,18 +149,19 @@ def singer(T: float, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
 class _Track:
     """The filter at the instant of its last fix."""
 
-    def __init__(self, settings: GnssOnly, start: InitialState) -> None:
-        self.settings, self.t = settings, start.t
+    def __init__(self, options: GnssOnlyOptions, start: InitialState) -> None:
+        self.options, self.t = options, start.t
+        self.gate = nis_limit(3, options.gate_probability)
         self.lla, self.vel, self.acc = start.lla, start.vel_n, np.zeros(3)
         self.P = np.zeros((9, 9))
         self.P[:6, :6] = start.cov[:6, :6]
-        self.P[6:, 6:] = settings.acceleration**2 * np.eye(3)
+        self.P[6:, 6:] = options.acceleration**2 * np.eye(3)
         self.misses = [0, 0]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
 
     def at(self, t: float) -> tuple[FloatArray, FloatArray]:
         """Return the state (9,) and P (9, 9) carried to an instant [s]."""
-        Phi, Q = singer(t - self.t, self.settings.acceleration, self.settings.correlation_s)
+        Phi, Q = singer(t - self.t, self.options.acceleration, self.options.correlation_s)
         way = self.vel * Phi[0, 1] + self.acc * Phi[0, 2]
         state = [earth.displace(self.lla, way), self.vel + self.acc * Phi[1, 2], self.acc * Phi[2, 2]]
         whole = np.kron(Phi, np.eye(3))
@@ -201,8 +182,8 @@ class _Track:
             R = np.diag(r[rows])
             S = self.P[rows, rows] + R
             value = nis(y, S)
-            sound = value <= self.settings.gate
-            if not sound and self.misses[code] >= self.settings.readmit_after:
+            sound = value <= self.gate
+            if not sound and self.misses[code] >= self.options.readmit_after:
                 x = self.P[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
                 self.P += np.outer(x, x)
                 self.P[rows, rows] += np.diag(y**2)

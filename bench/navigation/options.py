@@ -1,27 +1,281 @@
-"""What an option of an estimator, a value of TOML, may be."""
+"""The options of the built-in estimators: each declared once, with its limits, default and a line of words.
+
+A constructor and a profile are checked against the same model; an option of a profile is wrong before the
+flight. Adding an option is a field here and its use in the estimator.
+"""
 
 from __future__ import annotations
 
-from typing import TypeGuard
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from bench.wording import as_toml, complaint, suggest
 
 
-def is_number(value: object) -> TypeGuard[float]:
-    """Say whether a value is a number; true and false are none.
+def _limited(holds: Any, words: str) -> AfterValidator:
+    def check(value: Any) -> Any:
+        if not holds(value):
+            raise PydanticCustomError("message", "{words}", {"words": words})
+        return value
 
-    Examples
-    --------
-    >>> is_number(2), is_number(0.5), is_number(True), is_number("2")
-    (True, True, False, False)
+    return AfterValidator(check)
+
+
+def _period(value: object) -> object:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "auto" and not (number and 0 <= float(value) < float("inf")):  # type: ignore[arg-type]
+        raise PydanticCustomError("message", "must be 0 or more, or 'auto'")
+    return value
+
+
+Positive = Annotated[float, _limited(lambda x: x > 0, "must be positive")]
+NotNegative = Annotated[float, _limited(lambda x: x >= 0, "must not be negative")]
+Probability = Annotated[float, _limited(lambda x: 0 < x < 1, "must lie between 0 and 1")]
+Count = Annotated[int, _limited(lambda n: n >= 1, "must be at least 1")]
+_LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+Tests = Annotated[tuple[Literal["nis", "trace", "tolerance"], ...], _LIST]
+Spread = Annotated[tuple[NotNegative, NotNegative, NotNegative], _LIST]
+
+
+class Options(BaseModel):
+    """What an estimator can be told: no unknown name, no guessed type, no NaN, no infinity."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class FusionOptions(Options):
+    """Options of the compiled filters."""
+
+    gnss: bool = True
+    """Use GNSS."""
+    baro: bool = True
+    """Use the barometer; without it and GNSS the IMU alone navigates, with its open-loop covariance."""
+    covariance_hz: Positive | None = None
+    """Rate of the covariance step [Hz]; left out: at every IMU sample."""
+    gate_probability: Probability = 1e-5
+    """Chance of refusing a sound sub-vector of a matched filter."""
+    readmit_after: Count = 10
+    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7); every
+    satellite counts for itself."""
+    integrity: Tests = ("nis",)
+    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
+    fixes the distance from the INS since the last one used (A-5.4.T)."""
+    trace_ratio: Positive = 10.0
+    """Limit of "trace", delta of A-5.4.7."""
+    max_acceleration: Positive = 20.0
+    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
+    tolerance_sigmas: Positive = 5.0
+    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
+    gnss_markov: bool = False
+    """Estimate the Markov part of the GNSS errors in six states: with all aiding the 22 states of A-5.4.1;
+    loose coupling only."""
+    mems: bool = False
+    """Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9)."""
+    compensate_latency: bool = True
+    """Compare a measurement with the state at its validity, else with that at its arrival."""
+    adaptive_noise: Count | None = None
+    """Measurements over which the variance of a sensor is taken from its innovations; left out: the
+    datasheet's."""
+    standstill: bool = False
+    """Zero velocity and zero rate while the IMU stands still."""
+    lever_arm_sd: NotNegative = 0.0
+    """How well each component of the antenna's place is known [m]; above 0 it is estimated."""
+    airspeed: bool = False
+    """Use true airspeed, with the wind as two states."""
+    magnetometer: bool = False
+    """Use the direction and size of the magnetic field."""
+
+    @property
+    def tight(self) -> bool:
+        """Whether GNSS is used by satellite."""
+        return False
+
+    @model_validator(mode="after")
+    def _across(self) -> FusionOptions:
+        wrong = []
+        if self.gnss_markov and not self.gnss:
+            wrong.append("gnss_markov = true needs gnss = true: the states are errors of its fixes")
+        if self.gnss_markov and self.tight:
+            wrong.append("gnss_markov = true needs fixes: tight coupling uses none")
+        if self.lever_arm_sd > 0 and not self.gnss:
+            wrong.append(
+                f"lever_arm_sd = {self.lever_arm_sd:g} needs gnss = true: only its antenna has an arm"
+            )
+        return _whole(self, wrong)
+
+
+class TightOptions(FusionOptions):
+    """Options of tight coupling."""
+
+    @property
+    def tight(self) -> bool:
+        """Whether GNSS is used by satellite."""
+        return True
+
+
+class SmootherOptions(FusionOptions):
+    """Options of the smoother: which filter runs forward, and the options of that."""
+
+    over: Literal["loose", "tight"] = "loose"
+    """The forward filter."""
+    covariance_hz: Positive | None = 20.0
+    """Rate of the covariance step [Hz]; from Python, None: at every IMU sample."""
+
+    @property
+    def tight(self) -> bool:
+        """Whether GNSS is used by satellite."""
+        return self.over == "tight"
+
+
+class GnssOnlyOptions(Options):
+    """Options of the filter without IMU."""
+
+    acceleration: Positive = 3.0
+    """Standard deviation of the acceleration along each axis [m/s^2]."""
+    correlation_s: Positive = 10.0
+    """How long a manoeuvre lasts [s]."""
+    gate_probability: Probability = 1e-5
+    """Chance of refusing a sound sub-vector of a matched filter."""
+    readmit_after: Count = 10
+    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
+
+
+class UnscentedOptions(Options):
+    """Options of the filter by sigma points."""
+
+    gnss: bool = True
+    """Use GNSS."""
+    baro: bool = True
+    """Use the barometer."""
+    covariance_hz: Positive = 10.0
+    """Rate of the steps [Hz]; a measurement or an output takes one at once."""
+    gate_probability: Probability = 1e-5
+    """Chance of refusing a sound sub-vector of a matched filter."""
+    readmit_after: Count = 10
+    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
+    spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "must lie above 0 and not above 1")] = 0.5
+    """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
+    states."""
+
+
+class ClassicOptions(Options):
+    """Options of the source's filter."""
+
+    covariance_hz: Positive = 20.0
+    """Rate of (5.4.4) between measurements [Hz]; F takes the mean attitude and specific force of a step."""
+    discretization: Literal["van-loan", "euler"] = "van-loan"
+    """Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D)."""
+    rows: Literal[7, 8] = 7
+    """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its pseudo-
+    inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the 7."""
+    form: Literal["joseph", "potter", "carlson"] = "joseph"
+    """Form of (5.4.5): Joseph's with all rows at once, or a square root of P a row at a time; the answer is
+    the same."""
+    floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "must be at least 0 and below 1")] = 0.0
+    """No standard deviation falls below this part of its value at the start (A-5.4.F); 0: no floor."""
+    integrity: Tests = ("nis",)
+    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
+    fixes the distance from the INS since the last one used (A-5.4.T)."""
+    gate_probability: Probability = 1e-5
+    """Chance of refusing a sound sub-vector of a matched filter."""
+    trace_limit: Positive = 10.0
+    """Largest ratio of "trace"; the source asks for 10 or more."""
+    max_acceleration: Positive = 20.0
+    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
+    tolerance_sigmas: Positive = 5.0
+    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
+    readmit_after: Count = 10
+    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
+    monitor_sigmas: Positive = 5.0
+    """Difference of barometer and GNSS height, over its standard deviation, that is reported (row 8 of
+    A-5.4.3)."""
+    feedback: bool = True
+    """Correct the navigator (closed loop), or its output only (open loop, B-20 to B-22)."""
+    correction_period: Annotated[float | Literal["auto"], BeforeValidator(_period)] = 0.0
+    """Shortest time between two corrections [s], 0: after every update; "auto": until the attitude error
+    could reach admissible_deg by (A-5.4.10) with three standard deviations of P."""
+    admissible_deg: Positive = 1.0
+    """Attitude error that "auto" keeps below [deg]."""
+    jump_white_sd: Spread = (0.0, 0.0, 0.0)
+    """Spread of the jump of a fix when the number of satellites changes: horizontal [m, each axis], height
+    [m], velocity [m/s, each axis] (A-5.2.1)."""
+    jump_markov_sd: Spread = (0.0, 0.0, 0.0)
+    """The same of the Markov part of the fixes (A-5.2.2)."""
+
+    @model_validator(mode="after")
+    def _across(self) -> ClassicOptions:
+        wrong = []
+        if self.form != "joseph" and self.rows == 8:
+            wrong.append(f"form = {self.form!r} needs rows = 7: the noise of eight rows is not independent")
+        if not self.feedback and self.correction_period != 0:
+            wrong.append("correction_period needs feedback = true: without it there is no correction")
+        return _whole(self, wrong)
+
+
+_O = TypeVar("_O", bound=Options)
+
+
+def _whole(options: _O, wrong: list[str]) -> _O:
+    """Return options whose fields are right one by one, or refuse what does not hold between them."""
+    if wrong:
+        raise PydanticCustomError("whole", "{words}", {"words": "; ".join(wrong)})
+    return options
+
+
+def read_options(model: type[_O], given: Mapping[str, Any]) -> _O:
+    """Return the options of an estimator, checked.
+
+    Raises
+    ------
+    ValueError
+        One line for each that is wrong.
     """
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    try:
+        return model(**given)
+    except ValidationError as error:
+        raise ValueError("\n".join(_lines(model, error, {}))) from None
 
 
-def is_count(value: object) -> bool:
-    """Say whether a value is a whole number, 1 or more.
+def wrong_options(model: type[Options], given: Mapping[str, Any], fixed: Mapping[str, Any]) -> list[str]:
+    """Return a line for each option that is wrong, beside those that are ``fixed``; empty if none is."""
+    try:
+        model(**{**given, **fixed})
+    except ValidationError as error:
+        return _lines(model, error, fixed)
+    return []
 
-    Examples
-    --------
-    >>> is_count(2), is_count(3.0), is_count(0), is_count(1.5), is_count(float("inf")), is_count(True)
-    (True, True, False, False, False, False)
-    """
-    return is_number(value) and float(value).is_integer() and value >= 1
+
+def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for detail in error.errors(include_url=False):
+        kind, place, value = detail["type"], detail["loc"], detail["input"]
+        key = "".join(f"[{part}]" if isinstance(part, int) else part for part in place)
+        if kind == "extra_forbidden":
+            known = [name for name in model.model_fields if name not in fixed]
+            lines.append(f"unknown option {key!r}{suggest(key, known, 'options')}")
+        elif kind == "whole":
+            lines.append(detail["msg"])
+        else:
+            lines.append(complaint(key, value, kind, detail["msg"], detail.get("ctx", {})))
+    return lines
+
+
+def described(model: type[Options]) -> list[tuple[str, str, str]]:
+    """Return name, default and words of each option; a dash is the default of one that is left out."""
+    rows = []
+    for name, field in model.model_fields.items():
+        default = "-" if field.default is None else as_toml(field.default)
+        rows.append((name, default, " ".join((field.description or "").split())))
+    return rows

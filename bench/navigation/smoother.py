@@ -23,6 +23,7 @@ from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation.error_state import CORE, PHI, POS, VEL
 from bench.navigation.forward import Nodes, solution
 from bench.navigation.fusion import Loose, Tight
+from bench.navigation.options import SmootherOptions, read_options
 from bench.specs import AssumedSpecs
 
 
@@ -31,19 +32,13 @@ class Smoother:
 
     Innovations and events are those of the forward run.
 
-    Parameters
-    ----------
-    over : "loose" or "tight"
-        The forward filter.
-    covariance_hz : float or None
-        As the rest of the options, of `bench.navigation.fusion.Fusion`.
+    Options: `bench.navigation.options.SmootherOptions`, those of the forward filter among them.
     """
 
-    def __init__(self, *, over: str = "loose", covariance_hz: float | None = 20.0, **options: Any) -> None:
-        if over not in ("loose", "tight"):
-            raise ValueError(f"over = {over!r} must be 'loose' or 'tight'")
-        filter_ = Tight if over == "tight" else Loose
-        self.filter = filter_(covariance_hz=covariance_hz, **options)
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(SmootherOptions, options)
+        forward = Tight if self.options.tight else Loose
+        self.filter = forward(**self.options.model_dump(exclude={"over"}))
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate with all measurements of the record, those after an instant too.

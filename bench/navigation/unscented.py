@@ -29,7 +29,7 @@ from bench.navigation.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
-from bench.navigation.options import is_count, is_number
+from bench.navigation.options import UnscentedOptions, read_options
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
@@ -61,49 +61,13 @@ def _carry_kernel(
 
 
 class Unscented:
-    """Loosely coupled INS/GNSS/baro by sigma points; options as for `bench.navigation.fusion.Loose`.
+    """Loosely coupled INS/GNSS/baro by sigma points.
 
-    Parameters
-    ----------
-    gnss, baro : bool
-        Which aiding to use.
-    covariance_hz : float
-        Rate of the steps; a measurement or an output takes one at once.
-    gate_probability : float
-        Chance of refusing a sound sub-vector of a matched filter, (0, 1).
-    readmit_after : int
-        Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7).
-    spread : float
-        How far the sigma points are drawn, in units of sqrt(n) standard deviations, (0, 1]: two standard
-        deviations of the 16 states by default.
+    Options: `bench.navigation.options.UnscentedOptions`.
     """
 
-    def __init__(
-        self,
-        *,
-        gnss: bool = True,
-        baro: bool = True,
-        covariance_hz: float = 10.0,
-        gate_probability: float = 1e-5,
-        readmit_after: int = 10,
-        spread: float = 0.5,
-    ) -> None:
-        for name, value in (("gnss", gnss), ("baro", baro)):
-            if not isinstance(value, bool):
-                raise ValueError(f"{name} = {value!r} must be true or false")
-        for name, number, top in (
-            ("covariance_hz", covariance_hz, np.inf),
-            ("gate_probability", gate_probability, 1.0),
-        ):
-            if not (is_number(number) and 0 < number < top):
-                wanted = "positive" if top == np.inf else "between 0 and 1"
-                raise ValueError(f"{name} = {number!r} must be {wanted}")
-        if not is_count(readmit_after):
-            raise ValueError(f"readmit_after = {readmit_after!r} must be a whole number, at least 1")
-        if not (is_number(spread) and 0 < spread <= 1):
-            raise ValueError(f"spread = {spread!r} must lie above 0 and not above 1")
-        self.gnss, self.baro, self.covariance_hz = gnss, baro, covariance_hz
-        self.gate_probability, self.readmit_after, self.spread = gate_probability, readmit_after, spread
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(UnscentedOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance.
@@ -130,11 +94,11 @@ class Unscented:
         for step, *what in entries.tolist():
             todo.setdefault(step, []).append(what)
 
-        flight = _Flight(self, model, initial)
+        flight = _Flight(self.options, model, initial)
         out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
         waiting = iter(agenda.outputs.tolist())
-        interval = (1.0 - 1e-6) / self.covariance_hz
+        interval = (1.0 - 1e-6) / self.options.covariance_hz
         done, covered = -1, initial.t
         for k in range(-1, len(steps.t)):
             if k not in todo and (k < 0 or steps.t[k] - covered < interval):
@@ -178,7 +142,7 @@ class Unscented:
         return unmodelled(specs, self._aiding(), ())
 
     def _aiding(self) -> list[AidingSensor]:
-        return [FIXES] * self.gnss + [BARO] * self.baro
+        return [FIXES] * self.options.gnss + [BARO] * self.options.baro
 
 
 @dataclass
@@ -193,13 +157,13 @@ class _Points:
 class _Flight:
     """The estimate and its covariance over one record."""
 
-    def __init__(self, settings: Unscented, model: StateModel, initial: InitialState) -> None:
-        self.settings, self.model = settings, model
+    def __init__(self, options: UnscentedOptions, model: StateModel, initial: InitialState) -> None:
+        self.options, self.model = options, model
         self.nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
         self.rest = np.zeros(model.layout.size - 9)  # biases and what comes after them
         self.P = model.P.copy()
         self.before = np.zeros(7)
-        self.gates = {m: nis_limit(m, settings.gate_probability) for m in (1, 3)}
+        self.gates = {m: nis_limit(m, options.gate_probability) for m in (1, 3)}
         self.misses = [0, 0, 0]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
@@ -211,7 +175,7 @@ class _Flight:
         if family is None:
             from filterpy.kalman import MerweScaledSigmaPoints
 
-            a = self.settings.spread
+            a = self.options.spread
             beta = max(2.0, (1.0 / a - a) ** 2)  # the least with which no covariance can turn indefinite
             family = MerweScaledSigmaPoints(len(live), alpha=a, beta=beta, kappa=0.0, sqrt_method=_root)
             self.families[len(live)] = family
@@ -305,7 +269,7 @@ class _Flight:
         y, S, K = self._expect(measure, r)
         value = nis(y, S)
         sound = value <= self.gates[len(r)]
-        use = sound or self.misses[code] >= self.settings.readmit_after
+        use = sound or self.misses[code] >= self.options.readmit_after
         self.misses[code] = 0 if use else self.misses[code] + 1
         for i in range(len(r)):
             self.innovations.append((t, code, i, -y[i], S[i, i], value, use))

@@ -18,6 +18,8 @@ from bench.config.library import CatalogEntry, KeyEntry
 from bench.data import NavSolution, RunResult
 from bench.evaluation.errors import FAILED
 from bench.evaluation.metrics import metric_of
+from bench.navigation.estimator import BUILT_IN
+from bench.navigation.options import Options, described
 from bench.specs import Profile
 
 _DEG = 180 / math.pi
@@ -197,7 +199,7 @@ def choices(console: Console, kind: str | None = None) -> None:
     """Print what `catalog` returns.
 
     Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed; of
-    legs alone their keys.
+    legs alone their keys, of estimators alone their options.
     """
     for name, entries in catalog(kind).items():
         if kind == "legs":
@@ -209,6 +211,8 @@ def choices(console: Console, kind: str | None = None) -> None:
             what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
             rows.append((entry.kind, entry.name, what) if name == "sensors" else (entry.name, what))
         _grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
+    if kind == "estimators":
+        _options(console)
 
 
 def _grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
@@ -232,6 +236,19 @@ def _key_row(key: KeyEntry) -> tuple[str, ...]:
     if key.default is not None:
         default = key.default if isinstance(key.default, str) else f"{key.default:g} {key.unit}"
     return f"{key.name:14}", f"{holds:26}", f"{default:8}", key.words
+
+
+def _options(console: Console) -> None:
+    """Print the options of the built-in estimators, once for those that share them."""
+    owners: dict[type[Options], list[str]] = {}
+    for name, row in BUILT_IN.items():
+        owners.setdefault(row.options, []).append(name)
+    for model, names in owners.items():
+        base = next((one for one in model.__bases__ if one in owners), None)
+        known = described(base) if base else []
+        rows = [option for option in described(model) if option not in known]
+        shared = f": those of {owners[base][0]}{', and' if rows else ''}" if base else ""
+        _grid(console, f"Options of {', '.join(names)}{shared}", rows)
 
 
 def _table(first: str, *others: str) -> Table:

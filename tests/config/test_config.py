@@ -396,7 +396,10 @@ ONE_THING_WRONG = [
         {"initial_error_sd.pos_m": [1, -2, 3]},
         "[initial_error_sd] pos_m[1] = -2 m is outside 0.001 to 10000 m",
     ),
-    ({"estimator.0.options": {"k": INF}}, "[[estimator]] 1: options = { ... } must hold finite numbers,"),
+    (
+        {"estimator.0": {"use": "my.lab:Huber", "options": {"k": INF}}},
+        "[[estimator]] 1: options = { ... } must hold finite numbers,",
+    ),
     ({"estimator.0.use": "los-15"}, "[[estimator]] 1: use = 'los-15' is no built-in estimator. Did you mean"),
     ({"estimator.0.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
     ({"evaluation.output_hz": 7}, "[evaluation] output_hz = 7 Hz must divide rate_hz = 200 Hz"),

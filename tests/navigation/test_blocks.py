@@ -73,4 +73,4 @@ def test_kernels_find_the_blocks_of_a_layout_and_no_others(drawn):
 
 def test_every_sensor_of_the_table_belongs_to_an_option_of_the_filter():
     for sensor in AIDING:
-        assert hasattr(Loose(), sensor.option)
+        assert hasattr(Loose().options, sensor.option)

@@ -293,7 +293,7 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"covariance_hz": 0.0}, "covariance_hz = 0.0 must be a positive number"),
+        ({"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ({"discretization": "exact"}, "discretization = 'exact' must be 'van-loan' or 'euler'"),
         ({"rows": 6}, "rows = 6 must be 7 or 8"),
         ({"form": "qr"}, "form = 'qr' must be 'joseph', 'potter' or 'carlson'"),
@@ -301,29 +301,29 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
             {"form": "potter", "rows": 8},
             "form = 'potter' needs rows = 7: the noise of eight rows is not indep",
         ),
-        ({"floor": 1.5}, "floor = 1.5 must lie in 0 to 1"),
-        ({"integrity": "nis"}, "integrity = 'nis' must be a list of 'nis', 'trace', 'tolerance'"),
-        ({"integrity": ["chi"]}, "must be a list of 'nis', 'trace', 'tolerance'"),
-        ({"gate_probability": 0.0}, "gate_probability = 0.0 must lie between 0 and 1"),
-        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number, at least 1"),
+        ({"floor": 1.5}, "floor = 1.5 must be at least 0 and below 1"),
+        ({"integrity": "nis"}, "integrity = 'nis' must be a list"),
+        ({"integrity": ["chi"]}, "integrity[0] = 'chi' must be 'nis', 'trace' or 'tolerance'"),
+        ({"gate_probability": 0.0}, "gate_probability = 0 must lie between 0 and 1"),
+        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number"),
         ({"feedback": 1}, "feedback = 1 must be true or false"),
-        ({"correction_period": -1.0}, "correction_period = -1.0 must be 0 or more, or 'auto'"),
+        ({"correction_period": -1.0}, "correction_period = -1 must be 0 or more, or 'auto'"),
         ({"correction_period": "soon"}, "correction_period = 'soon' must be 0 or more, or 'auto'"),
-        ({"feedback": False, "correction_period": 5.0}, "correction_period needs feedback = True"),
-        ({"jump_white_sd": [1.0]}, "jump_white_sd = [1.0] must be three numbers, 0 or more"),
-        ({"trace_limit": -1}, "trace_limit = -1 must be a positive number"),
-        ({"admissible_deg": True}, "admissible_deg = True must be a positive number"),
+        ({"feedback": False, "correction_period": 5.0}, "correction_period needs feedback = true"),
+        ({"jump_white_sd": [1.0]}, "jump_white_sd[1] = [1] has too few values"),
+        ({"trace_limit": -1}, "trace_limit = -1 must be positive"),
+        ({"admissible_deg": True}, "admissible_deg = true must be a number"),
         (
             {"gate": 3},
-            "unknown option 'gate'; known options: covariance_hz, discretization, rows, form, floor",
+            "unknown option 'gate'\n  known options: admissible_deg, correction_period, covariance",
         ),
+        ({"form_": "qr"}, "unknown option 'form_'. Did you mean 'form'?"),
     ],
 )
-def test_a_wrong_option_says_why_in_one_line(options, message):
+def test_a_wrong_option_says_why(options, message):
     with pytest.raises(EstimatorError) as caught:
         load("classic-22", options)
     assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_it_names_what_it_has_no_room_for():

@@ -354,25 +354,24 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         ("bench.nowhere:Class", {}, "no module 'bench.nowhere' on the Python path"),
         ("bench.data:Nothing", {}, "bench.data has no class 'Nothing' with a method run"),
         ("bench.data:NavSolution", {}, "bench.data has no class 'NavSolution' with a method run"),
-        ("loose-15", {"gate": 1}, "unknown option 'gate'; known options: gnss, baro, covariance_hz, gate_pr"),
-        ("free-inertial", {"gnss": True}, "option 'gnss' is what makes it free-inertial; leave it out"),
+        ("loose-15", {"gate": 1}, "unknown option 'gate'\n  known options: adaptive_noise, airspeed, baro"),
+        ("free-inertial", {"gnss": True}, "option 'gnss' is fixed to false; leave it out"),
         (
             "free-inertial",
             {"gate": 1},
-            "unknown option 'gate'; known options: covariance_hz, gate_probability",
+            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, compensate_latency",
         ),
-        ("loose-15", {"covariance_hz": 0.0}, "covariance_hz = 0.0 must be positive, or left out for every"),
-        ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan must be positive"),
-        ("loose-15", {"covariance_hz": "fast"}, "covariance_hz = 'fast' must be positive, or left out"),
-        ("loose-15", {"gate_probability": 1.0}, "gate_probability = 1.0 must lie between 0 and 1"),
-        ("loose-15", {"readmit_after": 0}, "readmit_after = 0 must be a whole number, at least 1"),
+        ("loose-15", {"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
+        ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan Hz must be a finite number"),
+        ("loose-15", {"covariance_hz": "fast"}, "covariance_hz = 'fast' must be a number"),
+        ("loose-15", {"gate_probability": 1.0}, "gate_probability = 1 must lie between 0 and 1"),
+        ("loose-15", {"readmit_after": 0}, "readmit_after = 0 must be at least 1"),
     ],
 )
-def test_an_estimator_that_cannot_be_built_says_why_in_one_line(use, options, message):
+def test_an_estimator_that_cannot_be_built_says_why(use, options, message):
     with pytest.raises(EstimatorError) as caught:
         load(use, options)
     assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_error_inside_a_users_module_keeps_its_own_kind(tmp_path, monkeypatch):

@@ -215,7 +215,7 @@ def test_an_antenna_that_is_elsewhere_is_found():
         assert np.abs(estimated.extra[-1, at] - told[0]) < 0.2
         assert rms(truth, estimated) < 0.6 * rms(truth, known)
     assert np.mean(found) < 3 * 3.6  # chi-square of 12, 99.9 %: 32.9
-    with pytest.raises(ValueError, match="needs gnss = True"):
+    with pytest.raises(ValueError, match="needs gnss = true"):
         Loose(gnss=False, lever_arm_sd=0.5)
 
 
@@ -407,14 +407,23 @@ def test_each_aiding_names_the_record_it_needs():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"adaptive_noise": 0}, "adaptive_noise = 0 must be a count"),
-        ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1.0 must be a length"),
-        ({"integrity": ["raim"]}, "must be a list of 'nis', 'trace', 'tolerance'"),
-        ({"integrity": "nis"}, "must be a list of"),
-        ({"max_acceleration": 0.0}, "max_acceleration = 0.0 must be positive"),
+        ({"adaptive_noise": 0}, "adaptive_noise = 0 must be at least 1"),
+        ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1 must not be negative"),
+        ({"integrity": ["raim"]}, r"integrity\[0\] = 'raim' must be 'nis', 'trace' or 'tolerance'"),
+        ({"integrity": "nis"}, "integrity = 'nis' must be a list"),
+        ({"max_acceleration": 0.0}, "max_acceleration = 0 must be positive"),
         ({"standstill": 1}, "standstill = 1 must be true or false"),
     ],
 )
 def test_a_wrong_option_is_said_in_one_line(options, message):
     with pytest.raises(ValueError, match=message):
         Loose(**options)
+
+
+def test_all_wrong_options_are_told_at_once():
+    with pytest.raises(ValueError, match="spread") as caught:
+        Loose(mems=1, spread=0.5, readmit_after=0)
+    assert str(caught.value).splitlines()[:2] == [
+        "readmit_after = 0 must be at least 1",
+        "mems = 1 must be true or false",
+    ]

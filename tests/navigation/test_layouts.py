@@ -210,5 +210,5 @@ def test_what_a_layout_has_no_room_for(profile):
 
 
 def test_markov_states_need_their_receiver():
-    with pytest.raises(ValueError, match="gnss_markov = True needs gnss = True"):
+    with pytest.raises(ValueError, match="gnss_markov = true needs gnss = true"):
         Loose(gnss=False, gnss_markov=True)

@@ -377,7 +377,7 @@ def test_tight_needs_a_receiver_with_a_sky(sensed):
     plain_receiver = replace(sensed.data.specs, gnss=replace(MATCHED, sky=None))
     with pytest.raises(ValueError, match=r"has no \[sky\]"):
         Tight().run(replace(sensed.data, specs=plain_receiver), sensed.initial)
-    with pytest.raises(ValueError, match="gnss_markov = True needs fixes"):
+    with pytest.raises(ValueError, match="gnss_markov = true needs fixes"):
         Tight(gnss_markov=True)
 
 

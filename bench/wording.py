@@ -1,0 +1,79 @@
+"""How a wrong value of a file or of an option is described: as it stands in TOML, and what it must be."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from bench.units import unit_of
+
+
+def quantity(key: str, value: object) -> str:
+    """Return ``key = value unit`` as it stands in the file."""
+    text = f"{key} = {as_toml(value)}"
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    unit = unit_of(_name(key)) if is_number else ""
+    return f"{text} {unit}" if unit else text
+
+
+def _name(key: str) -> str:
+    return key.partition("[")[0]  # pos_m[1] is an entry of pos_m
+
+
+def suggest(wrong: str, known: Iterable[str], what: str) -> str:
+    """Return `` Did you mean ...?`` and the list of known names, as the end of a message."""
+    names = sorted(known)
+    near = difflib.get_close_matches(wrong, names, n=1)
+    hint = f". Did you mean {near[0]!r}?" if near else ""
+    return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
+
+
+def complaint(key: str, value: object, kind: str, message: str, context: Mapping[str, Any]) -> str:
+    """Return ``key = value unit`` and what it must be, from what pydantic says of an error."""
+    if kind == "range":
+        unit = unit_of(_name(key))
+        limits = f"{context['low']:g} to {context['high']:g}{' ' + unit if unit else ''}"
+        return f"{quantity(key, value)} is outside {limits}"
+    return f"{quantity(key, value)} {_wanted(kind, message, context)}"
+
+
+def _wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
+    if kind == "message":
+        return message
+    if kind == "literal_error":
+        return f"must be {context['expected']}"
+    if kind == "too_short" or kind == "too_long":
+        few, limit = kind == "too_short", context["min_length" if kind == "too_short" else "max_length"]
+        return f"must have {'at least' if few else 'at most'} {limit} {'entry' if limit == 1 else 'entries'}"
+    if kind == "missing_positional_only_argument" or kind == "missing":
+        return "has too few values"
+    kinds = {
+        "float_type": "a number",
+        "finite_number": "a finite number",
+        "int_type": "a whole number",
+        "int_from_float": "a whole number",
+        "string_type": "a text in quotes",
+        "bool_type": "true or false",
+        "model_type": "a table",
+        "model_attributes_type": "a table",
+        "dict_type": "a table",
+        "tuple_type": "a list",
+        "date_type": "a date, as 2026-01-31",
+    }
+    return f"must be {kinds[kind]}" if kind in kinds else f"is wrong: {message}"
+
+
+def as_toml(value: object) -> str:
+    """Write a value as it could stand in a TOML file, shortened."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, list | tuple):
+        text = f"[{', '.join(as_toml(v) for v in value)}]"
+    elif isinstance(value, Mapping):
+        text = "{ ... }"
+    elif isinstance(value, str | float):
+        text = repr(value).removesuffix(".0")
+    else:
+        text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
