@@ -6,8 +6,10 @@ import gzip
 import inspect
 import io
 import json
+import os
 import re
 import shlex
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -384,6 +386,16 @@ def test_the_list_has_every_page_with_a_line(capsys):
     for topic, about in guide.topics().items():
         assert any(line.split() == [topic, *about.split()] for line in lines), topic
     assert max(map(len, lines)) <= 80
+
+
+def test_the_guide_needs_no_numbers(tmp_path):
+    code = "import sys; from bench.cli import main; main(['guide', 'faults']); print(*sys.modules)"
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "bench.workbench.guide" in loaded
+    assert not loaded & {"numpy", "pydantic", "numba", "pyarrow", "scipy"}
 
 
 @pytest.mark.parametrize("topic", PAGES)
