@@ -1,7 +1,7 @@
 """bench: where an INS/GNSS navigation filter is judged on realistic flights.
 
 JSBSim flies an aircraft through a profile and gives the truth; sensor models
-turn truth into what an IMU, a GNSS receiver, a barometer, a magnetometer and a
+turn truth into what an IMU, a GNSS receiver, a barometer, a magnetometer, a
 pitot tube would have reported; estimators turn the sensors into position, velocity,
 attitude and covariance; the bench says how wrong they were and whether they knew it.
 

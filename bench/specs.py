@@ -458,7 +458,7 @@ class Fault:
     """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
 
     kind: str  # as in the profile
-    sensor: str  # "gnss", "baro", "mag", "airspeed", "imu", "gyro" or "accel"
+    sensor: str  # "gnss", "imu", "gyro", "accel" or the name of an instrument
     start: float  # [s]
     end: float  # [s]
     text: str  # in words, as in the profile

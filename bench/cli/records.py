@@ -333,17 +333,18 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
     """Send the sensors of a run as they would arrive, for a filter in the loop.
 
     RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
-    IMU, barometer, magnetometer and airspeed are binary frames, little-endian:
+    IMU and the other instruments are binary frames, little-endian:
 
     \b
-      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed), length n, uint32 number,
+      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed, 5 radar, 6 odometer),
+      length n, uint32 number,
       n bytes payload: float64 each, then one byte, 1 when valid;
       uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
     \b
       IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
       baro      t [s], altitude [m], sd [m]
       mag       t [s], field x y z [T], sd [T]
-      airspeed  t [s], true airspeed [m/s], sd [m/s]
+      others    t [s], value and its sd: airspeed [m/s], radar [m], odometer [m/s]
 
     A message leaves when it would reach the filter: at its time and the latency of
     its sensor. Only addresses of this machine are taken without --allow-remote.

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from bench.config import brought
+from bench.config import external_truth
 from bench.config.datasheets import SENSORS, absent
 from bench.config.profile_tables import Altitude, Category, Speed
 from bench.config.tables import ROWS, Table, between, checked, read
@@ -139,10 +139,10 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
         table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
         foreign = None
     else:
-        guided = brought.has_guidance(model)
+        guided = external_truth.has_guidance(model)
         kind = _AircraftTable if guided else _ForeignTable
         table = checked(kind, read(folder / "aircraft.toml", shown), shown)
-        foreign = _foreign(table, brought.jsbsim_root(None, beside))
+        foreign = _foreign(table, external_truth.jsbsim_root(None, beside))
     if not model.is_file():
         raise ConfigError(f"{name}/{name}.xml: no such file")
     return _aircraft(table, shown, folder, beside, foreign)
@@ -159,8 +159,8 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
         One message per thing that is missing or wrong.
     """
     name = name.removeprefix(JSBSIM)
-    folder = brought.jsbsim_root(root, beside)
-    known = brought.aircraft_of(folder)
+    folder = external_truth.jsbsim_root(root, beside)
+    known = external_truth.list_root_aircraft(folder)
     if name not in known:
         raise ConfigError(
             f"aircraft = {JSBSIM + name!r} is not in {folder / 'aircraft'}{suggest(name, known, 'aircraft')}"
@@ -245,7 +245,7 @@ def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     Parameters
     ----------
     kind : str
-        "imu", "gnss", "baro", "mag" or "airspeed".
+        "imu", "gnss" or the name of an instrument.
     name : str
         Name in the catalog, or a path ending in ``.toml``, relative to the profile.
     beside : Path

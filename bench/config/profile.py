@@ -12,7 +12,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, cast
 
-from bench.config import brought, checks, fault_tables, leg_checks
+from bench.config import checks, external_truth, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import (
     JSBSIM,
@@ -93,18 +93,20 @@ def load_profile(
     flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(flown_by) > 1:
         raise ConfigError(f"{shown}: {' and '.join(flown_by)}: a profile has only one of them")
-    bring = brought.BRING.get(flown_by[0]) if flown_by else None
-    aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if bring is None else None
+    external = external_truth.EXTERNAL.get(flown_by[0]) if flown_by else None
+    aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if external is None else None
     units = document.get("sensors")
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
-    if units is None and bring is not None:
-        units = bring[0].model_fields["sensors"].default.model_dump()
+    if units is None and external is not None:
+        units = external[0].model_fields["sensors"].default.model_dump()
         on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
     believed = units.get("assumed") if isinstance(units, Mapping) else None
     assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
-        table: ExperimentTable = checked(bring[0] if bring else profile_table(legs.LEGS), document, shown)
+        table: ExperimentTable = checked(
+            external[0] if external else profile_table(legs.LEGS), document, shown
+        )
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
@@ -115,9 +117,9 @@ def load_profile(
         across = leg_checks.legs(table, aircraft) + leg_checks.air(table)
         if not across:
             flight = _flight(table, aircraft)
-    elif bring is not None:
+    elif external is not None:
         with noting(wrong, f"{shown}: "):
-            flight = bring[1](table, beside)
+            flight = external[1](table, beside)
     across += checks.rates(table, on_board) + checks.outages(table) + checks.alignment(table)
     across += checks.units(table, on_board, felt="trajectory" not in document)
     across += fault_tables.wrong(
@@ -295,7 +297,7 @@ def _sensors(
         qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,
         static_port_b=_static_port(aircraft),
         **_ground(table, aircraft),
-        antenna_b=brought.antenna(table) if aircraft is None else aircraft.antenna_b,
+        antenna_b=external_truth.place_antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple((float(start), float(end)) for start, end in outages),
         initial_pos_sd=initial.pos_m,
         initial_vel_sd=initial.vel_mps,

@@ -157,7 +157,7 @@ else:
     )
     """The units on board, each a catalog name or the path of a datasheet."""
     USUAL_UNITS = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
-    """Units of a profile whose truth is brought along, when its file names none."""
+    """Units of a profile with an external truth, when its file names none."""
 
 
 class OutageTable(Table):
@@ -246,8 +246,8 @@ def profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
     return create_model("ProfileTable", __base__=ProfileTable, leg=(leg_rows(legs), ...))
 
 
-class _BroughtTable(ExperimentTable):
-    """A truth that is brought along; the usual units are on board when the file names none."""
+class _ExternalTable(ExperimentTable):
+    """An external truth; the usual units are on board when the file names none."""
 
     sensors: SensorsTable = USUAL_UNITS
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = (
@@ -256,7 +256,7 @@ class _BroughtTable(ExperimentTable):
     antenna: AntennaTable = AntennaTable()
 
 
-class ScriptTable(_BroughtTable):
+class ScriptTable(_ExternalTable):
     """The file of a profile that is a JSBSim script: a name of the jsbsim wheel or a path."""
 
     script: str
@@ -265,7 +265,7 @@ class ScriptTable(_BroughtTable):
     category: Category = Field(default="light", alias="class")
 
 
-class TrajectoryTable(_BroughtTable):
+class TrajectoryTable(_ExternalTable):
     """The file of a profile that is a table of a trajectory."""
 
     trajectory: str

@@ -1,4 +1,4 @@
-"""Truth that is brought along: a JSBSim script, a table, an aircraft that was not made for the bench."""
+"""Truth from outside the bench: a JSBSim script, a trajectory table, an aircraft of another root."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def jsbsim_root(given: str | None, beside: Path) -> Path:
     Raises
     ------
     ConfigError
-        When it is none.
+        When the folder is not a JSBSim root, or the jsbsim package is not installed.
     """
     if given is None:
         found = find_spec("jsbsim")
@@ -40,27 +40,27 @@ def jsbsim_root(given: str | None, beside: Path) -> Path:
     return root
 
 
-def aircraft_of(root: Path) -> list[str]:
+def list_root_aircraft(root: Path) -> list[str]:
     """Return the names of the aircraft of a JSBSim root."""
     return sorted(path.parent.name for path in root.glob("aircraft/*/*.xml") if path.stem == path.parent.name)
 
 
 def has_guidance(model: Path) -> bool:
-    """Say whether a model has the guidance system of the bench; what cannot be read is said in flight."""
+    """Return whether a model has the guidance system of the bench; an unreadable model has none."""
     try:
         return "guidance" in system_files(model)
     except FlightError:
         return False
 
 
-def antenna(table: ExperimentTable) -> tuple[float, float, float]:
+def place_antenna(table: ExperimentTable) -> tuple[float, float, float]:
     """Return the GNSS antenna of a profile without an aircraft of the bench [m], b."""
     assert isinstance(table, ScriptTable | TrajectoryTable)
     place = table.antenna
     return (float(place.forward_m), float(place.right_m), float(place.down_m))
 
 
-def _script(table: ExperimentTable, beside: Path) -> ScriptSpec:
+def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     assert isinstance(table, ScriptTable)
     name = table.script
     if table.duration_s is not None and table.duration_s > LONGEST:
@@ -105,7 +105,7 @@ def _script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     )
 
 
-def _trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
+def _read_trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
     assert isinstance(table, TrajectoryTable)
     path = beside / table.trajectory
     if path.suffix.lower() not in _TABLES:
@@ -116,8 +116,8 @@ def _trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
     return TableSpec(name=path.stem, path=path.resolve(), rate=float(table.rate_hz), duration=duration)
 
 
-BRING: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, Path], Flight]]] = {
-    "script": (ScriptTable, _script),
-    "trajectory": (TrajectoryTable, _trajectory),
+EXTERNAL: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, Path], Flight]]] = {
+    "script": (ScriptTable, _read_script),
+    "trajectory": (TrajectoryTable, _read_trajectory),
 }
-"""Key of a profile -> the table of its file, and what makes a flight of it."""
+"""Key of a profile -> the table of its file, and the function that reads its flight."""
