@@ -7,29 +7,29 @@ import math
 from dataclasses import replace
 
 from bench.config.profile_tables import ProfileTable
-from bench.flight.legs.keys import wrong
+from bench.flight.legs.keys import check_leg
 from bench.flight.legs.runway import TakeOff
 from bench.specs import AircraftSpec, Leg, LegStart, Runway
 from bench.wording import quantity
 
 
-def legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
+def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     """Check the start, and each leg against the aircraft and what is before it."""
-    found = _start(table, aircraft)
+    found = _check_start(table, aircraft)
     after = "ground" if table.start.on_ground else "air"
-    start = LegStart(aircraft, table.start.alt_m, runway(table), after)
-    for number, leg in enumerate(built(table), 1):
-        found += [f"[[leg]] {number} ({leg.kind}): {what}" for what in wrong(leg, start)]
+    start = LegStart(aircraft, table.start.alt_m, make_runway(table), after)
+    for number, leg in enumerate(build_legs(table), 1):
+        found += [f"[[leg]] {number} ({leg.kind}): {what}" for what in check_leg(leg, start)]
         start = replace(start, alt=leg.alt_after(start), after=leg.leaves)
     return found
 
 
-def built(table: ProfileTable) -> tuple[Leg, ...]:
+def build_legs(table: ProfileTable) -> tuple[Leg, ...]:
     """Return the legs of a profile in SI."""
     return tuple(row.build() for row in table.leg)
 
 
-def runway(table: ProfileTable) -> Runway | None:
+def make_runway(table: ProfileTable) -> Runway | None:
     """Return the runway of a profile, which a start on the ground makes."""
     row = table.runway or (table.start if table.start.on_ground else None)
     if row is None:
@@ -38,7 +38,7 @@ def runway(table: ProfileTable) -> Runway | None:
     return Runway(lat, lon, float(row.alt_m), heading)
 
 
-def _start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
+def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     start = table.start
     if start.on_ground:
         wrong = []
@@ -74,11 +74,11 @@ def first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
     """Return the airspeed the flight begins with; on the ground that of the first climb [m/s]."""
     if table.start.speed_mps is not None:
         return float(table.start.speed_mps)
-    climbs = (leg.speed for leg in built(table) if isinstance(leg, TakeOff))
+    climbs = (leg.speed for leg in build_legs(table) if isinstance(leg, TakeOff))
     return float(next(climbs, 0.5 * (aircraft.min_speed + aircraft.max_speed)))
 
 
-def air(table: ProfileTable) -> list[str]:
+def check_air(table: ProfileTable) -> list[str]:
     """Check the layers of the wind, and that gusts come one after the other."""
     wrong = []
     wind = table.wind

@@ -37,7 +37,7 @@ class DeclaredTable(Table):
         return self
 
 
-def leg_rows(legs: Iterable[type[Leg]]) -> Any:
+def build_leg_type(legs: Iterable[type[Leg]]) -> Any:
     """Return the type of ``[[leg]]``, an array of tables that are each of one of these kinds."""
     tables = [_table(leg, kind=(Literal[leg.kind], ...)) for leg in legs]
     return _array(_annotated(functools.reduce(operator.or_, tables), Field(discriminator="kind")))

@@ -114,7 +114,7 @@ def load_profile(
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
         table = leg_checks.with_speed(table, aircraft)
-        across = leg_checks.legs(table, aircraft) + leg_checks.air(table)
+        across = leg_checks.check_legs(table, aircraft) + leg_checks.check_air(table)
         if not across:
             flight = _flight(table, aircraft)
     elif external is not None:
@@ -260,10 +260,10 @@ def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
         wind_speed=float(wind.speed_mps),
         severity=SEVERITY.get(wind.turbulence, wind.turbulence),
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
-        legs=leg_checks.built(table),
+        legs=leg_checks.build_legs(table),
         duration=None if table.duration_s is None else float(table.duration_s),
         on_ground=start.on_ground,
-        runway=leg_checks.runway(table),
+        runway=leg_checks.make_runway(table),
         wind_layers=tuple(
             WindLayer(float(row.alt_m), math.radians(row.from_deg), float(row.speed_mps))
             for row in sorted(wind.layers, key=lambda row: row.alt_m)

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.fault_tables import FaultTable
-from bench.config.leg_tables import DeclaredTable, leg_rows
+from bench.config.leg_tables import DeclaredTable, build_leg_type
 from bench.config.tables import ROWS, Table, between
 from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
@@ -243,7 +243,7 @@ class ProfileTable(ExperimentTable):
 @functools.cache
 def profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
     """Return the model of a profile with legs of these kinds."""
-    return create_model("ProfileTable", __base__=ProfileTable, leg=(leg_rows(legs), ...))
+    return create_model("ProfileTable", __base__=ProfileTable, leg=(build_leg_type(legs), ...))
 
 
 class _ExternalTable(ExperimentTable):

@@ -8,9 +8,9 @@ import pytest
 from pydantic import TypeAdapter
 
 from bench import config
-from bench.config.leg_tables import leg_rows
+from bench.config.leg_tables import build_leg_type
 from bench.flight import fly, legs
-from bench.flight.legs.keys import AtSpeed, Bank, Key, as_written, keys_of
+from bench.flight.legs.keys import AtSpeed, Bank, Key, keys_of, write_key
 from bench.flight.legs.landing import Approach, LandingRoll
 from bench.flight.legs.surfaces import AileronRoll
 from bench.flight.shaping import smooth
@@ -32,7 +32,7 @@ class Waggle(AtSpeed):
         return f"{self.count} times"
 
     def check(self, start: LegStart) -> list[str]:
-        return [f"{as_written(self, 'bank')} at {start.alt:g} m is one too many"] if self.count == 9 else []
+        return [f"{write_key(self, 'bank')} at {start.alt:g} m is one too many"] if self.count == 9 else []
 
     def fly(self, cockpit):
         cockpit.set_bank(0.0)
@@ -94,7 +94,7 @@ def test_every_leg_says_what_it_does_and_what_its_keys_are():
 
 @pytest.mark.parametrize("leg", [Approach(), LandingRoll(), AileronRoll(0.5)])
 def test_a_default_in_the_file_is_the_one_in_si(leg):
-    (row,) = TypeAdapter(leg_rows(legs.LEGS)).validate_python([{"kind": leg.kind, **required(leg)}])
+    (row,) = TypeAdapter(build_leg_type(legs.LEGS)).validate_python([{"kind": leg.kind, **required(leg)}])
     assert row.build() == leg
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, as_written
+from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, write_key
 from bench.flight.shaping import Steps, smooth, ticks
 from bench.specs import LegStart
 
@@ -30,7 +30,7 @@ class _AltitudeChange(AtSpeed):
         if self.sign * (self.to_alt - start.alt) > 0:
             return []
         side = "above" if self.sign > 0 else "below"
-        return [f"{as_written(self, 'to_alt')} is not {side} the {start.alt:g} m before it"]
+        return [f"{write_key(self, 'to_alt')} is not {side} the {start.alt:g} m before it"]
 
     def alt_after(self, start: LegStart) -> float:
         return self.to_alt

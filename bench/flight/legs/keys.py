@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 
 from bench.specs import AircraftSpec, Leg, LegStart
 from bench.units import from_si, unit_of
+from bench.wording import quantity
 
 SIDES: Mapping[str, int] = {"right": 1, "left": -1, "shorter": 0}
 
@@ -78,20 +79,20 @@ def keys_of(made: type[Any]) -> tuple[KeyedField, ...]:
     return _KNOWN[made]
 
 
-def as_written(leg: Leg, name: str) -> str:
+def write_key(leg: Leg, name: str) -> str:
     """Return a field as it stands in the file: ``bank_deg = 30 deg``."""
     key = next(entry.key for entry in keys_of(type(leg)) if entry.field == name)
-    return f"{key.name} = {key.from_si(getattr(leg, name)):.12g} {key.unit}".rstrip()
+    return quantity(key.name, key.from_si(getattr(leg, name)))
 
 
-def need_one(values: Mapping[str, Any]) -> None:
+def require_one(values: Mapping[str, Any]) -> None:
     """Raise ValueError unless exactly one of the keys has a value."""
     given = [name for name, value in values.items() if value is not None]
     if len(given) != 1:
         raise ValueError(f"has {' and '.join(given) or 'none of them'}: needs one of {', '.join(values)}")
 
 
-def deg(angle: float) -> str:
+def format_deg(angle: float) -> str:
     """Return an angle [rad] in words."""
     return f"{math.degrees(angle):.4g} deg"
 
@@ -101,17 +102,17 @@ def side_of(value: float) -> str:
     return "right" if value > 0 else "left"
 
 
-def counted(number: int, what: str) -> str:
+def format_count(number: int, what: str) -> str:
     """Return a number of things in words."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def wrong(leg: Leg, start: LegStart) -> list[str]:
+def check_leg(leg: Leg, start: LegStart) -> list[str]:
     """Return all that does not fit the aircraft or what is before the leg, a line each."""
-    return [*_beyond(leg, start.aircraft), *_misplaced(leg, start.after), *leg.check(start)]
+    return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]
 
 
-def _beyond(leg: Leg, aircraft: AircraftSpec) -> list[str]:
+def _check_limits(leg: Leg, aircraft: AircraftSpec) -> list[str]:
     found = []
     for name, key, *_ in keys_of(type(leg)):
         value = getattr(leg, name)
@@ -122,11 +123,11 @@ def _beyond(leg: Leg, aircraft: AircraftSpec) -> list[str]:
         if not low <= value <= high * (1 + 1e-9):
             ends = f"outside {key.from_si(low):g} to" if key.least else "above the"
             limit = f"{ends} {key.from_si(high):g} {key.unit} of the {aircraft.name}"
-            found.append(f"{as_written(leg, name)} is {limit}")
+            found.append(f"{write_key(leg, name)} is {limit}")
     return found
 
 
-def _misplaced(leg: Leg, after: str) -> list[str]:
+def _check_begin(leg: Leg, after: str) -> list[str]:
     if leg.needs == after:
         return []
     if leg.needs == "ground":

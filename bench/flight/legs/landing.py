@@ -11,8 +11,8 @@ from typing import Annotated
 from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp
-from bench.flight.legs.keys import Key, deg, side_of
-from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, no_wheels, runway_here
+from bench.flight.legs.keys import Key, format_deg, side_of
+from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, check_runway, find_runway
 from bench.flight.paths import Follower
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.specs import Leg, LegStart
@@ -35,18 +35,18 @@ class Approach(Leg):
     aim: Annotated[float, Key("aim_m", "the path meets the ground beyond the threshold", 0, 1000)] = 60.0
 
     def describe(self) -> str:
-        return f"glide path {deg(self.glide)}"
+        return f"glide path {format_deg(self.glide)}"
 
     def check(self, start: LegStart) -> list[str]:
         nowhere = [] if start.runway else ["there is no [runway] to approach"]
-        return no_wheels(start.aircraft) + nowhere
+        return check_runway(start.aircraft) + nowhere
 
     def alt_after(self, start: LegStart) -> float:
         return start.runway.alt if start.runway else start.alt
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Fly level to the glide path, along the centreline, then down it to the height of the flare."""
-        runway, figures = runway_here(cockpit)
+        runway, figures = find_runway(cockpit)
         plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
         line = centreline(runway)
         before = -line.segments[0].relative(plane.position())[0]
@@ -61,7 +61,7 @@ class Approach(Leg):
 
         if before < 0 or abs(across) > _ALIGNED:
             raise FlightError(
-                f"an approach begins before the runway, within {deg(_ALIGNED)} of its heading; the "
+                f"an approach begins before the runway, within {format_deg(_ALIGNED)} of its heading; the "
                 f"threshold is {before:.0f} m ahead, the track {math.degrees(across):.0f} deg off"
             )
         if above() < 0:
@@ -103,7 +103,7 @@ class Flare(Leg):
 
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Let the sink fall with the height until the wheels touch; returns the touch-down in words."""
-        runway, figures = runway_here(cockpit)
+        runway, figures = find_runway(cockpit)
         plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
         line = centreline(runway)
         follower = Follower(cockpit, plane, line, min(_FINAL_BANK, cockpit.aircraft.max_bank))
@@ -134,7 +134,7 @@ class LandingRoll(Leg):
 
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
-        runway, figures = runway_here(cockpit)
+        runway, figures = find_runway(cockpit)
         centre = Centreline(cockpit, runway)
         cockpit.on_ground(standing=True)
         pitch, throttle = cockpit.pitch(), cockpit.throttle()

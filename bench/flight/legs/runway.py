@@ -55,14 +55,14 @@ class TakeOff(Leg):
         return f"to {self.to_height:g} m above the runway at {self.rate:g} m/s, {self.speed:g} m/s"
 
     def check(self, start: LegStart) -> list[str]:
-        return no_wheels(start.aircraft)
+        return check_runway(start.aircraft)
 
     def alt_after(self, start: LegStart) -> float:
         return (start.runway.alt if start.runway else start.alt) + self.to_height
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Power, roll along the centreline, raise the nose at its speed, climb out at a rate."""
-        runway, figures = runway_here(cockpit)
+        runway, figures = find_runway(cockpit)
         centre = Centreline(cockpit, runway)
         cockpit.course = runway.heading
         cockpit.set_heading(cockpit.course)
@@ -84,7 +84,7 @@ class TakeOff(Leg):
 
     def _climb_out(self, cockpit: Cockpit, centre: Centreline) -> Steps:
         """Raise the nose, leave the ground, climb to the height of the leg."""
-        runway, figures = runway_here(cockpit)
+        runway, figures = find_runway(cockpit)
         begun = cockpit.pitch()
         cockpit.set_pitch(begun)
         cockpit.lon_mode(1)
@@ -137,12 +137,12 @@ def _roll_to(cockpit: Cockpit, centre: Centreline, speed: float) -> Steps:
     raise FlightError(f"{speed:.0f} m/s not reached in {PATIENCE:g} s: {cockpit.state()}")
 
 
-def no_wheels(aircraft: AircraftSpec) -> list[str]:
+def check_runway(aircraft: AircraftSpec) -> list[str]:
     """Say that an aircraft cannot be taken off or landed."""
     return [] if aircraft.runway else [f"the {aircraft.name} has no [runway] in its aircraft.toml"]
 
 
-def runway_here(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
+def find_runway(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
     """Return the runway and how the aircraft uses one; raise FlightError where either is missing."""
     if cockpit.runway is None or cockpit.aircraft.runway is None:
         raise FlightError(f"the {cockpit.aircraft.name} has no runway here")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.legs.keys import AtSpeed, Key, as_written, deg, side_of
+from bench.flight.legs.keys import AtSpeed, Key, format_deg, side_of, write_key
 from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, smoothstep, ticks, wait
 from bench.specs import Leg, LegStart
 
@@ -82,7 +82,7 @@ class AileronRoll(AtSpeed):
         if not self.aileron:
             return [_NO_DEFLECTION]
         little = abs(self.aileron) < 0.2
-        return [f"{as_written(self, 'aileron')} is too little to roll around; 0.2 to 1"] if little else []
+        return [f"{write_key(self, 'aileron')} is too little to roll around; 0.2 to 1"] if little else []
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Pitch up, roll around with elevator and rudder as they are, take the wings level."""
@@ -129,11 +129,11 @@ class WindUpTurn(AtSpeed):
     hold: Annotated[float, Key("hold_s", "how long it stays", 0.1, 60)] = 2.0
 
     def describe(self) -> str:
-        return f"{side_of(self.bank)} to {self.load:g} g at {deg(abs(self.bank))} bank"
+        return f"{side_of(self.bank)} to {self.load:g} g at {format_deg(abs(self.bank))} bank"
 
     def check(self, start: LegStart) -> list[str]:
         flat = abs(self.bank) < math.radians(20.0)
-        return [f"{as_written(self, 'bank')} must be 20 deg or more to either side"] if flat else []
+        return [f"{write_key(self, 'bank')} must be 20 deg or more to either side"] if flat else []
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Roll to the bank, pull by elevator until the load factor is there, hold it, roll out."""

@@ -11,7 +11,7 @@ import numpy as np
 from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, counted, deg
+from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_count, format_deg
 from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
 from bench.specs import LegStart
@@ -54,7 +54,7 @@ class Waypoints(AtSpeed):
     bank: Bank
 
     def describe(self) -> str:
-        return f"{counted(len(self.points), 'point')}, bank {deg(self.bank)}"
+        return f"{format_count(len(self.points), 'point')}, bank {format_deg(self.bank)}"
 
     def alt_after(self, start: LegStart) -> float:
         return next((point.alt for point in reversed(self.points) if point.alt is not None), start.alt)
@@ -106,8 +106,8 @@ class Survey(AtSpeed):
     side: Annotated[Literal["right", "left"], Key("side", "where the next strip is")] = "right"
 
     def describe(self) -> str:
-        strips = f"{counted(self.strips, 'strip')} of {self.length:g} m, {self.spacing:g} m apart"
-        return f"{strips} to the {self.side}, bank {deg(self.bank)}"
+        strips = f"{format_count(self.strips, 'strip')} of {self.length:g} m, {self.spacing:g} m apart"
+        return f"{strips} to the {self.side}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Where strips are closer than a turn is wide, the turn bulges out."""
@@ -149,8 +149,8 @@ class Holding(AtSpeed):
     side: Annotated[Literal["right", "left"], Key("side", "of the turns")] = "right"
 
     def describe(self) -> str:
-        laps = f"{counted(self.laps, 'lap')} {self.side}, {self.leg_time:g} s straights"
-        return f"{laps}, bank {deg(self.bank)}"
+        laps = f"{format_count(self.laps, 'lap')} {self.side}, {self.leg_time:g} s straights"
+        return f"{laps}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Turn at the fix, outbound, turn, inbound to the fix again."""

@@ -8,7 +8,17 @@ from typing import Annotated, Literal
 
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
-from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, as_written, counted, deg, need_one, side_of
+from bench.flight.legs.keys import (
+    SIDES,
+    AtSpeed,
+    Bank,
+    Key,
+    format_count,
+    format_deg,
+    require_one,
+    side_of,
+    write_key,
+)
 from bench.flight.shaping import G, Steps, roll_time, smooth, ticks, turned_in_roll
 from bench.specs import LegStart
 
@@ -28,24 +38,24 @@ class Turn(AtSpeed):
     rate: Annotated[float, Key("rate_deg_s", "of the heading; 3 is standard", 0.1, 90)] | None = None
 
     def __post_init__(self) -> None:
-        need_one({"by_deg": self.by, "to_heading_deg": self.heading})
-        need_one({"bank_deg": self.bank, "rate_deg_s": self.rate})
+        require_one({"by_deg": self.by, "to_heading_deg": self.heading})
+        require_one({"bank_deg": self.bank, "rate_deg_s": self.rate})
         if self.by is not None and self.side != "shorter":
             raise ValueError("has by_deg and side: the sign of by_deg is the side")
 
     def describe(self) -> str:
         if self.by is not None:
-            where = f"{deg(abs(self.by))} {side_of(self.by)}"
+            where = f"{format_deg(abs(self.by))} {side_of(self.by)}"
         else:
             assert self.heading is not None
-            where = f"to {deg(self.heading)}" + (f" {self.side}" if self.side != "shorter" else "")
+            where = f"to {format_deg(self.heading)}" + (f" {self.side}" if self.side != "shorter" else "")
         if self.bank is not None:
-            return f"{where}, bank {deg(self.bank)}"
+            return f"{where}, bank {format_deg(self.bank)}"
         assert self.rate is not None
-        return f"{where}, {deg(self.rate)}/s"
+        return f"{where}, {format_deg(self.rate)}/s"
 
     def check(self, start: LegStart) -> list[str]:
-        return [f"{as_written(self, 'by')} must not be 0; positive turns right"] if self.by == 0 else []
+        return [f"{write_key(self, 'by')} must not be 0; positive turns right"] if self.by == 0 else []
 
     def fly(self, cockpit: Cockpit) -> Steps:
         bank = self.bank
@@ -76,7 +86,7 @@ class FigureEight(AtSpeed):
     laps: Annotated[int, Key("laps", "eights; one is a full right and a full left circle", 1, 1000)]
 
     def describe(self) -> str:
-        return f"{counted(self.laps, 'lap')}, bank {deg(self.bank)}"
+        return f"{format_count(self.laps, 'lap')}, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
         for _ in range(self.laps):
@@ -94,7 +104,7 @@ class STurns(AtSpeed):
     count: Annotated[int, Key("count", "of right and left together", 1, 1000)]
 
     def describe(self) -> str:
-        return f"{self.count} of {deg(self.by)} either side, bank {deg(self.bank)}"
+        return f"{self.count} of {format_deg(self.by)} either side, bank {format_deg(self.bank)}"
 
     def fly(self, cockpit: Cockpit) -> Steps:
         yield from roll_through(cockpit, self.by, self.bank)
