@@ -16,7 +16,7 @@ from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, drift_row
-from bench.exchange.log import LogRecords, divided, read_records
+from bench.exchange.log_records import LogRecords, divided, read_records
 from bench.exchange.log_start import start
 from bench.navigation import estimator
 from bench.units import SAME_INSTANT

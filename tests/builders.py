@@ -13,7 +13,7 @@ from scipy.special import gammaincinv, ndtri
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Sensed, Trajectory
 from bench.evaluation import consistency
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 
 TAIL = 0.0005
 """Probability beyond each side of a 99.9 % band."""

@@ -27,13 +27,8 @@ LONG_FILES = {
 }
 
 SAME_NAMES = {
-    "errors": "the family of errors, and the errors of a solution in evaluation",
-    "log": "a recording in config and in exchange",
     "navego": "the format, written by exports and read by imports",
-    "navigation": "the package, and the navigation file of RINEX",
-    "tables": "TOML tables in config, columns in exchange, files of columns in its exports",
     "units": "those of the project, and those of JSBSim in flight",
-    "view": "the verb in workbench, the view of the sky in sensors",
 }
 
 CIRCLES = {

@@ -14,7 +14,7 @@ from bench.config import fault_tables, list_sensors
 from bench.config.datasheets import SENSORS
 from bench.data import RunResult
 from bench.exchange import exports, frames
-from bench.exchange.exports import tables
+from bench.exchange.exports import column_files
 from bench.fields import columns_of, figures_of
 from bench.instruments import INSTRUMENTS, Reports, Units
 from bench.navigation.estimator import RECORDS
@@ -61,11 +61,12 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     row, record = INSTRUMENTS[name], getattr(sensed.data, name)
     assert isinstance(record, row.record)
     assert sensed.truth.bias[name].shape == (len(sensed.truth.t), row.width)
-    store.save(tmp_path, RunResult({}, 1, 0, {}, {}, {}, {}), truth, sensed)
+    records = {"truth": truth, "sensed": sensed}
+    store.save(tmp_path, RunResult({}, 1, 0, {}, {}, {}, {}, records=records))
     again = store.load_sensors(tmp_path)[2][name]
     assert_array_equal(row.values(again), row.values(record))
     out = exports.gather(tmp_path)
-    tables.write(tmp_path, out, "csv")
+    column_files.write(tmp_path, out, "csv")
     header = (tmp_path / f"{name}.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.split(",") == [n for told in columns_of(row.record).values() for n in told.names]
     bodies = [body for _, body in frames.messages(out) if body[:2] == frames.SYNC and body[2] == row.frame]

@@ -77,7 +77,7 @@ def run(
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
     from bench.store import to_json
     from bench.workbench.flight_verbs import run as run_profile
-    from bench.workbench.view import view as view_folder
+    from bench.workbench.viewer import view as view_folder
 
     result, folder = run_profile(
         profile,
@@ -192,7 +192,7 @@ def view(folder: Path | None, web: bool) -> int:
 
     DIR is what bench run wrote; the newest one below ./runs when not given.
     """
-    from bench.workbench.view import view as view_folder
+    from bench.workbench.viewer import view as view_folder
 
     view_folder(folder, web=web, console=new_console())
     return DONE

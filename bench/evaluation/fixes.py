@@ -15,7 +15,7 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation import metrics
-from bench.evaluation.errors import aligning, converged, from_row, normalized_squares
+from bench.evaluation.error_series import aligning, converged, from_row, normalized_squares
 from bench.units import SAME_INSTANT
 
 

@@ -17,7 +17,7 @@ from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.evaluation import detection
 from bench.evaluation.consistency import SensorNis, chi2_quantile, mean_nis, nis_by_sensor
-from bench.evaluation.errors import (
+from bench.evaluation.error_series import (
     BLOCKS,
     aligning,
     at_rows,

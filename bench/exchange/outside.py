@@ -28,9 +28,9 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
-from bench.evaluation.errors import FAILED
+from bench.evaluation.error_series import FAILED
+from bench.exchange.exports.column_files import write as write_tables
 from bench.exchange.exports.outgoing import Outgoing
-from bench.exchange.exports.tables import write as write_tables
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resampled
 from bench.navigation.estimator import Estimator, construct
 from bench.specs import EstimatorChoice

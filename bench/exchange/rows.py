@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.earth import matrix_en, to_geodetic
-from bench.exchange.tables import Columns, Group, described, group
+from bench.exchange.table_files import Columns, Group, described, group
 from bench.signals.air import pressure_altitude
 
 MOST_ROWS = 5_000_000

@@ -20,8 +20,8 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
-from bench.evaluation.errors import FAILED, NOT_COVERED
-from bench.exchange.tables import Columns, described, group, read_table
+from bench.evaluation.error_series import FAILED, NOT_COVERED
+from bench.exchange.table_files import Columns, described, group, read_table
 from bench.exchange.trajectory import KINDS
 from bench.units import SAME_INSTANT
 
@@ -55,7 +55,7 @@ error, ``C_nb_estimate = exp([phi x]) C_nb_true``. Instead of them ``cov_pos_n_p
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class ForeignSolution:
     """A solution as somebody wrote it; a block that is not given is NaN throughout."""
 
     shown: str
@@ -73,7 +73,7 @@ class Solution:
         return len(self.t)
 
 
-def read_solution(path: Path, *, t_0: float = 0.0) -> Solution:
+def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     """Return the solution in a file.
 
     Parameters
@@ -117,7 +117,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> Solution:
     if table.unused:
         more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
         remarks.append(f"columns not used: {', '.join(table.unused[:20])[:400]}{more}")
-    return Solution(
+    return ForeignSolution(
         shown=shown,
         rows=rows + 1,
         t=t[rows] - t_0,
@@ -269,7 +269,7 @@ def _cross(
             raise ConfigError(f"{shown}: row {row}: {names[0]} and {names[1]} differ")
 
 
-def check_unit(solution: Solution, t: float, lla: FloatArray) -> None:
+def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:
     """Raise ConfigError when a solution begins so far from where the run does that a unit must be wrong."""
     first = solution.lla[0]
     if not (np.isfinite(first).all() and np.isfinite(lla).all()):
@@ -285,12 +285,12 @@ def check_unit(solution: Solution, t: float, lla: FloatArray) -> None:
 # --- on other times -----------------------------------------------------------------------------------
 
 
-def resampled(solution: Solution, t: FloatArray, longest: float | None = None) -> NavSolution:
+def resampled(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
     """Return a solution at other times, without extrapolation.
 
     Parameters
     ----------
-    solution : Solution
+    solution : ForeignSolution
         As somebody wrote it.
     t : (M,) array
         When it is asked for [s].
@@ -343,7 +343,7 @@ def resampled(solution: Solution, t: FloatArray, longest: float | None = None) -
 
 
 def _position(
-    solution: Solution, before: IntArray, after: IntArray, s: FloatArray, width: FloatArray
+    solution: ForeignSolution, before: IntArray, after: IntArray, s: FloatArray, width: FloatArray
 ) -> FloatArray:
     lla_0, lla_1 = solution.lla[before], solution.lla[after]
     step = lla_1 - lla_0
@@ -365,7 +365,9 @@ def _blank(values: FloatArray, covered: BoolArray) -> FloatArray:
     return values
 
 
-def _events(solution: Solution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float) -> Events:
+def _events(
+    solution: ForeignSolution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float
+) -> Events:
     found = [(0.0, 0.0, "table", text) for text in solution.remarks]
     between = covered & (width > 0)
     if between.any():

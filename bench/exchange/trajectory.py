@@ -23,7 +23,7 @@ from bench.arrays import FloatArray
 from bench.data import Events, Trajectory, no_air, no_controls
 from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
-from bench.exchange.tables import Columns, described, group, read_table
+from bench.exchange.table_files import Columns, described, group, read_table
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
 from bench.specs import TableSpec
@@ -123,7 +123,7 @@ def read_trajectory(spec: TableSpec) -> Trajectory:
 
 
 @dataclass(frozen=True, slots=True)
-class _Rows:
+class _TableMotion:
     """A table as a motion: times from 0, Earth-fixed positions, attitudes, velocity where it has one."""
 
     t: FloatArray  # (N,) [s]
@@ -133,7 +133,7 @@ class _Rows:
     notes: list[tuple[float, float, str, str]]
 
 
-def _checked(table: Columns, shown: str) -> _Rows:
+def _checked(table: Columns, shown: str) -> _TableMotion:
     """Return the rows as a motion.
 
     Raises
@@ -169,7 +169,7 @@ def _checked(table: Columns, shown: str) -> _Rows:
     vel_e = table.columns.get("velocity")
     if vel_e is not None and table.stems["velocity"][0] == "vel_n":
         vel_e = rotate(q_en, vel_e)
-    return _Rows(t - t[0], pos_e, q_eb, vel_e, notes)
+    return _TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
 
 
 def _positions(table: Columns, shown: str) -> FloatArray:
@@ -242,7 +242,7 @@ class _Fit:
         return found
 
 
-def _fit(rows: _Rows, shown: str) -> _Fit:
+def _fit(rows: _TableMotion, shown: str) -> _Fit:
     from scipy.interpolate import make_interp_spline
 
     at = _knots(rows.t)
@@ -321,7 +321,7 @@ def _truth(fit: _Fit, rate: float, samples: int) -> Trajectory:
 # --- what is inconsistent -----------------------------------------------------------------------------
 
 
-def _reports(rows: _Rows, fit: _Fit) -> list[tuple[float, float, str, str]]:
+def _reports(rows: _TableMotion, fit: _Fit) -> list[tuple[float, float, str, str]]:
     """Return what is inconsistent in a table, one event for each kind, with the rows."""
     t, steps = rows.t, np.diff(rows.t)
     found = list(rows.notes)
@@ -361,7 +361,7 @@ def _reports(rows: _Rows, fit: _Fit) -> list[tuple[float, float, str, str]]:
     return found
 
 
-def _forces(truth: Trajectory, rows: _Rows) -> list[tuple[float, float, str, str]]:
+def _forces(truth: Trajectory, rows: _TableMotion) -> list[tuple[float, float, str, str]]:
     force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / _STANDARD_G
     beyond = np.flatnonzero(force > _FORCE)
     if not len(beyond):

@@ -42,7 +42,7 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 _SOURCES = (
     "flight",
     "exchange/mat_file.py",
-    "exchange/tables.py",
+    "exchange/table_files.py",
     "exchange/trajectory.py",
     "fields.py",
     "units.py",

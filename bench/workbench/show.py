@@ -16,7 +16,7 @@ from bench.baselines import Verdict
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
 from bench.data import NavSolution, RunResult
-from bench.evaluation.errors import FAILED
+from bench.evaluation.error_series import FAILED
 from bench.evaluation.metrics import metric_of
 from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described

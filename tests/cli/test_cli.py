@@ -21,7 +21,7 @@ from bench import pipeline, recording, store
 from bench.cli import main
 from bench.errors import FlightError
 from bench.store import parquet
-from bench.workbench import view
+from bench.workbench import viewer
 
 PROFILE = """
 title = "Half a minute"
@@ -496,8 +496,8 @@ def test_view_takes_the_newest_recording(here):
         os.utime(folder / "result.json", (1e9 - age, 1e9 - age))
         if name != "b":
             (folder / "flight.rrd").touch()
-    assert view.find_recording(None) == Path("runs/c/flight.rrd")
-    assert view.find_recording(Path("runs/a")) == Path("runs/a/flight.rrd")
+    assert viewer.find_recording(None) == Path("runs/c/flight.rrd")
+    assert viewer.find_recording(Path("runs/a")) == Path("runs/a/flight.rrd")
 
 
 def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
@@ -510,7 +510,7 @@ def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
         "error: no display to open a window on; 'bench view --web' serves it to a browser\n",
     )
     assert (here / "runs/short-5/flight.rrd").is_file()
-    monkeypatch.setattr(view, "find_spec", lambda name: None)
+    monkeypatch.setattr(viewer, "find_spec", lambda name: None)
     status, _, err = say(capsys, "view")
     assert status == 4
     assert err.startswith("error: no viewer here: ")
@@ -519,7 +519,7 @@ def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
 def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
     (here / "runs/a").mkdir(parents=True)
     (here / "runs/a/flight.rrd").touch()
-    monkeypatch.setattr(view, "_binary", lambda: Path("/bin/false"))
+    monkeypatch.setattr(viewer, "_binary", lambda: Path("/bin/false"))
     status, _, err = say(capsys, "view", "runs/a", "--web")
     assert status == 4
     assert err.startswith(
@@ -538,8 +538,8 @@ def test_the_viewer_ends_with_its_children(here):
         "print(child.pid, flush=True); child.wait()"
     )
     code = (
-        "import sys; from bench.workbench import view; view._PATIENCE = 0.2\n"
-        f"view.wait_for([sys.executable, '-c', {viewer!r}])"
+        "import sys; from bench.workbench import viewer; viewer._PATIENCE = 0.2\n"
+        f"viewer.wait_for([sys.executable, '-c', {viewer!r}])"
     )
     process = python(code, cwd=here)
     lines = [process.stdout.readline().strip() for _ in range(2)]

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from bench import rotation
 from bench.evaluation.consistency import mean_band
-from bench.evaluation.errors import converged, error_series, heading_sd, normalized_squares, truth_at
+from bench.evaluation.error_series import converged, error_series, heading_sd, normalized_squares, truth_at
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 
 POS, VEL, PHI = np.array([3.0, -4.0, 2.0]), np.array([0.1, 0.2, -0.3]), np.array([0.01, -0.02, 0.03])

@@ -10,7 +10,7 @@ import numpy as np
 from bench import config, sensors, store
 from bench.data import RunResult, Sensed, Trajectory
 from bench.evaluation import metrics
-from bench.evaluation.errors import at_rows
+from bench.evaluation.error_series import at_rows
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 

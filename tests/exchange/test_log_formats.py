@@ -26,7 +26,7 @@ from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import ConfigError
 from bench.exchange.imports import bags
-from bench.exchange.log import read_records
+from bench.exchange.log_records import read_records
 from tests.exchange import drives
 
 EPOCH = 1_751_000_000.0  # what a clock of ROS shows at t = 0 [s]

@@ -162,11 +162,11 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
 
 
 def as_read(made: NavSolution):
-    from bench.exchange.solutions import Solution
+    from bench.exchange.solutions import ForeignSolution
 
     rows = np.arange(1, len(made) + 1)
     columns_ = (made.t, made.lla, made.vel_n, made.q_nb, made.gyro_bias_b, made.accel_bias_b, made.cov)
-    return Solution("made.csv", rows, *columns_, ())
+    return ForeignSolution("made.csv", rows, *columns_, ())
 
 
 def test_a_gap_is_not_bridged_unless_told_and_an_outage_half_covered_has_no_drift(run, tmp_path, capsys):

@@ -18,7 +18,7 @@ from bench.config import load_profile
 from bench.data import Trajectory, no_air, no_controls, no_events
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation import metrics
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 from bench.navigation import alignment
 from bench.navigation.blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load

@@ -15,7 +15,7 @@ from scipy import stats
 
 from bench import earth, rotation, sensors
 from bench.data import GnssFixes, ImuData, Trajectory
-from bench.evaluation import errors as judge
+from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation import integrity, standstill, timeline
 from bench.navigation.fusion import Loose, Tight

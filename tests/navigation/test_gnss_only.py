@@ -19,7 +19,7 @@ from bench import earth, sensors
 from bench.data import Trajectory, no_air, no_controls, no_events
 from bench.errors import EstimatorError
 from bench.evaluation import metrics
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from bench.navigation.gnss_only import GnssOnly, singer

@@ -16,8 +16,8 @@ from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
-from bench.evaluation.errors import error_series
-from bench.exchange.log import read_records
+from bench.evaluation.error_series import error_series
+from bench.exchange.log_records import read_records
 from bench.exchange.log_start import start
 from bench.navigation import alignment
 from bench.navigation.estimator import BUILT_IN, load

@@ -12,7 +12,7 @@ from scipy import stats
 import bench
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 from bench.navigation import unscented
 from bench.navigation.blocks import BARO_BIAS, state_model
 from bench.navigation.estimator import load

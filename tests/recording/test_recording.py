@@ -29,7 +29,7 @@ from bench.data import (
     no_events,
     no_innovations,
 )
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 from bench.flight.legs.turns import FigureEight
 from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
 from bench.recording import plots, words

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from bench import rotation, sensors
 from bench.earth import RATE
-from bench.evaluation.errors import error_series
+from bench.evaluation.error_series import error_series
 from bench.navigation import classic, integrity, square_root
 from bench.navigation.classic import R3, Classic22, Nav
 from bench.navigation.estimator import load

@@ -25,7 +25,7 @@ from bench.earth import difference_n
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import judge
-from bench.exchange.log import divided, read_records
+from bench.exchange.log_records import divided, read_records
 from bench.exchange.log_start import start
 from bench.log_pipeline import Session
 from bench.navigation import estimator

@@ -12,8 +12,8 @@ from bench.exchange.exports.outgoing import FRAMES, Outgoing
 from bench.store import check_folder
 
 FORMATS: Mapping[str, tuple[str, str]] = {
-    "csv": ("tables", "CSV, a table per sensor, and start.json"),
-    "parquet": ("tables", "the same in Parquet, units and frames in the metadata"),
+    "csv": ("column_files", "CSV, a table per sensor, and start.json"),
+    "parquet": ("column_files", "the same in Parquet, units and frames in the metadata"),
     "mat": ("matlab", "the same in one MATLAB file"),
     "kf-gins": ("kf_gins", "KF-GINS and OB_GINS text, and a kf-gins.yaml"),
     "navego": ("navego", "NaveGo's imu, gnss and ref structures"),

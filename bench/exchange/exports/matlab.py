@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.exchange.exports.column_files import described
 from bench.exchange.exports.outgoing import Outgoing
-from bench.exchange.exports.tables import described
 
 FILE = "run.mat"
 

@@ -23,7 +23,7 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.imports import broken
 from bench.exchange.rows import MOST_ROWS, Rows
-from bench.exchange.tables import MOST_BYTES
+from bench.exchange.table_files import MOST_BYTES
 from bench.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # of an MCAP file, a chunk included [byte]

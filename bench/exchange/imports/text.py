@@ -19,7 +19,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, Rows, to_lla
-from bench.exchange.tables import MOST_BYTES
+from bench.exchange.table_files import MOST_BYTES
 
 _LINE = 4096  # longest [characters]
 _WEEK = 604_800.0  # [s]

@@ -117,7 +117,7 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
             header.take(lines, line, version)
         if not header.types:
             raise lines.wrong("the header lists no observables")
-        rows = _Rows()
+        rows = _EpochRows()
         (_epochs_3 if version == 3 else _epochs_2)(lines, header, rows)
         size = lines.size
     if not rows.start:
@@ -146,7 +146,7 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
     )
 
 
-class _Rows:
+class _EpochRows:
     """Epochs and observations as they are read, packed."""
 
     def __init__(self) -> None:
@@ -198,7 +198,7 @@ def _check_count(lines: Lines, count: int) -> None:
         raise lines.wrong(f"{count} satellites in one epoch are outside 0 to {_MOST_SATELLITES}")
 
 
-def _epochs_3(lines: Lines, header: _Header, rows: _Rows) -> None:
+def _epochs_3(lines: Lines, header: _Header, rows: _EpochRows) -> None:
     codes = {"G": _CODES[GPS], "R": _CODES[GLONASS]}
     places = {s: _places(header.types[s], c) for s, c in codes.items() if s in header.types}
     columns = [(2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29)]
@@ -229,7 +229,7 @@ def _epochs_3(lines: Lines, header: _Header, rows: _Rows) -> None:
             rows.add(sat, _SYSTEMS[line[0]], values)
 
 
-def _epochs_2(lines: Lines, header: _Header, rows: _Rows) -> None:
+def _epochs_2(lines: Lines, header: _Header, rows: _EpochRows) -> None:
     columns = [(1, 3), (4, 6), (7, 9), (10, 12), (13, 15), (15, 26)]
     while (line := lines.next()) is not None:
         if not line.strip():

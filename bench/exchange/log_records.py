@@ -17,7 +17,7 @@ from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
-from bench.exchange.tables import read_table
+from bench.exchange.table_files import read_table
 from bench.instruments import BaroData
 from bench.rotation import from_euler, multiply, rotate
 from bench.specs import AssumedSpecs
