@@ -1,6 +1,5 @@
 """What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
-import os
 import signal
 from collections.abc import Callable
 from types import ModuleType
@@ -8,12 +7,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from bench import sensors
+from bench import pipeline, sensors
+from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.specs import stream
-from bench.store import truth_cached
-from tests.flight.plans import FIGURE_EIGHT, short_plan
+from tests.flight.plans import short_plan
 from tests.weaving import weaving
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
@@ -27,14 +26,9 @@ def short_truth() -> Trajectory:
 
 
 @pytest.fixture(scope="session")
-def figure_eight_truth(tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
-    """The shipped flight figure-eight, 600 s at 200 Hz; processes of one test run share it."""
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("BENCH_CACHE", str(folder / "shared"))
-        return truth_cached(FIGURE_EIGHT, lambda: [fly(FIGURE_EIGHT)])
+def figure_eight_truth() -> Trajectory:
+    """The shipped flight figure-eight, 600 s at 200 Hz, from the cache of truths."""
+    return pipeline.fly(load_profile("figure-eight"))
 
 
 @pytest.fixture(scope="module")
