@@ -422,11 +422,14 @@ class RunResult(Rebuilt):
         return Events.from_rows(rows)
 
     def __repr__(self) -> str:
-        found = ", ".join(
-            f"{label} {values['pos_rmse_h_m']:.3g} m" if values.get("pos_rmse_h_m") is not None else label
-            for label, values in self.metrics.items()
-        )
-        return f"<RunResult {self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}: {found}>"
+        """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""
+        found = []
+        for label, values in self.metrics.items():
+            error = values.get("pos_rmse_h_m")
+            sound = values.get("converged", True)
+            found.append(f"{label} {error:.3g} m" if sound and error is not None else f"{label} -")
+        made = f"{self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}"
+        return f"<RunResult {made}: {', '.join(found)}>"
 
     def _repr_html_(self) -> str:
         """Return the metrics as a table of HTML, a column for each estimator, without those over all time."""

@@ -629,7 +629,7 @@ def test_a_filter_runs_on_a_loaded_folder_as_on_the_run(folder):
 
 
 def test_a_result_shows_itself_in_a_line_and_as_a_table(result):
-    assert repr(result) == "<RunResult 'a', seed 7, run 2: loose-15, free>"
+    assert repr(result) == "<RunResult 'a', seed 7, run 2: loose-15 -, free ->"
     shown = result._repr_html_()
     assert "<td>nees_mean</td><td>9.5</td><td>-</td>" in shown
     assert "<td>converged</td><td>True</td><td>False</td>" in shown
