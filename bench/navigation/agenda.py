@@ -58,7 +58,7 @@ class Agenda:
         """
         assert sensor.read is not None
         record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
-        values, white = sensor.read(record, spec, initial, layout)
+        values, white = sensor.read(record, spec, sensors, initial, layout)
         variance = np.broadcast_to(white, values.shape)
         if isinstance(record, GnssFixes):
             rows, _, told = timeline.fix_rows(record, self.imu_t, self._start)

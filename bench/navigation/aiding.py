@@ -7,10 +7,13 @@ Every z is predicted less measured, z = H dx + noise:
     baro       h + b - h_baro = -dp_D + db
     magnetic   C' m_n - m_b = C' [m_n x] phi
     airspeed   |v_n - w| - V = u . (dv - dw)
+    radar      h + b - h_radar = -dp_D + db
+    odometer   (1 + s) c . v_n - V = (1 + s) (c . dv + (c x v_n) . phi) + (c . v_n) ds
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
 
 with l the antenna in b, w the rate of b against e, m the Markov part of the GNSS error where the layout has
-it, u the direction of the airspeed and w in its row the wind. A fix without velocity is its position alone.
+it, u the direction of the airspeed and w in its row the wind, c the forward axis of b. A fix without velocity
+is its position alone.
 """
 
 from __future__ import annotations
@@ -38,10 +41,14 @@ SENSORS = (
     "airspeed",
     "zero_velocity",
     "zero_rate",
+    "radar",
+    "odometer",
 )
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
+RADAR, ODOMETER = 9, 10
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
+RADAR_ROWS, ODOMETER_ROWS = 6, 7
 """Kinds of records; at one instant they are used in this order."""
 
 _SLOWEST_AIR = 5.0  # below it a pitot tube says nothing [m/s]
@@ -290,6 +297,40 @@ def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, index: Inde
 
 
 @inner
+def _height_kernel(
+    code: int, bias: int, row: int, first: int, belief: Belief, aid: Aid, pending: Pending
+) -> int:
+    """A height above the ellipsoid, with the state of its bias (-1: it has none)."""
+    _row_kernel(pending, first, code, code, 0, 1, aid.variance[row, 0])
+    pending.H[first, POS + 2] = -1.0
+    pending.z[first] = belief.state[2] - aid.values[row, 0]
+    if bias >= 0:
+        pending.H[first, bias] = 1.0
+        pending.z[first] += belief.state[bias + 1]
+    return 1
+
+
+@inner
+def _odometer_kernel(
+    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+) -> int:
+    state, C, at = belief.state, work.C, index.odometer_scale
+    matrix_kernel(state, C)
+    forward = C[0, 0] * state[3] + C[1, 0] * state[4] + C[2, 0] * state[5]
+    scale = 1.0 + state[at + 1] if at >= 0 else 1.0
+    _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, aid.variance[row, 0])
+    H = pending.H[first]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        H[VEL + i] = scale * C[i, 0]
+        H[PHI + i] = scale * (C[j, 0] * state[3 + k] - C[k, 0] * state[3 + j])  # c x v_n
+    if at >= 0:
+        H[at] = forward
+    pending.z[first] = scale * forward - aid.values[row, 0]
+    return 1
+
+
+@inner
 def _standstill_kernel(
     row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
 ) -> int:
@@ -327,13 +368,11 @@ def measure_kernel(
     if kind == FIX_ROWS:
         return _fix_kernel(row, first, belief, aid, index, pending, work)
     if kind == BARO_ROWS:
-        _row_kernel(pending, first, BARO, BARO, 0, 1, aid.variance[row, 0])
-        pending.H[first, POS + 2] = -1.0
-        pending.z[first] = belief.state[2] - aid.values[row, 0]
-        if index.baro_bias >= 0:
-            pending.H[first, index.baro_bias] = 1.0
-            pending.z[first] += belief.state[index.baro_bias + 1]
-        return 1
+        return _height_kernel(BARO, index.baro_bias, row, first, belief, aid, pending)
+    if kind == RADAR_ROWS:
+        return _height_kernel(RADAR, index.radar_bias, row, first, belief, aid, pending)
+    if kind == ODOMETER_ROWS:
+        return _odometer_kernel(row, first, belief, aid, index, pending, work)
     if kind == MAGNETIC_ROWS:
         return _magnetic_kernel(row, first, belief, aid, pending, work)
     if kind == AIRSPEED_ROWS:

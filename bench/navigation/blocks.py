@@ -68,6 +68,8 @@ class Index(NamedTuple):
     clock_offset: int  # clock_drift and glonass_offset follow
     antenna_b: int
     wind_north: int  # wind_east follows
+    radar_bias: int
+    odometer_scale: int
 
 
 class Process(NamedTuple):
@@ -252,7 +254,34 @@ WIND = Block(
 """Horizontal wind, random walks."""
 
 
+def _radar_bias(specs: AssumedSpecs) -> list[States]:
+    radar = assumed(specs, "radar")
+    return [States("radar_bias", "m", 1, radar.bias_sd**2)] if radar.bias_sd > 0 else []
+
+
+RADAR_BIAS = Block("radar", _radar_bias, takes=("radar altimeter bias",), records=("radar",))
+"""Bias of the radar altimeter, constant."""
+
+
+def _odometer_scale(specs: AssumedSpecs) -> list[States]:
+    sd = assumed(specs, "odometer").scale_factor_sd
+    return [States("odometer_scale", "1", 1, sd**2)] if sd > 0 else []
+
+
+ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale factor",), records=("odometer",))
+"""Error of the odometer's scale factor, constant."""
+
+
 def chosen_blocks(options: FusionOptions) -> list[Block]:
     """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
-    every = (BARO_BIAS, GNSS_MARKOV, MEMS, CLOCK, antenna(options.lever_arm_sd), WIND)
+    every = (
+        BARO_BIAS,
+        GNSS_MARKOV,
+        MEMS,
+        CLOCK,
+        antenna(options.lever_arm_sd),
+        WIND,
+        RADAR_BIAS,
+        ODOMETER_SCALE,
+    )
     return [block for block in every if getattr(options, block.option)]

@@ -16,9 +16,28 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import GnssFixes, InitialState
-from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
-from bench.navigation.aiding import AIRSPEED_ROWS, BARO_ROWS, FIX_ROWS, MAGNETIC_ROWS, SATELLITE_ROWS
+from bench.data import GnssFixes, InitialState, SensorData
+from bench.instruments import (
+    AirspeedData,
+    AirspeedSpec,
+    BaroData,
+    BaroSpec,
+    MagData,
+    MagSpec,
+    OdometerData,
+    OdometerSpec,
+    RadarData,
+    RadarSpec,
+)
+from bench.navigation.aiding import (
+    AIRSPEED_ROWS,
+    BARO_ROWS,
+    FIX_ROWS,
+    MAGNETIC_ROWS,
+    ODOMETER_ROWS,
+    RADAR_ROWS,
+    SATELLITE_ROWS,
+)
 from bench.navigation.error_state import StateLayout
 from bench.navigation.unmodelled import Errors, imu_errors, remaining
 from bench.signals import air
@@ -27,8 +46,9 @@ from bench.specs import AssumedSpecs, GnssSpec
 
 LATENCY = "GNSS latency"
 
-Reader = Callable[[Any, Any, InitialState, StateLayout], tuple[FloatArray, FloatArray]]
-"""Record (M rows), datasheet, start, layout -> values (M, m), up to six, and variance (m,) or (M, m)."""
+Reader = Callable[[Any, Any, SensorData, InitialState, StateLayout], tuple[FloatArray, FloatArray]]
+"""Record (M rows), its datasheet, all sensors, start, layout -> values (M, m), up to six, and their variance
+(m,) or (M, m)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +80,7 @@ def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
 
 
 def _read_fixes(
-    fixes: GnssFixes, gnss: GnssSpec, _: InitialState, layout: StateLayout
+    fixes: GnssFixes, gnss: GnssSpec, _: SensorData, __: InitialState, layout: StateLayout
 ) -> tuple[FloatArray, FloatArray]:
     variance = fix_variance(gnss, gnss_markov=layout.has("gnss_pos"))
     return np.hstack([fixes.lla, fixes.vel_n]), variance
@@ -91,9 +111,7 @@ def _satellite_errors(gnss: GnssSpec) -> Errors:
 # --- barometer --------------------------------------------------------------------------------------------
 
 
-def _read_baro(
-    record: BaroData, baro: BaroSpec, _: InitialState, __: StateLayout
-) -> tuple[FloatArray, FloatArray]:
+def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.alt_baro[:, None], np.array([baro.white_sd**2])
 
 
@@ -119,7 +137,7 @@ def airspeed_variance(record: AirspeedData, airspeed: AirspeedSpec, height: floa
 
 
 def _read_airspeed(
-    record: AirspeedData, airspeed: AirspeedSpec, initial: InitialState, _: StateLayout
+    record: AirspeedData, airspeed: AirspeedSpec, _: SensorData, initial: InitialState, __: StateLayout
 ) -> tuple[FloatArray, FloatArray]:
     variance = airspeed_variance(record, airspeed, float(initial.lla[2]))
     return record.airspeed_true[:, None], variance
@@ -129,6 +147,30 @@ def _airspeed_errors(airspeed: AirspeedSpec) -> Errors:
     sizes = (airspeed.bias_sd, airspeed.pressure_bias_sd, airspeed.scale_factor_sd)
     yield "airspeed bias and scale factor", max(sizes)
     yield "airspeed lag", airspeed.lag
+
+
+# --- radar altimeter and odometer ---------------------------------------------------------------------------
+
+
+def _read_radar(
+    record: RadarData, radar: RadarSpec, sensors: SensorData, *_: object
+) -> tuple[FloatArray, FloatArray]:
+    """Return the ellipsoidal height of the IMU: that above the runway and the runway's own."""
+    return (record.height + sensors.ground_alt)[:, None], np.array([radar.white_sd**2])
+
+
+def _radar_errors(radar: RadarSpec) -> Errors:
+    yield "radar altimeter bias", radar.bias_sd
+    yield "radar altimeter quantization", radar.quantization
+
+
+def _read_odometer(record: OdometerData, odometer: OdometerSpec, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.speed[:, None], np.array([odometer.white_sd**2])
+
+
+def _odometer_errors(odometer: OdometerSpec) -> Errors:
+    yield "odometer scale factor", odometer.scale_factor_sd
+    yield "odometer quantization", odometer.quantization
 
 
 # --- magnetometer -----------------------------------------------------------------------------------------
@@ -143,9 +185,7 @@ def field_variance(record: MagData, mag: MagSpec) -> FloatArray:
     return variance
 
 
-def _read_field(
-    record: MagData, mag: MagSpec, _: InitialState, __: StateLayout
-) -> tuple[FloatArray, FloatArray]:
+def _read_field(record: MagData, mag: MagSpec, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.field_b, field_variance(record, mag)
 
 
@@ -173,9 +213,11 @@ SATELLITES = AidingSensor(
 )
 AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed, _airspeed_errors)
 MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field, _magnetometer_errors)
+RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_errors)
+ODOMETER = AidingSensor("odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors)
 BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, on_request=False)
 
-AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, BARO)
+AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, BARO)
 
 
 def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:

@@ -96,6 +96,10 @@ class FusionOptions(Options):
     """Use true airspeed, with the wind as two states."""
     magnetometer: bool = False
     """Use the direction and size of the magnetic field."""
+    radar: bool = False
+    """Use the height above the runway of a radar altimeter, with its bias as a state."""
+    odometer: bool = False
+    """Use the speed of a wheel, with its scale factor as a state."""
 
     @property
     def tight(self) -> bool:
