@@ -29,12 +29,8 @@ def fly(
         When a trajectory table cannot be used.
     """
     if cache:
-        return store.truth_cached(profile.flight, lambda: _made(profile, progress))
-    if isinstance(profile.flight, TableSpec):
-        return _read(profile.flight)
-    from bench import flight
-
-    return flight.fly(profile.flight, progress)
+        return store.truth_cached(profile.flight, lambda: _fly_pieces(profile, progress))
+    return store.join_pieces(_fly_pieces(profile, progress))
 
 
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
@@ -44,7 +40,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     for :func:`fly`.
     """
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
-    return store.truth_said(profile.flight, lambda: _made(profile, progress), _summary, sources)
+    return store.truth_said(profile.flight, lambda: _fly_pieces(profile, progress), _summary, sources)
 
 
 def _summary(pieces: Iterable[Trajectory]) -> dict[str, Any]:
@@ -58,18 +54,14 @@ def _summary(pieces: Iterable[Trajectory]) -> dict[str, Any]:
     return summary.result() | replay.result()
 
 
-def _made(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
+def _fly_pieces(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
     if isinstance(profile.flight, TableSpec):
-        return iter([_read(profile.flight)])
+        from bench.exchange import trajectory
+
+        return trajectory.read_trajectory(profile.flight)
     from bench import flight
 
     return flight.fly_pieces(profile.flight, progress)
-
-
-def _read(table: TableSpec) -> Trajectory:
-    from bench.exchange import trajectory
-
-    return trajectory.read_trajectory(table)
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:

@@ -92,6 +92,11 @@ class AircraftSpec:
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
     configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
 
+    @property
+    def guided(self) -> bool:
+        """Whether its model is one for the bench: with the guidance system, and engines without a state."""
+        return self.foreign is None or self.foreign.guided
+
 
 @dataclass(frozen=True, slots=True)
 class Runway:

@@ -28,7 +28,6 @@ LONG_FILES = {
 
 SAME_NAMES = {
     "navego": "the format, written by exports and read by imports",
-    "units": "those of the project, and those of JSBSim in flight",
 }
 
 CIRCLES = {

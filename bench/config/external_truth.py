@@ -12,8 +12,7 @@ from bench.config.profile_tables import (
     TrajectoryTable,
 )
 from bench.errors import ConfigError, FlightError
-from bench.flight.foreign import script_facts, system_files
-from bench.flight.script import LONGEST
+from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
 from bench.specs import Flight, ScriptSpec, TableSpec
 from bench.wording import suggest
 
@@ -63,8 +62,10 @@ def place_antenna(table: ExperimentTable) -> tuple[float, float, float]:
 def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     assert isinstance(table, ScriptTable)
     name = table.script
-    if table.duration_s is not None and table.duration_s > LONGEST:
-        raise ConfigError(f"duration_s = {table.duration_s:g} s is above the {LONGEST:g} s of a script")
+    if table.duration_s is not None and table.duration_s > LONGEST_SCRIPT:
+        raise ConfigError(
+            f"duration_s = {table.duration_s:g} s is above the {LONGEST_SCRIPT:g} s of a script"
+        )
     if name.endswith(".xml"):
         path = (beside / name).resolve()
         if not path.is_file():

@@ -14,20 +14,22 @@ are checked against it. Increments follow from it at 400 Hz or more by the recip
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import Events, Trajectory, no_air, no_controls
+from bench.data import Events, Trajectory
 from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
 from bench.exchange.table_files import Columns, described, group, read_table
-from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
+from bench.flight.increments import Motion
+from bench.flight.truth import NO_AIR, NO_GROUND, EventRow, Stretch, make_truth
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
 from bench.specs import TableSpec
-from bench.units import FACTORS, split_unit
+from bench.units import FACTORS, STANDARD_GRAVITY, split_unit
 
 MOST_ROWS = 3_000_000
 """Rows of a table, and samples of a truth made of one: two hours at 400 Hz."""
@@ -44,7 +46,6 @@ _SPEED_OFF = 0.05  # velocity and derivative of position differ by more ... [m/s
 _SPEED_SHARE = 0.005  # ... and by more than this of the speed [1]
 _OFF_TABLE = 1e-3  # a row is off the truth by more [m]
 _FORCE = 10.0  # specific force beyond most aircraft [g], assumed
-_STANDARD_G = 9.80665  # [m/s^2]
 
 _TIMES = (group("time", "t"), group("time", "time"))
 _POSITIONS = (
@@ -73,17 +74,17 @@ q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: of the Ear
 """
 
 
-def read_trajectory(spec: TableSpec) -> Trajectory:
-    """Return the truth of a table.
+def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
+    """Yield the truth of a table in pieces, as `bench.flight.truth.make_truth` does.
 
     Parameters
     ----------
     spec : TableSpec
         A ``.csv`` or ``.parquet`` file with the columns of `COLUMNS`, and the rate of truth.
 
-    Returns
-    -------
-    truth : Trajectory
+    Yields
+    ------
+    Trajectory
         From the first row, t = 0, without air data and controls. Events of kind "sanity" say what is
         inconsistent in the table, with its row; row 1 is the first below the header.
 
@@ -110,13 +111,21 @@ def read_trajectory(spec: TableSpec) -> Trajectory:
             f"{spec.path.name}: {length:g} s at rate_hz = {spec.rate:g} Hz are {samples} samples; "
             f"at most {MOST_ROWS} are made: lower rate_hz, or set duration_s"
         )
-    truth = _truth(fit, spec.rate, samples)
-    events = [
-        *_reports(rows, fit),
-        *_forces(truth, rows),
-        (0.0, float(truth.t[-1]), "leg", f"trajectory {spec.name}"),
-    ]
-    return replace(truth, events=Events.from_rows(events))
+    beyond, most, where = np.empty(0), 0.0, 0.0  # times of forces that do not fly, the largest and its time
+    for truth in make_truth(_stretches(fit, spec.rate, samples), spec.rate):
+        force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / STANDARD_GRAVITY
+        beyond = np.append(beyond, truth.t[1:][force > _FORCE])
+        if force.max() > most:
+            most, where = float(force.max()), float(truth.t[np.argmax(force)])
+        end = float(truth.t[-1])
+        if round(end * spec.rate) < samples:
+            yield truth
+    events = [*_reports(rows, fit), (0.0, end, "leg", f"trajectory {spec.name}")]
+    if len(beyond):
+        row = int(np.searchsorted(rows.t, where)) + 1
+        words = f"row {row}: a specific force of {most:.3g} g, beyond {_FORCE:g} g: the positions do not fly"
+        events.append((float(beyond[0]), float(beyond[-1]), "sanity", words))
+    yield replace(truth, events=Events.from_rows(events))
 
 
 # --- checking -----------------------------------------------------------------------------------------
@@ -130,7 +139,7 @@ class _TableMotion:
     pos_e: FloatArray  # (N, 3) [m]
     q_eb: FloatArray  # (N, 4), sign-continuous
     vel_e: FloatArray | None  # (N, 3) [m/s]
-    notes: list[tuple[float, float, str, str]]
+    notes: list[EventRow]
 
 
 def _checked(table: Columns, shown: str) -> _TableMotion:
@@ -156,7 +165,7 @@ def _checked(table: Columns, shown: str) -> _TableMotion:
         raise ConfigError(
             f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}{more}"
         )
-    notes: list[tuple[float, float, str, str]] = []
+    notes: list[EventRow] = []
     if t[0] != 0.0:
         notes.append((0.0, 0.0, "table", f"t = 0 is {table.names['time'][0]} = {t[0]:.9g} of the table"))
     if table.unused:
@@ -198,7 +207,7 @@ def _positions(table: Columns, shown: str) -> FloatArray:
 
 
 def _attitudes(
-    table: Columns, shown: str, q_en: FloatArray, t: FloatArray, notes: list[tuple[float, float, str, str]]
+    table: Columns, shown: str, q_en: FloatArray, t: FloatArray, notes: list[EventRow]
 ) -> FloatArray:
     attitude, stems = table.columns["attitude"], table.stems["attitude"]
     if stems[0] == "roll":
@@ -271,57 +280,33 @@ def _knots(t: FloatArray) -> Any:
     return np.array(kept)
 
 
-def _motion(fit: _Fit, dt: float, first: int, end: int) -> Motion:
-    """Return the steps [first, end) of the motion, frame i being frame e at t = 0."""
-    t: FloatArray = dt * np.arange(first, end, dtype=np.float64)
-    pos_e, q_eb = fit.pos_e(t), fit.q_eb(t)
-    half = 0.5 * RATE * t
-    q_ie = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
-    lat, lon, _ = to_geodetic(pos_e).T
-    q_ne = conjugate(from_matrix(matrix_en(lat, lon)))
-    return Motion(
-        dt=dt,
-        epa=RATE * t,
-        pos_i=rotate(q_ie, pos_e),
-        vel_i=rotate(q_ie, fit.vel(t) + np.cross([0.0, 0.0, RATE], pos_e)),
-        q_nb=continuous(multiply(q_ne, q_eb)),
-        q_ib=continuous(multiply(q_ie, q_eb)),
-    )
-
-
-def _truth(fit: _Fit, rate: float, samples: int) -> Trajectory:
-    """Return truth of a number of intervals, made in chunks so that memory is that of the truth."""
+def _stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
+    """Yield so many samples of the motion in stretches, frame i being frame e at t = 0."""
     substeps = max(1, math.ceil(_FINE_RATE / rate))
     dt = 1.0 / (rate * substeps)
-    lla, vel_n, q_nb = np.empty((samples + 1, 3)), np.empty((samples + 1, 3)), np.empty((samples + 1, 4))
-    dtheta, dvel = np.empty((samples, 3)), np.empty((samples, 3))
-    for a in range(0, samples, _CHUNK):
-        b = min(a + _CHUNK, samples)
-        before = 1 if a else 0
-        motion = _motion(fit, dt, a * substeps - before, b * substeps + 2)
-        alpha, beta = true_integrals(*step_increments(motion))
-        dtheta[a:b] = alpha[before:].reshape(b - a, substeps, 3).sum(axis=1)
-        dvel[a:b] = beta[before:].reshape(b - a, substeps, 3).sum(axis=1)
-        at = slice(before, before + (b - a) * substeps + 1, substeps)
-        lla[a : b + 1], vel_n[a : b + 1] = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
-        q_nb[a : b + 1] = motion.q_nb[at]
-    return Trajectory(
-        t=np.arange(samples + 1) / rate,
-        lla=lla,
-        vel_n=vel_n,
-        q_nb=continuous(q_nb),
-        dtheta_b=dtheta,
-        dvel_b=dvel,
-        air=no_air(),
-        controls=no_controls(),
-        events=Events.from_rows([]),
-    )
+    for begun in range(0, samples, _CHUNK):
+        first, end = begun * substeps, min(begun + _CHUNK, samples) * substeps
+        t: FloatArray = dt * np.arange(first - (first > 0), end + 2, dtype=np.float64)
+        pos_e, q_eb = fit.pos_e(t), fit.q_eb(t)
+        half = 0.5 * RATE * t
+        q_ie = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
+        lat, lon, _ = to_geodetic(pos_e).T
+        q_ne = conjugate(from_matrix(matrix_en(lat, lon)))
+        motion = Motion(
+            dt=dt,
+            epa=RATE * t,
+            pos_i=rotate(q_ie, pos_e),
+            vel_i=rotate(q_ie, fit.vel(t) + np.cross([0.0, 0.0, RATE], pos_e)),
+            q_nb=continuous(multiply(q_ne, q_eb)),
+            q_ib=continuous(multiply(q_ie, q_eb)),
+        )
+        yield Stretch(first, motion, NO_AIR, NO_GROUND)
 
 
 # --- what is inconsistent -----------------------------------------------------------------------------
 
 
-def _reports(rows: _TableMotion, fit: _Fit) -> list[tuple[float, float, str, str]]:
+def _reports(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
     """Return what is inconsistent in a table, one event for each kind, with the rows."""
     t, steps = rows.t, np.diff(rows.t)
     found = list(rows.notes)
@@ -359,15 +344,3 @@ def _reports(rows: _TableMotion, fit: _Fit) -> list[tuple[float, float, str, str
     words = f"{off[worst] * 1e3:.3g} mm off the truth, which passes through {len(fit.knots)} of {len(t)} rows"
     note(off > _OFF_TABLE, worst, words)
     return found
-
-
-def _forces(truth: Trajectory, rows: _TableMotion) -> list[tuple[float, float, str, str]]:
-    force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / _STANDARD_G
-    beyond = np.flatnonzero(force > _FORCE)
-    if not len(beyond):
-        return []
-    row = int(np.searchsorted(rows.t, truth.t[int(np.argmax(force))])) + 1
-    words = (
-        f"row {row}: a specific force of {force.max():.3g} g, beyond {_FORCE:g} g: the positions do not fly"
-    )
-    return [(float(truth.t[beyond[0] + 1]), float(truth.t[beyond[-1] + 1]), "sanity", words)]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from bench.data import Trajectory
 from bench.flight import recorder
-from bench.flight.child import fly_in_child
+from bench.flight.child_process import fly_in_child
 from bench.flight.summary import Summary, summarise
 from bench.specs import FlightSpec, ScriptSpec
 
@@ -49,9 +49,7 @@ def fly_pieces(
     Parameters and errors as for :func:`fly`.
     """
     if isinstance(spec, ScriptSpec):
-        return fly_in_child("script:fly_pieces", spec, f"script {spec.name}", progress, seconds)
-    foreign = spec.aircraft.foreign
-    if foreign is None:
-        return recorder.fly_pieces(spec, progress, seconds)
-    module = "recorder" if foreign.guided else "wheel"
-    return fly_in_child(f"{module}:fly_pieces", spec, f"aircraft {spec.aircraft.name}", progress, seconds)
+        return fly_in_child(spec, f"script {spec.name}", progress, seconds)
+    if spec.aircraft.foreign is not None:
+        return fly_in_child(spec, f"aircraft {spec.aircraft.name}", progress, seconds)
+    return recorder.fly_pieces(spec, progress, seconds)

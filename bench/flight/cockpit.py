@@ -8,9 +8,10 @@ from typing import Any
 
 from bench.earth import matrix_en, to_ecef
 from bench.errors import FlightError
-from bench.flight.model import INTEGRATORS, ON_WHEELS, node
+from bench.flight.executive import find_property
+from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, smoothstep
-from bench.flight.units import FT
+from bench.flight.trimming import INTEGRATORS, ON_WHEELS
 from bench.specs import FlightSpec
 
 SURFACES = ("aileron", "elevator", "rudder")
@@ -25,11 +26,11 @@ class Cockpit:
 
     def __init__(self, fdm: Any, spec: FlightSpec) -> None:
         def reader(name: str) -> Callable[[], float]:
-            read: Callable[[], float] = node(fdm, name).get_double_value
+            read: Callable[[], float] = find_property(fdm, name).get_double_value
             return read
 
         def switch(name: str) -> Callable[[float], None]:
-            write: Callable[[float], None] = node(fdm, name).set_double_value
+            write: Callable[[float], None] = find_property(fdm, name).set_double_value
             return write
 
         def writer(name: str) -> Callable[[float], None]:

@@ -18,7 +18,7 @@ break. The sum of such differences is the difference of positions, so nothing ac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,11 @@ class Motion:
     q_nb: FloatArray  # (K, 4), sign-continuous
     q_ib: FloatArray  # (K, 4), sign-continuous
 
+    def select(self, rows: slice) -> Motion:
+        """Return some rows of the motion."""
+        columns = (self.epa, self.pos_i, self.vel_i, self.q_nb, self.q_ib)
+        return Motion(self.dt, *(column[rows] for column in columns))
+
 
 def from_states(
     dt: float, epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray, euler: FloatArray, lat_lon: FloatArray
@@ -55,15 +60,14 @@ def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
     side. The first two have one-sided differences of the same order. A point that is not
     off at all has the rows of ``motion``, bit for bit.
     """
-    epa, pos_i, vel_i, q_nb, q_ib = (
-        column[:-2] for column in (motion.epa, motion.pos_i, motion.vel_i, motion.q_nb, motion.q_ib)
-    )
-    if any(point_b):
-        arm_i = rotate(motion.q_ib, point_b)
-        pos_i, vel_i = pos_i + arm_i[:-2], vel_i + derivative(arm_i, motion.dt)
-        lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
-        q_nb = continuous(multiply(conjugate(_level(lat, lon)), q_ib))
-    return Motion(motion.dt, epa, pos_i, vel_i, q_nb, q_ib)
+    found = motion.select(slice(None, -2))
+    if not any(point_b):
+        return found
+    arm_i = rotate(motion.q_ib, point_b)
+    pos_i, vel_i = found.pos_i + arm_i[:-2], found.vel_i + derivative(arm_i, motion.dt)
+    lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
+    q_nb = continuous(multiply(conjugate(_level(lat, lon)), found.q_ib))
+    return replace(found, pos_i=pos_i, vel_i=vel_i, q_nb=q_nb)
 
 
 def derivative(u: FloatArray, dt: float) -> FloatArray:

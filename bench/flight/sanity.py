@@ -7,22 +7,20 @@ truth can be made of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray
+from bench.arrays import BoolArray, FloatArray
 from bench.earth import RATE
 from bench.errors import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
-from bench.flight.shaping import GUIDANCE_RATE
-from bench.flight.tape import Ticks
-from bench.flight.units import FT
+from bench.flight.jsbsim_units import FT
+from bench.flight.truth import EventRow, Stretch
+from bench.units import STANDARD_GRAVITY
 
-_STANDARD_G = 9.80665  # [m/s^2]
 _HARD = 10.0 * FT  # sink rate a landing gear is made for [m/s], 14 CFR 25.473(a)(2), the most of 23.473(d)
 _ROLLING = 2.0  # ground speed at which a structure on the ground is no longer parked [m/s], assumed
 _PLACE = 1e-2  # a position is off the integral of its velocity by more: it was set [m]
@@ -30,8 +28,6 @@ _SPEED = 5.0  # velocity change in one step that is no motion: 200 g at 400 Hz [
 _ANGLE = 0.5  # rotation in one step that is no motion: 200 rad/s at 400 Hz [rad]
 _ENOUGH = 10.0  # a flight between two changes of place is flown from this length on [s]
 _LEAST = 1.0  # shorter than this nothing can be navigated [s]
-
-Row = tuple[float, float, str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,104 +49,137 @@ LIMITS = {
 """By class of aircraft."""
 
 
-def stretch(dt: float, motion: Motion, what: str) -> tuple[slice, list[Row]]:
+def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[EventRow]]:
     """Return the steps of the first continuous flight worth the name, and what was left out.
 
     A trim or a reset inside a script puts the aircraft somewhere else between two steps. Truth
     is one motion: the first stretch of at least 10 s between such changes, else the longest.
+
+    Parameters
+    ----------
+    motions : iterable of Motion
+        The whole flight in parts; each begins with the last row of the one before.
+    what : str
+        How messages call it: "script c1723".
 
     Raises
     ------
     FlightError
         When no second of continuous motion is left.
     """
-    v, r = motion.vel_i, motion.pos_i
-    gap = np.linalg.norm(np.diff(r, axis=0) - 0.5 * dt * (v[1:] + v[:-1]), axis=1)
-    turned = 2.0 * np.arccos(np.clip(np.abs(np.sum(motion.q_ib[1:] * motion.q_ib[:-1], axis=1)), 0.0, 1.0))
-    faster = np.linalg.norm(np.diff(v, axis=0), axis=1)
-    earth = np.abs(np.diff(motion.epa) - RATE * dt)
-    cut = (gap > _PLACE) | (turned > _ANGLE) | (faster > _SPEED) | (earth > 0.5 * RATE * dt)
-    edges = [0, *(np.flatnonzero(cut) + 1), len(r)]
-    pieces = [(int(a), int(b)) for a, b in pairwise(edges)]
-    long_enough = [(a, b) for a, b in pieces if (b - a - 1) * dt >= _ENOUGH]
-    first, end = long_enough[0] if long_enough else max(pieces, key=lambda ab: ab[1] - ab[0])
+    parts, dt, widest = [np.zeros(0, np.bool_)], 0.0, 0.0
+    for motion in motions:
+        dt, v, r, q = motion.dt, motion.vel_i, motion.pos_i, motion.q_ib
+        gap = np.linalg.norm(np.diff(r, axis=0) - 0.5 * dt * (v[1:] + v[:-1]), axis=1)
+        turned = 2.0 * np.arccos(np.clip(np.abs(np.sum(q[1:] * q[:-1], axis=1)), 0.0, 1.0))
+        faster = np.linalg.norm(np.diff(v, axis=0), axis=1)
+        earth = np.abs(np.diff(motion.epa) - RATE * dt)
+        parts.append((gap > _PLACE) | (turned > _ANGLE) | (faster > _SPEED) | (earth > 0.5 * RATE * dt))
+        widest = max(widest, float(gap.max()))
+    jumps = np.concatenate(parts)
+    cuts = [int(k) + 1 for k in np.flatnonzero(jumps)]
+    flights = list(pairwise([0, *cuts, len(jumps) + 1]))
+    long_enough = [(a, b) for a, b in flights if (b - a - 1) * dt >= _ENOUGH]
+    first, end = long_enough[0] if long_enough else max(flights, key=lambda ab: ab[1] - ab[0])
     if (end - first) * dt < _LEAST:
-        raise FlightError(
-            f"{what}: no truth can be made of it, the motion jumps (the first at {gap_at(cut, dt)})"
-        )
-    if not cut.any():
-        return slice(0, len(r)), []
-    times = ", ".join(f"{(k + 1) * dt:.2f} s" for k in np.flatnonzero(cut)[:5])
-    more = f" and {np.count_nonzero(cut) - 5} times more" if np.count_nonzero(cut) > 5 else ""
+        where = f"{cuts[0] * dt:.2f} s" if cuts else "its end"
+        raise FlightError(f"{what}: no truth can be made of it, the motion jumps (the first at {where})")
+    if not cuts:
+        return slice(first, end), []
+    times = ", ".join(f"{k * dt:.2f} s" for k in cuts[:5])
+    more = f" and {len(cuts) - 5} times more" if len(cuts) > 5 else ""
     text = (
-        f"{what}: the motion jumps at {times}{more} (by up to {gap.max():.4g} m): "
+        f"{what}: the motion jumps at {times}{more} (by up to {widest:.4g} m): "
         f"truth is its flight from {first * dt:.2f} to {(end - 1) * dt:.2f} s"
     )
     return slice(first, end), [(0.0, 0.0, "sanity", text)]
 
 
-def gap_at(cut: BoolArray, dt: float) -> str:
-    """Return the time of the first change of place."""
-    return f"{(int(np.argmax(cut)) + 1) * dt:.2f} s" if cut.any() else "its end"
-
-
-def report(motion: Motion, ticks: Ticks, category: str) -> list[Row]:
-    """Return what is beyond the class of the aircraft, one event for each kind of excess.
+def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stretch]:
+    """Pass the stretches of a flight on; the last gets an event for each kind of excess besides its own.
 
     Parameters
     ----------
-    motion : Motion
+    stretches : iterable of Stretch
         One continuous flight, from t = 0.
-    ticks : Ticks
-        Ground contacts at 20 Hz, from t = 0.
     category : str
-        A key of ``LIMITS``.
+        Class of the aircraft, a key of ``LIMITS``.
     """
-    limits, dt = LIMITS[category], motion.dt
-    th, be = step_increments(motion)
-    t = dt * np.arange(1, len(th) + 1)
-    force = be / dt / _STANDARD_G
-    load = -force[:, 2]
-    rate = np.abs(th).max(axis=1) / dt
-    jump = np.linalg.norm(np.diff(force, axis=0), axis=1)
-    most_jump = 0.5 * (limits.load_high - limits.load_low)
-    t_slow = np.arange(len(ticks.rows)) / GUIDANCE_RATE
-    at = np.minimum(np.round(t_slow / dt).astype(int), len(motion.epa) - 1)
-    _, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
-    speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
-    touched = np.diff(ticks.wheels.astype(int), prepend=int(ticks.wheels[0])) > 0
-    sink = np.concatenate([ticks.sink[:1], ticks.sink[:-1]])  # before the touch
-    of_class = f"of the class {category}"
+    report = _Report(category)
+    for stretch in stretches:
+        report.add(stretch)
+        if stretch.events is None:
+            yield stretch
+        else:
+            yield replace(stretch, events=stretch.events + report.rows())
 
-    def said() -> Iterator[tuple[Any, Any, str]]:
-        beyond = f"{limits.load_low:g} to {limits.load_high:g} {of_class} ({limits.source})"
-        words = f"load factor {load.min():.2f} to {load.max():.2f} is beyond {beyond}"
-        yield (load < limits.load_low) | (load > limits.load_high), t, words
-        most_rate, fastest = np.rad2deg((limits.rate, rate.max()))
-        words = f"angular rate {fastest:.0f} deg/s is beyond {most_rate:.0f} {of_class}"
-        yield rate > limits.rate, t, words
-        worst = jump.max(initial=0.0)
-        words = f"specific force jumps by {worst:.1f} g in a step, beyond {most_jump:g} {of_class}"
-        yield jump > most_jump, t[1:], words
-        hard = touched & (sink > _HARD)
-        words = f"wheels hit the ground at {sink[hard].max(initial=0.0):.1f} m/s, beyond {_HARD:.2f}"
-        yield hard, t_slow, words
-        scraped = ticks.structure & (speed > _ROLLING)
-        words = f"not only wheels touch the ground, at up to {speed[scraped].max(initial=0.0):.1f} m/s"
-        yield scraped, t_slow, words
-        under = ticks.agl < 0
-        words = f"the centre of gravity is up to {-ticks.agl.min(initial=0.0):.1f} m under the ground"
-        yield under, t_slow, words
-        yield (
-            ~np.isfinite(ticks.rows).all(axis=1),
-            t_slow,
-            "air data or controls are not finite; they stand as 0",
-        )
 
-    rows = []
-    for found, when, words in said():
-        if found.any():
-            k = np.flatnonzero(found)
-            times = "once" if len(k) == 1 else f"{len(k)} times"
-            rows.append((float(when[k[0]]), float(when[k[-1]]), "sanity", f"{words}, {times}"))
-    return rows
+class _Report:
+    """What is beyond the class of an aircraft, collected from the stretches of its flight."""
+
+    def __init__(self, category: str) -> None:
+        self._category, self._limits = category, LIMITS[category]
+        self._jump = 0.5 * (self._limits.load_high - self._limits.load_low)  # [g]
+        self._force_b = np.empty((0, 3))  # of the last step [g]
+        self._ground = np.empty((0, 4))  # the last row
+        self._found: dict[str, tuple[float, float, int]] = {}  # kind: first and last time [s], how often
+        self._least: dict[str, float] = {}  # figure of a kind
+        self._most: dict[str, float] = {}
+
+    def add(self, stretch: Stretch) -> None:
+        """Take in the next stretch, and the step beyond it."""
+        motion, limits, dt, before = stretch.motion, self._limits, stretch.motion.dt, stretch.before
+        th, be = (column[2 * before :] for column in step_increments(motion))
+        t: FloatArray = dt * (stretch.first + before + np.arange(1.0, len(th) + 1))
+        force = be / dt / STANDARD_GRAVITY
+        load = -force[:, 2]
+        self._note("load", (load < limits.load_low) | (load > limits.load_high), t, load)
+        rate = np.abs(th).max(axis=1) / dt
+        self._note("rate", rate > limits.rate, t, np.rad2deg(rate))
+        jump = np.linalg.norm(np.diff(np.concatenate([self._force_b, force]), axis=0), axis=1)
+        self._note("jump", jump > self._jump, t[-len(jump) :], jump)
+        self._force_b = force[-1:]
+        t_air, ground = stretch.t_air, stretch.ground
+        at = np.minimum(np.round(t_air / dt).astype(int) - stretch.first + before, len(motion.epa) - 1)
+        _, vel_n = earth_relative(motion.epa[at], motion.pos_i[at], motion.vel_i[at])
+        speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
+        earlier = np.concatenate([self._ground if len(self._ground) else ground[:1], ground[:-1]])
+        self._ground = ground[-1:]
+        hard = (ground[:, 2] > earlier[:, 2]) & (earlier[:, 1] > _HARD)  # by the sink rate before the touch
+        self._note("hit", hard, t_air, earlier[hard, 1])
+        scraped = (ground[:, 3] > 0) & (speed > _ROLLING)
+        self._note("scrape", scraped, t_air, speed[scraped])
+        under = ground[:, 0] < 0
+        self._note("under", under, t_air, -ground[under, 0])
+        infinite: BoolArray = np.any(~np.isfinite(np.hstack([stretch.air, ground])), axis=1)
+        self._note("infinite", infinite, t_air, speed[infinite])
+
+    def _note(self, kind: str, found: BoolArray, t: FloatArray, figure: FloatArray) -> None:
+        if len(figure):
+            self._least[kind] = min(self._least.get(kind, math.inf), float(figure.min()))
+            self._most[kind] = max(self._most.get(kind, -math.inf), float(figure.max()))
+        k = np.flatnonzero(found)
+        if len(k):
+            first, _, count = self._found.get(kind, (float(t[k[0]]), 0.0, 0))
+            self._found[kind] = (first, float(t[k[-1]]), count + len(k))
+
+    def rows(self) -> list[EventRow]:
+        """Return an event for each kind of excess."""
+        limits, of_class = self._limits, f"of the class {self._category}"
+        words = {
+            "load": f"load factor {{:.2f}} to {{:.2f}} is beyond {limits.load_low:g} to {limits.load_high:g} "
+            f"{of_class} ({limits.source})",
+            "rate": f"angular rate {{1:.0f}} deg/s is beyond {math.degrees(limits.rate):.0f} {of_class}",
+            "jump": f"specific force jumps by {{1:.1f}} g in a step, beyond {self._jump:g} {of_class}",
+            "hit": f"wheels hit the ground at {{1:.1f}} m/s, beyond {_HARD:.2f}",
+            "scrape": "not only wheels touch the ground, at up to {1:.1f} m/s",
+            "under": "the centre of gravity is up to {1:.1f} m under the ground",
+            "infinite": "air data or controls are not finite; they stand as 0",
+        }
+        rows = []
+        for kind, text in words.items():
+            if kind in self._found:
+                first, last, count = self._found[kind]
+                said = text.format(self._least[kind], self._most[kind])
+                rows.append((first, last, "sanity", f"{said}, {'once' if count == 1 else f'{count} times'}"))
+        return rows

@@ -16,8 +16,8 @@ from typing import Any
 from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.legs.keys import AtSpeed
-from bench.flight.model import Trim
 from bench.flight.shaping import GUIDANCE_RATE
+from bench.flight.trimming import Trim
 from bench.flight.wind import Weather
 from bench.specs import FlightSpec, Leg
 

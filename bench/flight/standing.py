@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES
-from bench.flight.model import INTEGRATORS, ON_WHEELS, Condition, place
-from bench.flight.units import FT
+from bench.flight.jsbsim_units import FT
+from bench.flight.trimming import INTEGRATORS, ON_WHEELS, Condition, place, run_engines, wait
 from bench.flight.wind import set_wind
 
 _DROP = 0.02  # from which it is let down on its wheels [m]
@@ -18,8 +17,10 @@ _SETTLE = 30.0  # until gear and friction are at rest [s]
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
-def stand(fdm: Any, condition: Condition, idle: Callable[[Any], None]) -> None:
+def stand(fdm: Any, condition: Condition, *, guided: bool = True) -> None:
     """Put the aircraft on the ground of a condition's place, heading and wind, at rest, its engines idling.
+
+    Engines of a model that was not made for the bench have a state and are set running.
 
     Raises
     ------
@@ -47,7 +48,8 @@ def stand(fdm: Any, condition: Condition, idle: Callable[[Any], None]) -> None:
     fdm["guidance/throttle-cmd-norm"] = 0.0
     for side in ("left", "right"):
         fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
-    idle(fdm)
+    if not guided:
+        run_engines(fdm)
     for _ in range(round(_SETTLE / fdm.get_delta_t())):
         fdm.run()
     moves = FT * max(abs(fdm[f"velocities/v-{axis}-fps"]) for axis in ("north", "east", "down"))
@@ -59,6 +61,4 @@ def stand(fdm: Any, condition: Condition, idle: Callable[[Any], None]) -> None:
 
 def _evaluate(fdm: Any) -> None:
     fdm.run_ic()
-    fdm.suspend_integration()
-    fdm.run()
-    fdm.resume_integration()
+    wait(fdm, 1)

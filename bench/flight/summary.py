@@ -10,8 +10,7 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.earth import difference_n
 from bench.rotation import to_euler
-
-_STANDARD_G = 9.80665  # [m/s^2]
+from bench.units import STANDARD_GRAVITY
 
 
 def summarise(truth: Trajectory) -> dict[str, Any]:
@@ -51,7 +50,7 @@ class Summary:
         self._take("climb", -piece.vel_n[:, 2])
         self._take("bank", np.abs(roll))
         self._take("pitch", pitch)
-        self._take("load_factor", -piece.dvel_b[:, 2] / dt / _STANDARD_G)
+        self._take("load_factor", -piece.dvel_b[:, 2] / dt / STANDARD_GRAVITY)
         for axis, name in enumerate(("roll", "pitch", "yaw")):
             self._take(f"{name}_rate", w_b[:, axis])
         self._legs += piece.events.of("leg")

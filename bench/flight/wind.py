@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.flight.units import FT
+from bench.flight.jsbsim_units import FT
 from bench.specs import FlightSpec, Gust, stream
+from bench.units import SAME_INSTANT
 
 # Wind 20 ft above ground of MIL-F-8785C for light, moderate and severe turbulence (15, 30, 45 kt), at the
 # probability-of-exceedance index JSBSim takes for each; a straight line between and beyond.
@@ -66,7 +67,7 @@ class Weather:
         """Write the wind of this instant [s] and height [m], and begin the gust that is due."""
         if len(self._alts):
             set_wind(self._fdm, self.wind_at(alt))
-        if self._gusts and t >= self._gusts[0].start - 1e-6:
+        if self._gusts and t >= self._gusts[0].start - SAME_INSTANT:
             _start_gust(self._fdm, self._gusts.pop(0))
 
 

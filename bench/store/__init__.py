@@ -23,7 +23,7 @@ from bench.store.results import (
     write_json,
 )
 from bench.store.start import START, assumed_specs, initial_state, load_start, start_document
-from bench.store.truth_cache import truth_cached, truth_key, truth_pieces, truth_said
+from bench.store.truth_cache import join_pieces, truth_cached, truth_key, truth_pieces, truth_said
 
 __all__ = [
     "RECORDING",
@@ -34,6 +34,7 @@ __all__ = [
     "assumed_specs",
     "check_folder",
     "initial_state",
+    "join_pieces",
     "load",
     "load_observations",
     "load_sensed",

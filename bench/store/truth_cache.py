@@ -75,7 +75,7 @@ def truth_cached(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Traje
     truth = _mapped(entry) if _sound(entry) else None
     if truth is None and _kept(entry, fly):
         truth = _mapped(entry)
-    return _joined(fly()) if truth is None else truth
+    return join_pieces(fly()) if truth is None else truth
 
 
 def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
@@ -184,8 +184,8 @@ def _trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]
     return Trajectory(**rows[""], air=air, controls=controls, events=events)
 
 
-def _joined(pieces: Iterable[Trajectory]) -> Trajectory:
-    """Return the truth that pieces make up."""
+def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
+    """Return the truth that pieces make up; a piece begins with the instant at which the one before ends."""
     first, *rest = pieces
     if not rest:
         return first

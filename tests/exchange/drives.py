@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from bench import earth, rotation
 from bench.exchange.trajectory import read_trajectory
 from bench.specs import TableSpec
+from bench.store import join_pieces
 
 ORIGIN = np.array([np.deg2rad(47.0), np.deg2rad(11.0), 600.0])
 REST, LENGTH, RATE = 20.0, 150.0, 100.0  # [s], [s], [Hz]
@@ -89,7 +90,7 @@ def truth():
         path = Path(folder) / "path.csv"
         header = "t_s,lat_deg,lon_deg,alt_m,roll_deg,pitch_deg,heading_deg"
         np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.12f")
-        return read_trajectory(TableSpec("path", path, RATE, None))
+        return join_pieces(read_trajectory(TableSpec("path", path, RATE, None)))
 
 
 def sensed(

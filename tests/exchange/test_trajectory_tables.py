@@ -24,7 +24,8 @@ from bench.errors import ConfigError
 from bench.exchange import trajectory
 from bench.rotation import multiply, to_rotvec
 from bench.specs import TableSpec
-from bench.store.truth_cache import truth_key
+from bench.store import parquet as parquet_file
+from bench.store.truth_cache import join_pieces, truth_key
 from tests.flight.inertial import inertial, largest_difference, navigate, replay
 
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
@@ -88,7 +89,7 @@ def write(path: Path, table: dict[str, np.ndarray], names: tuple[str, ...]) -> P
 
 
 def fly(path: Path, rate: float = 200.0, duration: float | None = None) -> Trajectory:
-    return trajectory.read_trajectory(TableSpec(path.stem, path, rate, duration))
+    return join_pieces(trajectory.read_trajectory(TableSpec(path.stem, path, rate, duration)))
 
 
 def sanity(truth: Trajectory) -> str:
@@ -151,9 +152,7 @@ def test_the_replay_sees_increments_that_are_not_integrals(tmp_path):
 
 
 def test_a_truth_of_the_bench_is_a_table_too(tmp_path, short_truth):
-    from bench.store.results import _save_truth
-
-    _save_truth(tmp_path, short_truth)
+    parquet_file.write(tmp_path / "truth.parquet", short_truth)
     truth = fly(tmp_path / "truth.parquet", 100.0)
     assert [t for *_, t in truth.events.of("table")] == [
         "columns not used: dtheta_x_rad, dtheta_y_rad, dtheta_z_rad, dvel_x_mps, dvel_y_mps, dvel_z_mps"

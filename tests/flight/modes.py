@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.flight.model import Condition, linearize, trim
+from bench.arrays import FloatArray
+from bench.flight.trimming import Condition, Trim, place, present_accelerations, trim_aircraft
 
 G = 9.80665  # standard gravity [m/s^2]
 LONGITUDINAL, LATERAL = [0, 2, 4, 7], [1, 3, 5, 6]  # u, w, q, pitch; v, p, r, roll of ``linearize``
@@ -121,7 +122,7 @@ def of_table(at: Flight, longitudinal: LongitudinalTable, lateral: LateralTable)
 
 def of_model(fdm: Any, condition: Condition) -> Modes:
     """The modes the model has about its trimmed flight in a condition."""
-    A = linearize(fdm, condition, trim(fdm, condition))
+    A = linearize(fdm, condition, trim_aircraft(fdm, condition))
     return named(A[np.ix_(LONGITUDINAL, LONGITUDINAL)], A[np.ix_(LATERAL, LATERAL)])
 
 
@@ -134,3 +135,41 @@ def beyond(found: Modes, reference: Modes, bounds: Mapping[str, float] = BOUNDS)
     """The modes that differ from their reference by more than their bound, and by how much."""
     apart = differences(found, reference)
     return {mode: apart[mode] for mode in bounds if not apart[mode] <= bounds[mode]}
+
+
+def linearize(fdm: Any, condition: Condition, trimmed: Trim, step: float = 1e-4) -> FloatArray:
+    """Return the state matrix about a trimmed flight by central differences, (8, 8).
+
+    States: u, v, w [m/s], p, q, r [rad/s], roll, pitch [rad], body axes, no wind.
+    """
+    V, alpha, beta = condition.speed, trimmed.alpha, trimmed.beta
+    x0 = np.array(
+        [
+            *(V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])),
+            *(0.0, 0.0, 0.0),
+            *(trimmed.roll, trimmed.pitch),
+        ]
+    )
+
+    def derivative(x: FloatArray) -> FloatArray:
+        u, v, w, p, q, r, roll, pitch = (float(value) for value in x)
+        speed = float(np.linalg.norm(x[:3]))
+        moved = Condition(condition.lat, condition.lon, condition.alt, condition.heading, speed)
+        place(
+            fdm,
+            moved,
+            float(np.arctan2(w, u)),
+            float(np.arcsin(v / speed)),
+            roll,
+            trimmed.aileron,
+            trimmed.elevator,
+            trimmed.throttle,
+            pitch=pitch,
+            rates_b=(p, q, r),
+        )
+        roll_rate = p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll))
+        pitch_rate = q * np.cos(roll) - r * np.sin(roll)
+        return np.array([*present_accelerations(fdm), roll_rate, pitch_rate])
+
+    columns = [(derivative(x0 + e) - derivative(x0 - e)) / (2 * step) for e in step * np.eye(8)]
+    return np.column_stack(columns)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from bench.config.library import list_aircraft, read_aircraft, read_jsbsim_aircraft
-from bench.flight import wheel
-from bench.flight.model import Condition, load, trim
+from bench.flight.executive import load_aircraft
+from bench.flight.trimming import Condition, trim_aircraft
 from bench.specs import AircraftSpec
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
@@ -29,23 +29,21 @@ def test_an_own_aircraft_is_trimmed_where_its_file_says(name):
     """Nothing is left of six accelerations, with a tenth of the travel of every control to spare."""
     spec = OWN[name]
     assert len(spec.trims) > 1
-    fdm = load(spec, 1 / 400)
+    fdm = load_aircraft(spec, 1 / 400)
     for condition in flights(spec):
-        found = trim(fdm, condition)
+        found = trim_aircraft(fdm, condition)
         assert found.residual < 1e-9
         assert 0.02 < found.throttle < 0.9
         assert max(abs(found.elevator), abs(found.aileron)) < 0.9
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_an_aircraft_of_the_wheel_is_trimmed_where_its_file_says(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_an_aircraft_of_the_wheel_is_trimmed_where_its_file_says(name):
     spec = FOREIGN[name]
-    assert spec.foreign is not None
     assert spec.trims
-    fdm = wheel.load(spec, spec.foreign, 1 / 400)
+    fdm = load_aircraft(spec, 1 / 400)
     for condition in flights(spec):
-        found = wheel.trim(fdm, condition)
+        found = trim_aircraft(fdm, condition, guided=False)
         assert found.residual < 1e-3
         assert 0.02 < found.throttle < 0.95
 

@@ -4,7 +4,6 @@ Reference of the modes: the state matrices that `modes747.py` forms from Etkin's
 numbers are written here a second time, in the form of their tables.
 """
 
-import math
 from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
@@ -18,15 +17,16 @@ from bench.config import load_profile
 from bench.config.library import read_aircraft
 from bench.errors import FlightError
 from bench.flight import fly
+from bench.flight.executive import load_aircraft
+from bench.flight.jsbsim_units import FT
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.model import Condition, linearize, load, place, trim
-from bench.flight.recorder import record, to_trajectory
-from bench.flight.units import FT
+from bench.flight.trimming import Condition, place, trim_aircraft
 from tests.flight import modes747 as etkin
+from tests.flight.modes import linearize
 from tests.flight.plans import plan
-from tests.flight.test_recorder import same_form_error, two_sample_error
+from tests.flight.test_recorder import record_whole, same_form_error, truth_of, two_sample_error
 
 FOLDER = Path(__file__).parents[2] / "aircraft" / "jet747"
 JET = read_aircraft(FOLDER, FOLDER)
@@ -44,14 +44,14 @@ TRAVEL = radians(20.0)  # of each surface at full command
 
 def reference():
     """The model as Etkin's set, in the air of his condition."""
-    fdm = load(JET, DT)
+    fdm = load_aircraft(JET, DT)
     fdm["aero/reference"] = 1
     fdm["atmosphere/override/density"] = etkin.RHO / SLUG_FT3
     return fdm
 
 
 def modes(fdm, condition):
-    A = linearize(fdm, condition, trim(fdm, condition))
+    A = linearize(fdm, condition, trim_aircraft(fdm, condition))
     return etkin.modes(A[np.ix_(LONGITUDINAL, LONGITUDINAL)], A[np.ix_(LATERAL, LATERAL)])
 
 
@@ -64,7 +64,7 @@ def test_the_five_modes_are_those_of_the_published_table():
     found = modes(reference(), AT_ETKIN)
     for mode, bound in BOUNDS.items():
         assert abs(found[mode] - wanted[mode]) < bound * abs(wanted[mode]), mode
-    scheduled = modes(load(JET, DT), AT_ETKIN)
+    scheduled = modes(load_aircraft(JET, DT), AT_ETKIN)
     assert abs(scheduled["phugoid"] - wanted["phugoid"]) > BOUNDS["phugoid"] * abs(wanted["phugoid"])
     for mode in BOUNDS:
         assert abs(scheduled[mode] - wanted[mode]) < 0.06 * abs(wanted[mode]), mode
@@ -73,7 +73,7 @@ def test_the_five_modes_are_those_of_the_published_table():
 def test_the_product_of_inertia_is_negative_about_stability_axes():
     """A roll moment turns the nose as Ixz = -0.212e7 says; JSBSim's default sign would not."""
     fdm = reference()
-    at = trim(fdm, AT_ETKIN)
+    at = trim_aircraft(fdm, AT_ETKIN)
 
     def acceleration(aileron, rudder=0.0):
         place(fdm, AT_ETKIN, at.alpha, at.beta, at.roll, aileron, at.elevator, at.throttle)
@@ -101,7 +101,7 @@ def test_the_product_of_inertia_is_negative_about_stability_axes():
 
 def test_inertia_in_body_axes_is_the_other_published_set():
     """Etkin's stability axes turned back by 4.6 deg meet 18.2, 33.1, 49.7 and 0.97e6 slug ft^2."""
-    fdm = load(JET, DT)
+    fdm = load_aircraft(JET, DT)
     found = [fdm[f"inertia/{axis}-slugs_ft2"] for axis in ("ixx", "iyy", "izz", "ixz")]
     assert_allclose(found, [18.2e6, 33.1e6, 49.7e6, -0.97e6], rtol=3e-3)  # the element of the tensor
     assert_allclose(fdm["inertia/weight-lbs"], 636_636.0, rtol=2e-4)
@@ -110,14 +110,14 @@ def test_inertia_in_body_axes_is_the_other_published_set():
 def test_side_force_acts_along_the_body_axis():
     """dv'/dv is rho U S CYb / 2m; in JSBSim's wind axes the drag would add 5 %."""
     fdm = reference()
-    A = linearize(fdm, AT_ETKIN, trim(fdm, AT_ETKIN))
+    A = linearize(fdm, AT_ETKIN, trim_aircraft(fdm, AT_ETKIN))
     assert_allclose(A[1, 1], etkin.lateral()[0, 0], rtol=5e-3)
     assert abs(etkin.CD0 / etkin.LATERAL["CYb"]) > 0.04
 
 
 def test_commands_have_the_senses_of_the_conventions_and_the_published_size():
     fdm = reference()
-    at = trim(fdm, AT_ETKIN)
+    at = trim_aircraft(fdm, AT_ETKIN)
 
     def response(command):
         place(fdm, AT_ETKIN, at.alpha, at.beta, at.roll, at.aileron, at.elevator, at.throttle)
@@ -156,7 +156,7 @@ class Tunnel:
     """Coefficients of the model at a Mach number, altitude [m] and angle of attack, surfaces centred."""
 
     def __init__(self) -> None:
-        self.fdm = load(JET, DT)
+        self.fdm = load_aircraft(JET, DT)
 
     def at(self, mach: float, alt: float, alpha: float) -> dict[str, float]:
         fdm = self.fdm
@@ -247,7 +247,7 @@ def test_between_its_conditions_the_schedule_meets_a_set_it_is_not_built_from(tu
 
 def test_at_mach_09_the_modes_are_those_of_the_dimensional_derivatives_of_cr_2144():
     """Short period 1.347 rad/s, 0.351; Dutch roll 0.996 rad/s; roll 1.91 s; phugoid 0.0315 rad/s."""
-    found = modes(load(JET, DT), replace(AT_ETKIN, speed=871.0 * FT))
+    found = modes(load_aircraft(JET, DT), replace(AT_ETKIN, speed=871.0 * FT))
     short, dutch = found["short period"], found["dutch roll"]
     assert_allclose([abs(short), -short.real / abs(short)], [1.347, 0.351], rtol=0.03)
     assert_allclose(abs(dutch), 0.996, rtol=0.04)
@@ -270,8 +270,8 @@ def test_at_mach_09_the_modes_are_those_of_the_dimensional_derivatives_of_cr_214
     ],
 )
 def test_trimmed_flight_does_not_accelerate(condition):
-    fdm = load(JET, DT)
-    found = trim(fdm, condition)
+    fdm = load_aircraft(JET, DT)
+    found = trim_aircraft(fdm, condition)
     assert found.residual < 1e-9
     assert 0.0 <= found.throttle <= 0.9
     assert abs(found.elevator) < 0.5
@@ -281,12 +281,12 @@ def test_trimmed_flight_does_not_accelerate(condition):
 def test_too_slow_for_its_altitude_is_refused():
     """Full thrust does not carry the drag of 110 m/s at 12 000 m."""
     with pytest.raises(FlightError, match="no steady flight found for jet747 at 110 m/s, 12000 m"):
-        trim(load(JET, DT), replace(CRUISE, alt=12_000.0, speed=110.0))
+        trim_aircraft(load_aircraft(JET, DT), replace(CRUISE, alt=12_000.0, speed=110.0))
 
 
 @pytest.mark.parametrize("alt", [100.0, 10_668.0])
 def test_thrust_falls_with_density_to_the_assumed_power_and_not_with_speed(alt):
-    fdm, found = load(JET, DT), []
+    fdm, found = load_aircraft(JET, DT), []
     for speed in (100.0, 240.0):
         place(fdm, replace(CRUISE, alt=alt, speed=speed), 0.05, 0.0, 0.0, 0.0, 0.0, 0.5)
         found.append(fdm["forces/fbx-external-lbs"])
@@ -295,7 +295,7 @@ def test_thrust_falls_with_density_to_the_assumed_power_and_not_with_speed(alt):
 
 
 def test_it_stands_on_its_wheels_with_the_brakes_set():
-    fdm = load(JET, DT)
+    fdm = load_aircraft(JET, DT)
     fdm["ic/terrain-elevation-ft"], fdm["ic/h-agl-ft"] = 0.0, 5.0 / FT
     fdm.run_ic()
     fdm["fcs/left-brake-cmd-norm"] = fdm["fcs/right-brake-cmd-norm"] = 1.0
@@ -351,8 +351,8 @@ def test_turns_climbs_and_descents_end_where_they_should(alt, speed):
 def test_climb_cruise_descend_is_flown_and_its_truth_replays():
     """17 minutes in light turbulence: 8000 m and 6000 m are reached, the last heading is 90 deg."""
     profile = load_profile("climb-cruise-descend")
-    (recording,) = record(profile.flight, seconds=math.inf)
-    truth = to_trajectory(recording)
+    stretch = record_whole(profile.flight)
+    truth = truth_of(stretch, profile.flight.rate)
     assert truth.t[-1] == profile.flight.duration
     rows = truth.events.of("leg")
     assert len(rows) == len(profile.flight.legs)
@@ -364,7 +364,7 @@ def test_climb_cruise_descend_is_flown_and_its_truth_replays():
     assert truth.air.pressure.min() > 300e2  # what the barometer is specified to
     outage = profile.sensors.gnss_outages[0]
     assert any(start <= outage[0] and outage[1] <= end for start, end, text in rows if "straight" in text)
-    distance, angle = same_form_error(recording)
+    distance, angle = same_form_error(stretch.motion)
     assert distance < 0.1e-3
     assert angle < 0.1e-6
 

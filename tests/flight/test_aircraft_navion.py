@@ -18,11 +18,12 @@ from bench import rotation
 from bench.config.library import aircraft_folder, read_aircraft
 from bench.data import Trajectory
 from bench.flight import fly
+from bench.flight.executive import load_aircraft
+from bench.flight.jsbsim_units import FT
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.model import Condition, linearize, load, place, trim
-from bench.flight.units import FT
+from bench.flight.trimming import Condition, place, trim_aircraft
 from tests.flight import modes
 from tests.flight.plans import plan
 
@@ -59,7 +60,7 @@ PUBLISHED = modes.of_table(FLIGHT, LONGITUDINAL, LATERAL)
 
 def as_tabulated(craft=NAVION):
     """The model in the reference flight: drag of the table, constant thrust."""
-    fdm = load(craft, DT)
+    fdm = load_aircraft(craft, DT)
     fdm["aero/CD0"], fdm["aero/k"], fdm["aero/CDa"] = 0.05, 0.0, 0.33
     fdm["motor/power-hp"] = 1e9  # the thrust stays at its limit, throttle times 1000 lbf
     fdm["atmosphere/override/density"] = DENSITY
@@ -86,7 +87,7 @@ def test_the_five_modes_are_those_of_the_published_table():
     for part in ("Cmad", "CLq"):
         without = modes.of_table(FLIGHT, replace(LONGITUDINAL, **{part: 0.0}), LATERAL)
         assert "short period" in modes.beyond(found, without)
-    flying = load(NAVION, DT)
+    flying = load_aircraft(NAVION, DT)
     flying["atmosphere/override/density"] = DENSITY
     assert "phugoid" in modes.beyond(modes.of_model(flying, LEVEL), PUBLISHED)
 
@@ -105,8 +106,8 @@ def test_side_force_acts_along_the_body_axis(tmp_path):
         return text.replace('<axis name="Y">', '<axis name="SIDE">')
 
     right, wrong = as_tabulated(), as_tabulated(changed(tmp_path, in_wind_axes))
-    assert_allclose(linearize(right, LEVEL, trim(right, LEVEL))[1, 1], Yv, rtol=2e-3)
-    assert abs(linearize(wrong, LEVEL, trim(wrong, LEVEL))[1, 1] / Yv - 1) > 0.05
+    assert_allclose(modes.linearize(right, LEVEL, trim_aircraft(right, LEVEL))[1, 1], Yv, rtol=2e-3)
+    assert abs(modes.linearize(wrong, LEVEL, trim_aircraft(wrong, LEVEL))[1, 1] / Yv - 1) > 0.05
     assert_allclose(modes.of_model(right, LEVEL)["dutch roll"].real, damping, rtol=5e-3)
     assert abs(modes.of_model(wrong, LEVEL)["dutch roll"].real / damping - 1) > 0.02
 
@@ -138,8 +139,8 @@ def test_a_product_of_inertia_would_have_the_published_sign(tmp_path):
     ],
 )
 def test_trimmed_flight_does_not_accelerate(condition):
-    fdm = load(NAVION, DT)
-    found = trim(fdm, condition)
+    fdm = load_aircraft(NAVION, DT)
+    found = trim_aircraft(fdm, condition)
     assert found.residual < 1e-9
     assert_allclose(fdm["velocities/vt-fps"] * FT, condition.speed, rtol=1e-12)
     assert_allclose(
@@ -150,7 +151,7 @@ def test_trimmed_flight_does_not_accelerate(condition):
 def test_the_reference_flight_is_trimmed_as_the_table_says():
     """Alpha 0 and no elevator at CL = 0.41; the weight takes 1 % less lift than that."""
     fdm = as_tabulated()
-    found = trim(fdm, LEVEL)
+    found = trim_aircraft(fdm, LEVEL)
     lift = 2750 / (0.5 * DENSITY * 176**2 * 184)
     assert_allclose(0.41 + 4.44 * found.alpha + 0.355 * found.elevator * pi / 9, lift, rtol=1e-3)
     assert abs(found.alpha) < 2e-3
@@ -159,14 +160,14 @@ def test_the_reference_flight_is_trimmed_as_the_table_says():
 
 
 def test_the_drag_in_flight_is_that_of_the_table_at_its_lift():
-    fdm = load(NAVION, DT)
+    fdm = load_aircraft(NAVION, DT)
     place(fdm, LEVEL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
     assert_allclose(fdm["aero/CL"], 0.41, rtol=1e-3)
     assert_allclose(fdm["aero/CD"], 0.05, rtol=2e-3)
 
 
 def test_lift_stops_growing_where_the_readme_says_and_is_odd_about_its_zero():
-    fdm = load(NAVION, DT)
+    fdm = load_aircraft(NAVION, DT)
 
     def lift(alpha):
         place(fdm, LEVEL, alpha, 0.0, 0.0, 0.0, 0.0, 0.5)
@@ -183,7 +184,7 @@ def test_lift_stops_growing_where_the_readme_says_and_is_odd_about_its_zero():
 def test_controls_turn_the_aircraft_as_the_table_says():
     """One at a time; + is roll right, nose down, nose left."""
     fdm = as_tabulated()
-    at = trim(fdm, LEVEL)
+    at = trim_aircraft(fdm, LEVEL)
     q_S = 0.5 * DENSITY * 176**2 * 184  # [lbf]
     travel = pi / 9
     expected = {
@@ -213,7 +214,7 @@ def test_controls_turn_the_aircraft_as_the_table_says():
     [(0.01, 100.0, 1.0), (20.0, 100.0, 0.5), (45.0, 100.0, 1.0), (55.0, 2500.0, 0.7)],
 )
 def test_thrust_is_what_the_power_gives_up_to_the_static_limit(speed, alt, throttle):
-    fdm = load(NAVION, DT)
+    fdm = load_aircraft(NAVION, DT)
     place(fdm, replace(LEVEL, speed=speed, alt=alt), 0.0, 0.0, 0.0, 0.0, 0.0, throttle)
     sigma = fdm["atmosphere/rho-slugs_ft3"] / DENSITY
     power = 205 * 745.69987 * (1.132 * sigma - 0.132)  # [W]
@@ -227,7 +228,7 @@ def test_thrust_is_what_the_power_gives_up_to_the_static_limit(speed, alt, throt
 
 def test_it_stands_on_its_wheels_and_the_nose_wheel_steers():
     """With brakes on it stays against full power; without, it rolls, and + steering turns right."""
-    fdm = load(NAVION, DT)
+    fdm = load_aircraft(NAVION, DT)
     fdm["ic/h-agl-ft"] = 1.25 / FT
     fdm["ic/psi-true-rad"] = 1.0
     fdm["fcs/left-brake-cmd-norm"] = fdm["fcs/right-brake-cmd-norm"] = 1.0

@@ -21,11 +21,13 @@ from bench.config import list_aircraft, load_profile
 from bench.data import Trajectory
 from bench.earth import difference_n, displace
 from bench.errors import ConfigError, FlightError
-from bench.flight import child, fly, fly_pieces, wheel
-from bench.flight.foreign import read_xml
+from bench.flight import child_process, fly, fly_pieces
+from bench.flight.executive import load_aircraft
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
+from bench.flight.model_files import copy_aircraft
+from bench.flight.trimming import Condition, trim_aircraft
 from bench.rotation import rotate, to_euler
 from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, WindLayer
 from bench.store.truth_cache import truth_key
@@ -173,13 +175,12 @@ def test_the_trim_leaves_nothing_and_comes_back_to_the_same_whatever_was_before(
     """The actuators of the c172x have a play of 3 deg: coming from another side must not move the trim."""
     monkeypatch.chdir(tmp_path)
     spec = plan(tmp_path)
-    assert spec.aircraft.foreign is not None
-    fdm = wheel.load(spec.aircraft, spec.aircraft.foreign, 1 / 400)
-    here = wheel.Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed)
-    first = wheel.trim(fdm, here)
+    fdm = load_aircraft(spec.aircraft, 1 / 400)
+    here = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed)
+    first = trim_aircraft(fdm, here, guided=False)
     assert first.residual < 1e-6
-    wheel.trim(fdm, replace(here, speed=48.0))
-    again = wheel.trim(fdm, here)
+    trim_aircraft(fdm, replace(here, speed=48.0), guided=False)
+    again = trim_aircraft(fdm, here, guided=False)
     assert (again.alpha, again.elevator, again.throttle) == pytest.approx(
         (first.alpha, first.elevator, first.throttle), abs=1e-5
     )
@@ -311,11 +312,8 @@ def test_a_model_writes_no_file_and_opens_no_port_and_says_nothing(tmp_path, mon
     assert not (tmp_path / "written.csv").exists()
     assert list(here.iterdir()) == []
     assert capfd.readouterr() == ("", "")
-    stripped = wheel.Guided(spec.aircraft)
-    wheel.copy_aircraft(spec.aircraft.folder, tmp_path / "copy", stripped.add_guidance)
-    model = read_xml(tmp_path / "copy/mine.xml", "mine")
+    model = copy_aircraft("mine", spec.aircraft.folder, tmp_path / "copy")
     assert not [child.tag for child in model if child.tag in ("input", "output")]
-    assert stripped.engines == 1
 
 
 @pytest.mark.parametrize(
@@ -357,20 +355,28 @@ def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypat
         "def dies(spec, progress, seconds):\n    os.kill(os.getpid(), 11)\n"
         "def fails(spec, progress, seconds):\n    raise OSError('no room')\n"
     )
-    added = f"import bench.flight; bench.flight.__path__.append({str(tmp_path)!r}); from bench"
-    monkeypatch.setattr(child, "_START", child._START.replace("from bench", added))
+    monkeypatch.syspath_prepend(tmp_path)
+    start = child_process._START
+
+    def fly_with(function: str, *options: object) -> None:
+        instead = start.replace(
+            "from bench.flight.recorder import fly_pieces", f"import flown; fly_pieces = flown.{function}"
+        )
+        monkeypatch.setattr(child_process, "_START", instead)
+        list(child_process.fly_in_child(FIGURE_EIGHT, "aircraft x", *options))
+
     seen: list[float] = []
     with pytest.raises(FlightError, match=r"^aircraft x: JSBSim did not answer for 4 s and was ended$"):
-        list(child.fly_in_child("flown:hangs", None, "aircraft x", seen.append, patience=4.0))
+        fly_with("hangs", seen.append, 30.0, 4.0)
     assert seen == [1.0]
     with pytest.raises(
         FlightError, match=rf"^aircraft x: JSBSim ended its process with status -{int(signal.SIGSEGV)}"
     ):
-        list(child.fly_in_child("flown:dies", None, "aircraft x"))
+        fly_with("dies")
     with pytest.raises(
         FlightError, match=r"^aircraft x: JSBSim ended its process with status 1: OSError: no room$"
     ):
-        list(child.fly_in_child("flown:fails", None, "aircraft x"))
+        fly_with("fails")
 
 
 def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsys):

@@ -26,10 +26,9 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
 from bench.flight.legs.turns import Turn
-from bench.flight.recorder import to_trajectory
 from bench.specs import FlightSpec
 from tests.flight.plans import plan
-from tests.flight.test_recorder import record_whole, same_form_error, two_sample_error
+from tests.flight.test_recorder import record_whole, same_form_error, truth_of, two_sample_error
 
 _FLIGHTS = {
     path.stem: load_profile(path.stem).flight
@@ -71,8 +70,8 @@ def flight(request) -> Flight:
     if _planned(spec) > 3600:
         short = (replace(leg, duration=300.0) if isinstance(leg, Straight) else leg for leg in spec.legs)
         spec = replace(spec, legs=tuple(short), duration=None)
-    recording = record_whole(spec)
-    return Flight(request.param, spec, to_trajectory(recording), same_form_error(recording))
+    stretch = record_whole(spec)
+    return Flight(request.param, spec, truth_of(stretch, spec.rate), same_form_error(stretch.motion))
 
 
 def over_ten_minutes(flight: Flight) -> float:
@@ -243,4 +242,4 @@ def test_the_flight_converges_with_the_step_of_jsbsim():
 
 
 def record_end(spec: FlightSpec) -> FloatArray:
-    return earth.to_ecef(to_trajectory(record_whole(spec)).lla[-1])
+    return earth.to_ecef(truth_of(record_whole(spec), spec.rate).lla[-1])

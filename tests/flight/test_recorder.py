@@ -28,7 +28,8 @@ from bench.flight import Summary, fly, fly_pieces, summarise
 from bench.flight.increments import Motion, at_point, step_increments
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.recorder import Recording, record, simulation_step, to_trajectory
+from bench.flight.recorder import record_plan, simulation_step
+from bench.flight.truth import Stretch, make_truth
 from bench.navigation import mechanization
 from bench.specs import FlightSpec
 from tests.flight.inertial import inertial, largest_difference, navigate
@@ -37,9 +38,14 @@ from tests.flight.plans import FIGURE_EIGHT, plan, short_plan
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
 
-def record_whole(spec: FlightSpec) -> Recording:
-    (recording,) = record(spec, seconds=math.inf)
-    return recording
+def record_whole(spec: FlightSpec) -> Stretch:
+    (stretch,) = record_plan(spec, seconds=math.inf)
+    return stretch
+
+
+def truth_of(stretch: Stretch, rate: float) -> Trajectory:
+    (truth,) = make_truth([stretch], rate)
+    return truth
 
 
 def with_imu(spec: FlightSpec, *imu_b: float) -> FlightSpec:
@@ -53,8 +59,7 @@ def two_sample_error(truth: Trajectory) -> tuple[float, float]:
     return largest_difference(found, reference)
 
 
-def same_form_error(recording: Recording) -> tuple[float, float]:
-    motion = recording.motion
+def same_form_error(motion: Motion) -> tuple[float, float]:
     reference = (motion.pos_i, motion.vel_i, motion.q_ib)
     start = tuple(column[0] for column in reference)
     found = navigate(motion.dt, *step_increments(motion), start, two_sample=False)
@@ -79,14 +84,14 @@ def test_the_mechanization_of_the_bench_brings_them_back_too(figure_eight_truth)
 
 def test_at_100_hz_within_five_and_increments_of_the_wrong_form_do_not_pass():
     """Increments that are constant within a step, summed as if they were integrals, count coning twice."""
-    recording = record_whole(replace(FIGURE_EIGHT, rate=100.0))
-    truth = to_trajectory(recording)
+    stretch = record_whole(replace(FIGURE_EIGHT, rate=100.0))
+    truth = truth_of(stretch, 100.0)
     distance, angle = two_sample_error(truth)
     assert distance < 5 * MM
     assert angle < 5 * UM
     th, be = (
-        column[:-1].reshape(-1, recording.substeps, 3).sum(axis=1)
-        for column in step_increments(recording.motion)
+        column[:-1].reshape(-1, 4, 3).sum(axis=1)  # 400 Hz
+        for column in step_increments(stretch.motion)
     )
     distance, _ = two_sample_error(replace(truth, dtheta_b=th, dvel_b=be))
     assert distance > 50 * MM
@@ -94,8 +99,8 @@ def test_at_100_hz_within_five_and_increments_of_the_wrong_form_do_not_pass():
 
 def test_in_turbulence_the_increments_replay_in_the_form_they_were_made():
     """Below 0.1 mm in ten minutes; the guide states what a two-sample navigator makes of it."""
-    recording = record_whole(replace(FIGURE_EIGHT, severity=4, rate=200.0))
-    distance, angle = same_form_error(recording)
+    stretch = record_whole(replace(FIGURE_EIGHT, severity=4, rate=200.0))
+    distance, angle = same_form_error(stretch.motion)
     assert distance < 0.1 * MM
     assert angle < 0.1 * UM
 
@@ -114,7 +119,7 @@ def test_the_path_over_ground_crosses_the_date_line():
 
 
 @pytest.fixture(scope="module")
-def eights() -> Recording:
+def eights() -> Stretch:
     """Ten minutes of figure-eights at 200 Hz, of the centre of gravity."""
     return record_whole(FIGURE_EIGHT)
 
@@ -123,10 +128,10 @@ def eights() -> Recording:
 def test_ten_minutes_of_an_imu_off_the_centre_of_gravity_come_back_too(eights, arm_b):
     """1 m along each axis and 10 m across; the velocity of the arm is the slope of its position."""
     imu = replace(eights, motion=at_point(eights.motion, arm_b))
-    distance, angle = same_form_error(imu)
+    distance, angle = same_form_error(imu.motion)
     assert distance < 0.1 * MM
     assert angle < 0.1 * UM
-    distance, angle = two_sample_error(to_trajectory(imu))
+    distance, angle = two_sample_error(truth_of(imu, 200.0))
     assert distance < 1 * MM
     assert angle < 1 * UM
     slope = arm_slope_error(eights.motion, imu.motion)
@@ -141,7 +146,7 @@ def test_a_velocity_that_is_half_a_step_late_does_not_come_back(eights):
     late[1:] = eights.motion.vel_i[1:-2] + np.diff(arm_i, axis=0) / motion.dt
     imu = replace(eights, motion=replace(motion, vel_i=late))
     assert arm_slope_error(eights.motion, imu.motion) > 1e-4
-    assert two_sample_error(to_trajectory(imu))[0] > 1 * MM
+    assert two_sample_error(truth_of(imu, 200.0))[0] > 1 * MM
 
 
 def arm_slope_error(at_cg: Motion, at_imu: Motion) -> float:
@@ -208,7 +213,7 @@ def test_an_imu_at_the_centre_of_gravity_has_its_motion_bit_for_bit(eights):
 def test_pieces_put_together_are_the_whole_bit_for_bit(spec, seconds, imu_b):
     spec = with_imu(spec, *imu_b)
     whole = fly(spec)
-    pieces = [to_trajectory(stretch) for stretch in record(spec, seconds=seconds)]
+    pieces = list(fly_pieces(spec, seconds=seconds))
     assert len(pieces) >= round((whole.t[-1] - 0.1) / seconds) > 1
     same_bits(pieces, whole)
 

@@ -21,9 +21,9 @@ from bench.data import Trajectory
 from bench.earth import to_ecef
 from bench.errors import ConfigError, FlightError
 from bench.flight import fly
+from bench.flight.executive import silent_log
 from bench.flight.increments import from_states
-from bench.flight.model import silent_log
-from bench.flight.units import FT
+from bench.flight.jsbsim_units import FT
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 

@@ -79,7 +79,7 @@ def flying(profile: Profile) -> list[Figure]:
     from bench.flight import recorder
 
     def record(spec: FlightSpec) -> None:
-        for _ in recorder.record(spec):
+        for _ in recorder.record_plan(spec):
             pass
 
     def step(spec: FlightSpec) -> None:

@@ -373,7 +373,7 @@ def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
         assert len(pieces) == math.ceil(400 / size)
         assert all(len(piece) == size + 1 for piece in pieces[:-1])
         assert not any(len(piece.events) for piece in pieces[:-1])
-        equal(truth_cache._joined(pieces), truth)
+        equal(truth_cache.join_pieces(pieces), truth)
     assert flights.count == 1
 
 
@@ -407,7 +407,7 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
 def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
     cache.parent.write_text("no folder")
     flights = Flights(*cut(truth, 100, 200))
-    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
     equal(store.truth_cached(spec, flights), truth)
     assert store.truth_said(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {"pieces": 3}
     assert "is not cached" in caplog.text
@@ -443,7 +443,7 @@ def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
     equal(store.truth_cached(spec, flights), truth)
     assert flights.count == 2
     damage(entry / name)
-    equal(truth_cache._joined(store.truth_pieces(spec, flights)), truth)
+    equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
     assert flights.count == 3
     assert list(cache.iterdir()) == [entry]
 

@@ -8,14 +8,16 @@ written into a scratch folder, and only that copy is loaded.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from bench.errors import FlightError
-from bench.flight.model import NAME
+
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+"""Of an aircraft, or of a gain."""
+LONGEST_SCRIPT = 4 * 3600.0
+"""A script that runs longer is not flown without a duration [s]."""
 
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
 _MOST_FILES = 500
@@ -41,27 +43,20 @@ def read_xml(path: Path, shown: str) -> ElementTree.Element:
         raise FlightError(f"{shown}: not well-formed XML: {error}") from None
 
 
-def copy_aircraft(
-    folder: Path, target: Path, change: Callable[[ElementTree.Element], None] | None = None
-) -> ElementTree.Element:
+def copy_aircraft(name: str, folder: Path, target: Path) -> ElementTree.Element:
     """Copy the XML files of an aircraft without ``<input>`` and ``<output>``, and return its model.
 
-    Parameters
-    ----------
-    folder, target : Path
-        The aircraft, and where its copy goes; links and other kinds of file are left out.
-    change : callable, optional
-        Changes the model before it is written.
+    Other kinds of file are left out. The copies are written from what was read, so that JSBSim sees the
+    same names: a DOCTYPE is gone, a name in an XML namespace is unknown.
 
     Raises
     ------
     FlightError
         When the folder or one of its files cannot be used.
     """
-    name = folder.name
     if not NAME.fullmatch(name):
         raise FlightError(f"aircraft {name!r}: a name has letters, digits, '_' and '-' only")
-    files = [p for p in sorted(folder.rglob("*.xml")) if p.is_file() and not p.is_symlink()]
+    files = [path for path in sorted(folder.rglob("*.xml")) if path.is_file()]
     if len(files) > _MOST_FILES:
         raise FlightError(f"aircraft {name}: more than {_MOST_FILES} files")
     main = folder / f"{name}.xml"
@@ -69,15 +64,13 @@ def copy_aircraft(
         raise FlightError(f"aircraft {name}: {main} is missing")
     for path in files:
         relative = path.relative_to(folder)
-        root = read_xml(path, f"{name}/{relative}")
+        root = read_xml(path, f"aircraft {name}/{relative}")
         strip(root)
         if path == main:
             model = root
-            if root.tag != "fdm_config":
-                raise FlightError(f"aircraft {name}: {main.name} is a <{root.tag}>, not a <fdm_config>")
-            if change is not None:
-                change(root)
         write_xml(root, target / relative)
+    if model.tag != "fdm_config":
+        raise FlightError(f"aircraft {name}: {main.name} is a <{model.tag}>, not a <fdm_config>")
     return model
 
 
@@ -151,18 +144,3 @@ def write_xml(root: ElementTree.Element, path: Path) -> None:
     """Write an XML file and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def executive(scratch: Path, root: Path, dt: float, log: Any) -> Any:
-    """Return a silent FGFDMExec that takes aircraft from scratch, engines and systems from root."""
-    import jsbsim
-
-    jsbsim.set_logger(log)
-    fdm = jsbsim.FGFDMExec(str(scratch))
-    fdm.set_debug_level(0)
-    fdm.set_aircraft_path(str(scratch / "aircraft"))
-    fdm.set_engine_path(str(root / "engine"))
-    fdm.set_systems_path(str(root / "systems"))
-    fdm.set_output_path(str(scratch))
-    fdm.set_dt(dt)
-    return fdm

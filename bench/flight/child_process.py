@@ -18,35 +18,38 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from bench.data import Trajectory
 from bench.errors import FlightError
+from bench.flight.executive import SCRATCH
+from bench.specs import FlightSpec, ScriptSpec
 
 PATIENCE = 60.0
 """Longest silence of a child before it is ended [s]."""
 
-_START = "import sys; sys.path[:] = {path!r}; from bench.flight.child import answer; answer({function!r})"
+_START = """import sys
+sys.path[:] = {path!r}
+from bench.flight.child_process import answer
+from bench.flight.recorder import fly_pieces
+answer(fly_pieces)"""
 _BLOCK = 1 << 16
 
 
 def fly_in_child(
-    function: str,
-    spec: Any,
+    spec: FlightSpec | ScriptSpec,
     what: str,
     progress: Callable[[float], None] | None = None,
     seconds: float = math.inf,
-    patience: float | None = None,
+    patience: float = PATIENCE,
 ) -> Iterator[Trajectory]:
-    """Yield the pieces of ``function(spec, progress, seconds)`` of a module of this package, run in a child.
+    """Yield the pieces of `bench.flight.recorder.fly_pieces`, run in a child.
 
     They come from a file when the child has ended: this process holds one at a time.
 
     Parameters
     ----------
-    function : str
-        "module:name" below ``bench.flight``.
-    spec : object
+    spec : FlightSpec or ScriptSpec
         What is flown; it is pickled.
     what : str
         How messages call it: "aircraft c310".
@@ -55,17 +58,16 @@ def fly_in_child(
     seconds : float
         Length of a piece [s].
     patience : float, optional
-        Longest silence of the child [s]; ``PATIENCE`` when None.
+        Longest silence of the child [s].
 
     Raises
     ------
     FlightError
         What the child raised, or that it ended or went silent.
     """
-    patience = PATIENCE if patience is None else patience
-    with tempfile.TemporaryDirectory(prefix="bench-flight-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=SCRATCH) as scratch:
         answer_file, trouble = Path(scratch) / "answer", Path(scratch) / "trouble"
-        command = [sys.executable, "-c", _START.format(path=sys.path, function=function)]
+        command = [sys.executable, "-c", _START.format(path=sys.path)]
         with (
             trouble.open("wb") as stderr,
             subprocess.Popen(
@@ -92,13 +94,13 @@ def fly_in_child(
                 yield piece
 
 
-def answer(function: str) -> None:
-    """Run a function in this child: the spec comes by stdin, progress goes to stdout, truth to a file."""
+def answer(fly: Callable[..., Iterator[Trajectory]]) -> None:
+    """Fly in this child: the spec comes by stdin, progress goes to stdout, truth to a file."""
     spec, seconds, answer_file = pickle.loads(sys.stdin.buffer.read())
+    tempfile.tempdir = str(Path.cwd())  # the parent deletes what a model leaves that ends this process
     speak = os.fdopen(os.dup(1), "w", buffering=1)
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
-    module, _, name = function.partition(":")
     last = 0.0
 
     def progress(t: float) -> None:
@@ -107,9 +109,6 @@ def answer(function: str) -> None:
             last = time.monotonic()
             speak.write(f"{t:g}\n")
 
-    import importlib
-
-    fly = getattr(importlib.import_module(f"bench.flight.{module}"), name)
     part = Path(f"{answer_file}.part")
     with part.open("wb") as file:
         try:
