@@ -18,8 +18,6 @@ MOST_LINES = 450
 LONG_FILES = {
     "api.py": "all public functions of Python beside each other",
     "evaluation/metrics.py": "the table of metrics beside the functions in it",
-    "navigation/alignment.py": "level and course, coarse and fine",
-    "navigation/classic.py": "the equations of the source in its order; to be divided by section",
     "recording/plots.py": "one tab of the recording after the other; to be divided by tab",
     "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
     "signals/receiver.py": "from observations to fixes",

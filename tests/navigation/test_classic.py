@@ -17,8 +17,9 @@ from scipy.linalg import expm
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.errors import EstimatorError
-from bench.navigation import aiding, classic, error_state, kalman
-from bench.navigation.classic import FRD_OF_FUR, NED_OF_ENU, R3, Classic22, Nav
+from bench.navigation import aiding, error_state, kalman
+from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
+from bench.navigation.classic.navigator import FRD_OF_FUR, NED_OF_ENU, R3, Nav
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from tests.weaving import BARO, GNSS, IMU, units, weaving
@@ -96,16 +97,16 @@ def test_the_comparison_sees_small_defects(sensed, solution):
         assert max(np.array(rms(solution, other)) / [1e-3, 2e-5, 1e-6]) > 1
 
 
-NAV = Nav(0.83, 0.3, 2500.0, np.array([41.0, -55.0, 3.0]), classic.body_to_enu(2.1, 0.15, -0.4))
+NAV = Nav(0.83, 0.3, 2500.0, np.array([41.0, -55.0, 3.0]), navigator.body_to_enu(2.1, 0.15, -0.4))
 NAV_N = np.concatenate([[0.83, 0.3, 2500.0], NED_OF_ENU @ NAV.V, rotation.from_euler(-0.4, 0.15, 2.1)])
 A_ENU = np.array([1.5, -2.5, 9.6])
 
 
 def to_ned(nav):
     """The linear map T (22, 22) from the source's errors to those of loose-22 (equations 1.3)."""
-    figure = classic.ellipsoid(nav.lat, nav.h)
+    figure = navigator.ellipsoid(nav.lat, nav.h)
     T = np.zeros((22, 22))
-    T[:9, :9] = classic.ned_matrix(nav, figure)
+    T[:9, :9] = observation_model.ned_matrix(nav, figure)
     T[9:12, 9:12] = T[12:15, 12:15] = -FRD_OF_FUR  # estimate less truth, against measured less true
     T[15, 15] = -1.0
     T[16:19, 16:19] = -T[0:3, 0:3]
@@ -121,9 +122,9 @@ def test_the_axes_are_those_of_the_bench():
 
 def test_f_of_both_filters_is_one_matrix():
     """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced metres stretch on the way."""
-    F = classic.dynamics_matrix(NAV, A_ENU, classic.ellipsoid(NAV.lat, NAV.h))
-    (lat_rate, lon_rate, h_rate), _, _ = classic.rates(
-        NAV, np.zeros(3), np.zeros(3), classic.ellipsoid(NAV.lat, NAV.h)
+    F = error_dynamics.dynamics_matrix(NAV, A_ENU, navigator.ellipsoid(NAV.lat, NAV.h))
+    (lat_rate, lon_rate, h_rate), _, _ = navigator.rates(
+        NAV, np.zeros(3), np.zeros(3), navigator.ellipsoid(NAV.lat, NAV.h)
     )
     step = 1.0
     ends = [
@@ -149,11 +150,11 @@ def test_h_gain_and_update_of_both_filters_are_one():
     H_n[:6, 16:22] += np.eye(6)
     H_n[6, 2], H_n[6, 15], z_n[6] = -1.0, 1.0, NAV_N[2] - 2504.0
 
-    figure = classic.ellipsoid(NAV.lat, NAV.h)
-    H = classic.measurement_matrix()
+    figure = navigator.ellipsoid(NAV.lat, NAV.h)
+    H = observation_model.measurement_matrix()
     arm = FRD_OF_FUR.T @ antenna
-    classic.antenna_matrix(H, NAV, figure, arm, FRD_OF_FUR.T @ w_b)
-    east, north = classic.reduced(NAV, figure)
+    observation_model.antenna_matrix(H, NAV, figure, arm, FRD_OF_FUR.T @ w_b)
+    east, north = navigator.reduced(NAV, figure)
     D = np.zeros((7, 7))  # rows of Y to rows of z
     D[6, 0] = 1.0
     D[0:3, 1:4] = NED_OF_ENU @ np.diag([1 / east, 1 / north, 1.0])
@@ -162,7 +163,7 @@ def test_h_gain_and_update_of_both_filters_are_one():
     assert_allclose(H_n @ T, D @ H[:7], rtol=1e-12, atol=1e-12)
 
     Y = np.zeros(7)
-    offset, swept = NAV.B @ arm, NAV.B @ classic.antenna_sweep(NAV, arm, FRD_OF_FUR.T @ w_b)
+    offset, swept = NAV.B @ arm, NAV.B @ observation_model.antenna_sweep(NAV, arm, FRD_OF_FUR.T @ w_b)
     Y[0] = NAV.h - 2504.0
     Y[1] = (NAV.lon - fix_lla[1]) * R3 + offset[0] * east
     Y[2] = (NAV.lat - fix_lla[0]) * R3 + offset[1] * north
@@ -204,7 +205,7 @@ def test_the_step_integrates_the_equations():
     def slope(t, y):
         nav = Nav(y[0], y[1], y[2], y[3:6], y[6:15].reshape(3, 3))
         w, a = motion(t)
-        parts = classic.rates(nav, w, a, classic.ellipsoid(nav.lat, nav.h))
+        parts = navigator.rates(nav, w, a, navigator.ellipsoid(nav.lat, nav.h))
         return np.concatenate([parts[0], parts[1], parts[2].ravel(), w, a])
 
     y0 = np.concatenate([[NAV.lat, NAV.lon, NAV.h], NAV.V, NAV.B.ravel(), np.zeros(6)])
@@ -215,7 +216,7 @@ def test_the_step_integrates_the_equations():
     nav, before = NAV, None
     for row in increments.tolist():
         dtheta, dvel = tuple(row[:3]), tuple(row[3:])
-        nav, _ = classic.mechanize(nav, dt, *classic.body_increments(dt, dtheta, dvel, before))
+        nav, _ = navigator.mechanize(nav, dt, *navigator.body_increments(dt, dtheta, dvel, before))
         before = (dt, dtheta, dvel)
     end = found[:, -1]
     assert np.abs(np.array([nav.lat, nav.lon, nav.h]) - end[:3]).max() < 1e-4
@@ -240,11 +241,11 @@ def test_van_loan_is_that_of_filterpy():
     """
     from filterpy.common import van_loan_discretization
 
-    figure, sig = classic.ellipsoid(NAV.lat, NAV.h), classic.sigmas(units(gnss=WANDERING).assumed)
+    figure, sig = navigator.ellipsoid(NAV.lat, NAV.h), process_model.sigmas(units(gnss=WANDERING).assumed)
     for T in (0.005, 0.05, 1.0):
-        Phi, Q = classic.model_van_loan(NAV, figure, A_ENU, sig, T)
-        _, G = classic.model(NAV, figure, A_ENU, sig, 1.0)
-        F = classic.dynamics_matrix(NAV, A_ENU, figure)
+        Phi, Q = process_model.model_van_loan(NAV, figure, A_ENU, sig, T)
+        _, G = process_model.model(NAV, figure, A_ENU, sig, 1.0)
+        F = error_dynamics.dynamics_matrix(NAV, A_ENU, figure)
         theirs = van_loan_discretization(F, G[:15, :21], T)
         sd = np.sqrt(np.diag(Q)[:15])
         assert (np.abs(Phi[:15, :15] - theirs[0]) <= 1e-10 * expm(np.abs(F) * T) + 1e-16).all()

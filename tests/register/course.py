@@ -13,18 +13,18 @@ import math
 
 import numpy as np
 
-from bench.navigation import classic
+from bench.navigation.classic import navigator, observation_model, process_model
 
 DEG = math.pi / 180
 G0 = 9.80665
 LAT, HEIGHT, SPEED, COURSE = 50 * DEG, 5000.0, 200.0, 40 * DEG
 FIRST_TURN, EVERY, TURN, RATE, LOST = 240.0, 600.0, 120.0, 3 * DEG, 1800
-EARTH = classic.ellipsoid(LAT, HEIGHT)
+EARTH = navigator.ellipsoid(LAT, HEIGHT)
 
 
 def sigmas(arw, vrw, drift, bias):
     """Figures of a grade in deg/sqrt(h), m/s/sqrt(h), deg/h, ug; middle of the ranges of 5.2 and 5.3."""
-    return classic.Sigmas(
+    return process_model.Sigmas(
         gyro=arw * DEG / 60,
         accel=vrw / 60,
         eps_walk=0.0,
@@ -61,21 +61,21 @@ def place(t, turns=True):
         rate, course = RATE * math.sin(w * phase), COURSE + RATE / w * (1 - math.cos(w * phase))
     s, c = math.sin(course), math.cos(course)
     bank = math.atan2(SPEED * rate, EARTH.g)
-    B = classic.body_to_enu(course, 0.0, bank)
-    nav = classic.Nav(LAT, 0.0, HEIGHT, SPEED * np.array([s, c, 0.0]), B)
+    B = navigator.body_to_enu(course, 0.0, bank)
+    nav = navigator.Nav(LAT, 0.0, HEIGHT, SPEED * np.array([s, c, 0.0]), B)
     return nav, np.array([SPEED * rate * c, -SPEED * rate * s, EARTH.g]), rate
 
 
 def start(sig, tilt=0.1 * DEG, heading=0.5 * DEG):
     """P0 of section 7.1; position 10 m and velocity 0.1 m/s are forgotten long before it is read."""
-    east, north = classic.reduced(place(0.0)[0], EARTH)
+    east, north = navigator.reduced(place(0.0)[0], EARTH)
     r, h, v = sig.markov
     sd = [10 * east, 10 * north, 10, 0.1, 0.1, 0.1, tilt, tilt, heading]
     sd += [sig.eps] * 3 + [sig.da] * 3 + [sig.bb, r * east, r * north, h, v, v, v]
     return np.diag(np.square(sd))
 
 
-def second(sig, k, turns=True, discretize=classic.model):
+def second(sig, k, turns=True, discretize=process_model.model):
     """Phi and Q or G of each step that leads to second k: one, or ten in a turn (A-5.1.D)."""
     jump = k % 900 == 0
     steps = 10 if turns and place(k - 0.5, turns)[2] else 1
@@ -89,8 +89,8 @@ def second(sig, k, turns=True, discretize=classic.model):
 def rows_and_noise(sig, k):
     """H and R of the seven rows at second k, the first alone once GNSS is lost."""
     rows = list(range(7)) if k <= LOST else [0]
-    Q = classic.measurement_noise(sig, *classic.reduced(place(0.0)[0], EARTH), k % 900 == 0)
-    return classic.measurement_matrix()[rows], (Q @ Q.T)[np.ix_(rows, rows)]
+    Q = observation_model.measurement_noise(sig, *navigator.reduced(place(0.0)[0], EARTH), k % 900 == 0)
+    return observation_model.measurement_matrix()[rows], (Q @ Q.T)[np.ix_(rows, rows)]
 
 
 def update(P, H, R):
@@ -105,7 +105,7 @@ def covariance(sig, seconds, turns=True, **spread):
     """Standard deviations (seconds + 1, 22) after every second, the first two in metres."""
     P = start(sig, **spread)
     unit = np.ones(22)
-    unit[:2] = classic.reduced(place(0.0)[0], EARTH)
+    unit[:2] = navigator.reduced(place(0.0)[0], EARTH)
     out = [np.sqrt(np.diag(P)) / unit]
     for k in range(1, seconds + 1):
         for Phi, G in second(sig, k, turns):

@@ -14,8 +14,9 @@ from scipy.integrate import solve_ivp
 from bench import rotation, sensors
 from bench.earth import RATE
 from bench.evaluation.error_series import error_series
-from bench.navigation import classic, integrity, square_root
-from bench.navigation.classic import R3, Classic22, Nav
+from bench.navigation import integrity, square_root
+from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
+from bench.navigation.classic.navigator import R3, Nav
 from bench.navigation.estimator import load
 from tests.register import course
 from tests.register.course import DEG, G0, GRADES
@@ -47,7 +48,7 @@ def moved(nav, x):
 
 
 def slope(y, w_b, a_b, figure):
-    return np.concatenate([np.ravel(r) for r in classic.rates(nav_of(y), w_b, a_b, figure(y[0], y[2]))])
+    return np.concatenate([np.ravel(r) for r in navigator.rates(nav_of(y), w_b, a_b, figure(y[0], y[2]))])
 
 
 def error_rate(nav, x, w_b, a_b, figure):
@@ -71,13 +72,13 @@ def differences(nav, w_b, a_b, figure):
     return (np.transpose(ends[0]) - np.transpose(ends[1])) / (2 * np.diag(steps))
 
 
-@pytest.mark.parametrize("figure", [classic.sphere, classic.ellipsoid])
+@pytest.mark.parametrize("figure", [navigator.sphere, navigator.ellipsoid])
 def test_18_f_is_the_jacobian_of_the_mechanization(figure):
     """G1: every element within 1e-4 of central differences, or 1e-6 of what its row does."""
-    nav = Nav(0.9, 0.3, 9000.0, np.array([150.0, -140.0, 7.0]), classic.body_to_enu(2.4, 0.1, 0.3))
+    nav = Nav(0.9, 0.3, 9000.0, np.array([150.0, -140.0, 7.0]), navigator.body_to_enu(2.4, 0.1, 0.3))
     a_b, w_b = np.array([0.7, 9.9, 0.4]), np.array([0.01, -0.02, 0.03])
     earth = figure(nav.lat, nav.h)
-    F, D = classic.dynamics_matrix(nav, nav.B @ a_b, earth), differences(nav, w_b, a_b, figure)
+    F, D = error_dynamics.dynamics_matrix(nav, nav.B @ a_b, earth), differences(nav, w_b, a_b, figure)
     scale = np.repeat([1.0, 1e-3, 1e-6, 1e-7, 1e-4], 3)  # one unit of each: m, m/s, rad, rad/s, m/s^2
     effect = np.abs(F * scale).max(axis=1, keepdims=True) / scale
     assert (np.abs(F[:9] - D) <= 1e-4 * np.abs(F[:9]) + 1e-6 * effect[:9]).all()
@@ -95,16 +96,16 @@ def test_18_f_is_the_jacobian_of_the_mechanization(figure):
 def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
     """The effect test of A-5.1.10: below 0.05 m; f6,3 with the printed sign misses by tens of metres."""
     V, course_, h = 228.0, 0.8, 9000.0
-    B = classic.body_to_enu(course_, 0.0, 0.0)
+    B = navigator.body_to_enu(course_, 0.0, 0.0)
     V_n = V * np.array([math.sin(course_), math.cos(course_), 0.0])
     eps, da = np.full(3, 0.01 * DEG / 3600), np.full(3, 5e-6 * G0)
     x0 = np.concatenate([[10, -10, 5, 0.1, 0.1, 0.1, 2e-5, 2e-5, 1e-4], eps, da])
 
     def sensed(lat):
         """Rate and specific force that keep V and B constant at a latitude."""
-        earth = classic.sphere(lat, h)
+        earth = navigator.sphere(lat, h)
         still = Nav(lat, 0.0, h, V_n, B)
-        (lat_rate, lon_rate, _), V_rate, _ = classic.rates(still, np.zeros(3), np.zeros(3), earth)
+        (lat_rate, lon_rate, _), V_rate, _ = navigator.rates(still, np.zeros(3), np.zeros(3), earth)
         turn = RATE + lon_rate
         w_in = np.array([-lat_rate, turn * math.cos(lat), turn * math.sin(lat)])
         return lat_rate, lon_rate, B.T @ w_in, B.T @ -V_rate, earth, still
@@ -112,10 +113,10 @@ def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
     def together(misprint):
         def rate(t, y):
             lat_rate, lon_rate, w_b, a_b, earth, still = sensed(y[0])
-            F = classic.dynamics_matrix(still, B @ a_b, earth)
+            F = error_dynamics.dynamics_matrix(still, B @ a_b, earth)
             if misprint:
                 F[5, 2] = -F[5, 2]
-            computed = slope(y[2:17], w_b + eps, a_b + da, classic.sphere)
+            computed = slope(y[2:17], w_b + eps, a_b + da, navigator.sphere)
             return np.concatenate([[lat_rate, lon_rate], computed, F @ y[17:32]])
 
         here = Nav(0.8, 0.2, h, V_n, B)
@@ -135,18 +136,18 @@ def test_19_three_attitude_parametrizations_are_one():
 
     def rate(t, y):
         lat, lon, x, delta = y[0], y[1], y[2:17], y[17:20]  # delta_u drives nothing
-        earth = classic.ellipsoid(lat, 9000.0)
-        nav = Nav(lat, lon, 9000.0, v, classic.body_to_enu(0.9, 0.02, 0.0))
-        F = classic.dynamics_matrix(nav, [0.0, 0.0, earth.g], earth)
+        earth = navigator.ellipsoid(lat, 9000.0)
+        nav = Nav(lat, lon, 9000.0, v, navigator.body_to_enu(0.9, 0.02, 0.0))
+        F = error_dynamics.dynamics_matrix(nav, [0.0, 0.0, earth.g], earth)
         lon_rate = v[0] / (earth.r1 * math.cos(lat))
-        eps = classic.equatorial_matrix(lat) @ nav.B @ eps_b
+        eps = error_dynamics.equatorial_matrix(lat) @ nav.B @ eps_b
         x = np.concatenate([x[:9], eps_b, np.zeros(3)])
         return np.concatenate(
             [
                 [v[1] / earth.r2, lon_rate],
                 F @ x,
-                classic.delta_rate(lon_rate, delta, eps),
-                -classic.inertial_matrix(RATE * t + lon) @ eps,
+                error_dynamics.delta_rate(lon_rate, delta, eps),
+                -error_dynamics.inertial_matrix(RATE * t + lon) @ eps,
             ]
         )
 
@@ -154,21 +155,21 @@ def test_19_three_attitude_parametrizations_are_one():
     lat, lon = 0.7, 0.4
     x0 = np.concatenate([[50.0, -80.0, 20.0, 0.1, 0.2, 0.01], alpha0, np.zeros(6)])
     turned = np.array([80.0, 50.0 * math.cos(lat), 50.0 * math.sin(lat)]) / R3
-    delta0 = classic.equatorial_matrix(lat) @ (alpha0 - turned)
-    assert_allclose(classic.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
-    y0 = np.concatenate([[lat, lon], x0, delta0, classic.inertial_matrix(lon) @ delta0])
+    delta0 = error_dynamics.equatorial_matrix(lat) @ (alpha0 - turned)
+    assert_allclose(error_dynamics.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
+    y0 = np.concatenate([[lat, lon], x0, delta0, error_dynamics.inertial_matrix(lon) @ delta0])
     end = solve_ivp(rate, (0, 5000), y0, rtol=3e-14, atol=1e-18, method="DOP853").y[:, -1]
     lat, lon = end[0], end[1]
-    of_delta = classic.alpha_of_delta(lat, end[2], end[3], end[17:20])
-    back = classic.inertial_matrix(RATE * 5000 + lon).T @ end[20:23]
+    of_delta = error_dynamics.alpha_of_delta(lat, end[2], end[3], end[17:20])
+    back = error_dynamics.inertial_matrix(RATE * 5000 + lon).T @ end[20:23]
     assert np.abs(of_delta - end[8:11]).max() < 1e-15
     assert np.abs(back - end[17:20]).max() < 1e-15
     assert np.abs(end[8:11]).max() > 1e-4  # of which there is much
-    printed = classic.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
+    printed = error_dynamics.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
     assert np.abs(printed - end[8:11]).max() > 1e-5  # delta_zeta of the printed sign
 
 
-@pytest.mark.parametrize("discretize", [classic.model, classic.model_van_loan])
+@pytest.mark.parametrize("discretize", [process_model.model, process_model.model_van_loan])
 def test_20_sigmas_do_not_depend_on_the_step(discretize):
     """100 s from P = 0 with steps of 1, 0.1 and 0.01 s: within 1 %.
 
@@ -179,13 +180,13 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
     sd = {}
     for dt in (1.0, 0.1, 0.01):
         first, second = discretize(nav, course.EARTH, a, sig, dt)
-        Q = second if discretize is classic.model_van_loan else second @ second.T
+        Q = second if discretize is process_model.model_van_loan else second @ second.T
         P, Phi = np.zeros((22, 22)), first
         for _ in range(round(100 / dt)):
             P = Phi @ P @ Phi.T + Q
         sd[dt] = np.sqrt(np.diag(P))
     exact = sd[0.01]
-    late = 0.025 if discretize is classic.model else 0.001
+    late = 0.025 if discretize is process_model.model else 0.001
     assert_allclose(sd[0.1], exact, rtol=0.01)
     assert_allclose(sd[1.0][3:], exact[3:], rtol=0.01)
     assert_allclose(sd[1.0][:3], exact[:3], rtol=late)
@@ -205,7 +206,7 @@ def consistency(runs=200, seconds=900, seed=5, believed=None):
     nis, nees = [], []
     for k in range(1, seconds + 1):
         for Phi, G in course.second(sig, k):
-            x = Phi @ x + G @ rng.standard_normal((classic.NOISES, runs))
+            x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
             estimate = Phi @ estimate
             P = Phi @ P @ Phi.T + G @ G.T
         H, R = course.rows_and_noise(sig, k)
@@ -241,8 +242,8 @@ def eight(seed=3):
     for k in range(1, 30):
         for Phi, G in course.second(sig, k):
             P = Phi @ P @ Phi.T + G @ G.T
-    H = classic.measurement_matrix()
-    Q = classic.measurement_noise(sig, *classic.reduced(course.place(0.0)[0], course.EARTH), True)
+    H = observation_model.measurement_matrix()
+    Q = observation_model.measurement_noise(sig, *navigator.reduced(course.place(0.0)[0], course.EARTH), True)
     x = np.sqrt(np.diag(P)) * rng.standard_normal(22)
     return P, H, Q, H @ x + Q @ rng.standard_normal(13)
 
@@ -270,7 +271,7 @@ def test_35_the_pseudo_inverse_of_eight_rows_gives_the_answer_of_seven():
     found = []
     for rows in (7, 8):
         kf = KalmanFilter(22, rows)
-        kf.P, kf.inv = P.copy(), classic.pseudo_inverse if rows == 8 else np.linalg.inv
+        kf.P, kf.inv = P.copy(), observation_model.pseudo_inverse if rows == 8 else np.linalg.inv
         kf.update(Y[:rows, None], R=R[:rows, :rows], H=H[:rows])
         found.append((kf.x[:, 0], kf.P))
     sd = np.sqrt(np.diag(P))
@@ -288,9 +289,9 @@ def test_35_the_pseudo_inverse_of_eight_rows_gives_the_answer_of_seven():
 
 def test_35_g_s_with_12_columns_and_with_6_give_one_q():
     """A-5.4.2: Markov and jump noise apart (34 noises) or merged (28)."""
-    decay = classic.gnss_decay(GRADES["3"], 200.0, 1.0)
+    decay = process_model.gnss_decay(GRADES["3"], 200.0, 1.0)
     merged, apart = (
-        g(GRADES["3"], decay, 1.5, 1.0, True) for g in (classic.gnss_noise, classic.gnss_noise_12)
+        g(GRADES["3"], decay, 1.5, 1.0, True) for g in (process_model.gnss_noise, process_model.gnss_noise_12)
     )
     assert (merged.shape, apart.shape) == ((6, 6), (6, 12))
     assert_allclose(merged @ merged.T, apart @ apart.T, rtol=1e-14)
@@ -380,7 +381,7 @@ def other_methods(runs=20, seconds=900, seed=9):
     sig = GRADES["3"]
     P = course.start(sig)
     metres = np.ones(6)
-    metres[:2] = classic.reduced(course.place(0.0)[0], course.EARTH)
+    metres[:2] = navigator.reduced(course.place(0.0)[0], course.EARTH)
     gains, steps = [], []
     for k in range(1, seconds + 1):
         moves = course.second(sig, k)
@@ -399,7 +400,7 @@ def other_methods(runs=20, seconds=900, seed=9):
     squares = dict.fromkeys(("kalman", "fixed gain", "least squares", "complementary"), 0.0)
     for k, (moves, H, R) in enumerate(steps, 1):
         for Phi, G in moves:
-            x = Phi @ x + G @ rng.standard_normal((classic.NOISES, runs))
+            x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
             best, fixed = Phi @ best, Phi @ fixed
         z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((7, runs))
         best = best + gains[k - 1] @ (z - H @ best)
@@ -647,7 +648,7 @@ def test_43_the_attitude_error_never_exceeds_the_admissible_one():
     limit, start, gyro, accel = 1.0 * DEG, 0.5 * DEG, 10 * DEG / 3600, 5e-3 * G0
     period = integrity.correction_period(limit, start, gyro, accel)
     nav, a, _ = course.place(0.0)
-    F = classic.dynamics_matrix(nav, a, course.EARTH)
+    F = error_dynamics.dynamics_matrix(nav, a, course.EARTH)
     Phi = np.eye(15) + F * 0.1 + F @ F * 0.005
     x = np.zeros((15, 100))
     for rows, size in ((slice(6, 9), start), (slice(9, 12), gyro), (slice(12, 15), accel)):

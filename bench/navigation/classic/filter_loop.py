@@ -1,0 +1,330 @@
+"""Navigator and filter of the source over one record: A-5.4.4 to A-5.4.11."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench import rotation
+from bench.arrays import FloatArray
+from bench.data import InitialState, SensorData
+from bench.navigation import square_root, timeline
+from bench.navigation.classic.navigator import (
+    FRD_OF_FUR,
+    NED_OF_ENU,
+    R3,
+    Earth,
+    Nav,
+    Vector,
+    body_increments,
+    corrected,
+    ellipsoid,
+    mechanize,
+    reduced,
+)
+from bench.navigation.classic.observation_model import (
+    antenna_matrix,
+    antenna_sweep,
+    measurement_matrix,
+    measurement_noise,
+    ned_matrix,
+    pseudo_inverse,
+)
+from bench.navigation.classic.process_model import SIZE, gnss_decay, model, model_van_loan, per_axis, sigmas
+from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
+from bench.navigation.options import ClassicOptions
+
+SENSORS = ("gnss_position", "gnss_velocity", "baro")
+_ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
+_STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
+
+
+def covariance_floor(P: FloatArray, floor: FloatArray) -> None:
+    """Raise the diagonal of P to at least floor (22,) (A-5.4.F)."""
+    index = np.arange(len(floor))
+    P[index, index] = np.maximum(P[index, index], floor)
+
+
+class FilterLoop:
+    """The navigator, its filter and their book-keeping over one record."""
+
+    def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
+        from filterpy.kalman import KalmanFilter
+
+        self.options, self.sensors = options, sensors
+        self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
+        self.sig = replace(
+            sigmas(sensors.specs), jump_white=options.jump_white_sd, jump_markov=options.jump_markov_sd
+        )
+        self.antenna = FRD_OF_FUR.T @ sensors.antenna_b
+        lat, lon, h = initial.lla.tolist()
+        B = NED_OF_ENU @ rotation.matrix(initial.q_nb) @ FRD_OF_FUR
+        self.nav = Nav(lat, lon, h, NED_OF_ENU @ initial.vel_n, B)
+        self.eps, self.da = np.zeros(3), np.zeros(3)  # accumulated calibration, A-5.4.11
+
+        sig, earth = self.sig, ellipsoid(lat, h)
+        east, north = reduced(self.nav, earth)
+        P = np.zeros((SIZE, SIZE))
+        of_ned = np.linalg.inv(ned_matrix(self.nav, earth))
+        P[:9, :9] = of_ned @ initial.cov @ of_ned.T
+        unit = np.array([east, north, 1.0, 1.0, 1.0, 1.0])
+        rest = [sig.eps] * 3 + [sig.da] * 3 + [sig.bb] + (unit * per_axis(sig.markov)).tolist()
+        P[np.arange(9, SIZE), np.arange(9, SIZE)] = np.square(rest)
+        P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
+        P[9:15, :9] = P[:9, 9:15].T
+        self.floor = options.floor**2 * np.diag(P)
+        self.kf: Any = KalmanFilter(dim_x=SIZE, dim_z=7)
+        self.kf.P = P
+        self.scale = (east, north)  # of the reduced Markov states
+
+        self.elapsed = 0.0  # since the last prediction [s]
+        self.B_sum, self.dv_sum = np.zeros((3, 3)), np.zeros(3)
+        self.start = self.nav
+        self.w_b = np.zeros(3)
+        self.before: tuple[float, Vector, Vector] | None = None
+
+        self.next_correction = -np.inf
+        self.satellites: int | None = None
+        self.misses = dict.fromkeys(_ROWS, 0)
+        self.refused: dict[str, tuple[float, float, str]] = {}
+        self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
+        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.events: list[tuple[float, float, str, str]] = []
+
+    # -- the navigator
+
+    def advance(self, dt: float, dtheta: list[float], dvel: list[float]) -> None:
+        """One IMU sample: increments less the calibration (A-5.4.11), then the mechanization."""
+        (e0, e1, e2), (d0, d1, d2) = self.eps.tolist(), self.da.tolist()
+        dth = (dtheta[0] - e0 * dt, dtheta[1] - e1 * dt, dtheta[2] - e2 * dt)
+        dv = (dvel[0] - d0 * dt, dvel[1] - d1 * dt, dvel[2] - d2 * dt)
+        turn, dv_start = body_increments(dt, dth, dv, self.before)
+        self.B_sum += self.nav.B * dt
+        self.nav, dv_n = mechanize(self.nav, dt, turn, dv_start)
+        self.dv_sum += dv_n
+        self.elapsed += dt
+        self.before = (dt, dth, dv)
+        self.w_b = np.array(dth) / dt
+
+    def predict(self) -> None:
+        """Carry the filter over the time since the last prediction (A-5.4.4)."""
+        T = self.elapsed
+        if T == 0.0:
+            return
+        earth = ellipsoid(self.start.lat, self.start.h)
+        mean = replace(self.start, B=self.B_sum / T)
+        a = self.dv_sum / T
+        if self.options.discretization == "euler":
+            Phi, G = model(mean, earth, a, self.sig, T)
+            Q = G @ G.T
+        else:
+            Phi, Q = model_van_loan(mean, earth, a, self.sig, T)
+        # the Markov states keep their metres while the reduced ones change (A-5.2.2, caveat)
+        scale = reduced(self.nav, ellipsoid(self.nav.lat, self.nav.h))
+        Phi[16, 16] *= scale[0] / self.scale[0]
+        Phi[17, 17] *= scale[1] / self.scale[1]
+        self.kf.predict(F=Phi, Q=Q)
+        self.scale = scale
+        covariance_floor(self.kf.P, self.floor)
+        self.elapsed = 0.0
+        self.B_sum, self.dv_sum, self.start = np.zeros((3, 3)), np.zeros(3), self.nav
+
+    # -- the measurements
+
+    def update(self, now: float, fix_row: int | None, baro_row: int | None) -> None:
+        """Use what has arrived: the rows of Y, their tests, the update and the correction."""
+        earth = ellipsoid(self.nav.lat, self.nav.h)
+        east, north = reduced(self.nav, earth)
+        jump = fix_row is not None and self._satellites_changed(fix_row)
+        if jump:
+            self.kf.P[16:, 16:] += np.diag(
+                np.square(per_axis(self.sig.jump_markov) * [east, north, 1, 1, 1, 1])
+            )
+        H, Q = measurement_matrix(), measurement_noise(self.sig, east, north, jump)
+        antenna_matrix(H, self.nav, earth, self.antenna, self.w_b)
+        R = Q @ Q.T
+        Y = self._measurements(earth, fix_row, baro_row)
+        y = Y - H @ self.kf.x[:, 0]  # A-5.4.6
+        PH, S = self.kf.P @ H.T, H @ self.kf.P @ H.T + R
+        metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
+        error = H[:, :15] @ self.kf.x[:15, 0]  # of the INS, as far as it is known
+        apart = (Y - error) * metres  # corrected INS less aid
+        use = []
+        vel_row = fix_row
+        if fix_row is not None and self.sensors.fixes is not None:
+            moving = np.isfinite(self.sensors.fixes.vel_n[fix_row]).all()
+            vel_row = fix_row if moving else None  # a fix may have no velocity
+        for name, given in (("gnss_position", fix_row), ("gnss_velocity", vel_row), ("baro", baro_row)):
+            if given is not None and self._is_sound(
+                now, name, apart, y * metres, S * np.outer(metres, metres), PH * metres
+            ):
+                use += _ROWS[name]
+        if fix_row is not None and baro_row is not None:
+            ratio = abs(y[7]) / math.sqrt(S[7, 7])
+            if ratio > self.options.monitor_sigmas:
+                text = f"barometer and GNSS height differ by {ratio:.1f} sigma"
+                self.events.append((now, now, "integrity", text))
+        use.sort()
+        if not use:
+            return
+        if self.options.rows == 8 and len(use) == 7:
+            use = list(range(8))
+            self.kf.inv = pseudo_inverse
+        if self.options.form == "joseph":
+            self.kf.update(Y[use, None], R=R[np.ix_(use, use)], H=H[use])  # A-5.4.5
+        else:
+            step = square_root.potter if self.options.form == "potter" else square_root.carlson
+            x, root = self.kf.x[:, 0], square_root.upper_root(self.kf.P)
+            for k in use:
+                x, root = step(x, root, H[k], float(Y[k]), float(R[k, k]))
+            self.kf.x, self.kf.P = x[:, None], root @ root.T
+        self.kf.inv = np.linalg.inv
+        covariance_floor(self.kf.P, self.floor)
+        found = H[:, :15] @ self.kf.x[:15, 0] - error
+        for name, (at, offset) in self.accepted.items():  # the correction moves the INS, not the last fix
+            self.accepted[name] = (at, offset - (found * metres)[_ROWS[name]])
+        for name in ("gnss_position", "gnss_velocity"):
+            if set(_ROWS[name]) <= set(use):
+                self.accepted[name] = (now, (apart - found * metres)[_ROWS[name]])
+        self._correct(now)
+
+    def _satellites_changed(self, row: int) -> bool:
+        count = int(self.sensors.fixes.satellites[row]) if self.sensors.fixes is not None else None
+        changed = self.satellites is not None and count != self.satellites
+        self.satellites = count
+        return changed
+
+    def _measurements(self, earth: Earth, fix_row: int | None, baro_row: int | None) -> FloatArray:
+        """Return Y (8,), INS less aid (A-5.4.3), NaN in the rows of what has not arrived."""
+        Y = np.full(8, np.nan)
+        nav = self.nav
+        if baro_row is not None and self.sensors.baro is not None:
+            Y[0] = nav.h - self.sensors.baro.alt_baro[baro_row]
+        if fix_row is not None and self.sensors.fixes is not None:
+            east, north = reduced(nav, earth)
+            arm = nav.B @ self.antenna
+            lat, lon, h = self.sensors.fixes.lla[fix_row].tolist()
+            dlon = nav.lon - lon
+            dlon -= 2.0 * math.pi * round(dlon / (2.0 * math.pi))
+            Y[1] = dlon * R3 + arm[0] * east
+            Y[2] = (nav.lat - lat) * R3 + arm[1] * north
+            Y[3] = nav.h - h + arm[2]
+            swept = nav.B @ antenna_sweep(nav, self.antenna, self.w_b)
+            Y[4:7] = nav.V + swept - NED_OF_ENU @ self.sensors.fixes.vel_n[fix_row]
+        Y[7] = Y[3] - Y[0]
+        return Y
+
+    def _is_sound(
+        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, PH: FloatArray
+    ) -> bool:
+        """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals.
+
+        S and PH are those before any of an instant is used; the compiled filter uses one after the other.
+        """
+        rows, options = _ROWS[name], self.options
+        y, S = y[rows], S[np.ix_(rows, rows)]
+        value = nis(y, S)
+        failed = [
+            test for test in options.integrity if self._fails(test, now, name, apart[rows], y, S, value)
+        ]
+        readmitted = bool(failed) and self.misses[name] >= options.readmit_after
+        use = not failed or readmitted
+        if readmitted:
+            earth = ellipsoid(self.nav.lat, self.nav.h)
+            unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
+            states = _STATES[name]
+            x = PH[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
+            self.kf.P += np.outer(x, x)
+            self.kf.P[states, states] += np.square(y * unit)
+        if failed and not readmitted:
+            self.misses[name] += 1
+            start = self.refused.get(name, (now, now, failed[0]))[0]
+            self.refused[name] = (start, now, failed[0])
+        else:
+            self.misses[name] = 0
+            self.close(name)
+        code = SENSORS.index(name)
+        along_n = -(NED_OF_ENU @ y) if len(rows) == 3 else -y  # measured less predicted
+        variance = np.diag(S)[[1, 0, 2]] if len(rows) == 3 else np.diag(S)
+        for i, (z, s) in enumerate(zip(along_n.tolist(), variance.tolist(), strict=True)):
+            self.innovations.append((now, code, i, z, s, value, use))
+        return use
+
+    def _fails(
+        self, test: str, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, value: float
+    ) -> bool:
+        options = self.options
+        if test == "nis":
+            return value > self.gates[name]
+        if test == "trace":
+            return trace_ratio(y, S) > options.trace_limit
+        if name not in self.accepted:  # no fix to carry on yet, or the barometer
+            return False
+        at, offset = self.accepted[name]
+        decay = gnss_decay(self.sig, math.hypot(self.nav.V[0], self.nav.V[1]), now - at)
+        part = slice(0, 3) if name == "gnss_position" else slice(3, 6)
+        wander = (1.0 - decay[part]) * np.square(per_axis(self.sig.markov)[part])
+        sd = np.sqrt(2.0 * (np.square(per_axis(self.sig.white)[part]) + wander))
+        bound = tolerance(
+            now - at,
+            sd,
+            order=2 if name == "gnss_position" else 1,
+            max_acceleration=options.max_acceleration,
+            sigmas=options.tolerance_sigmas,
+        )
+        return bool((np.abs(apart - offset) > bound).any())
+
+    def close(self, name: str) -> None:
+        """Report a stretch of refusals that has ended."""
+        if name in self.refused:
+            start, end, test = self.refused.pop(name)
+            self.events.append((start, end, "integrity", f"{name} refused by {test}"))
+
+    # -- the correction
+
+    def _correct(self, now: float) -> None:
+        """Feed the estimate back when it is due (A-5.4.8, A-5.4.9, A-5.4.11)."""
+        options = self.options
+        if not options.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
+            return
+        x = self.kf.x[:, 0]
+        self.nav = corrected(self.nav, x)
+        self.start = self.nav
+        self.eps = self.eps + x[9:12]
+        self.da = self.da + x[12:15]
+        self.kf.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 and P are kept
+        period = options.correction_period
+        if isinstance(period, str):
+            spread = 3.0 * np.sqrt(np.diag(self.kf.P))
+            attitude, gyro, accel = (spread[first : first + 3].max() for first in (6, 9, 12))
+            period = correction_period(math.radians(options.admissible_deg), attitude, gyro, accel)
+        self.next_correction = now + period
+
+    # -- the answer
+
+    def answer(self) -> tuple[FloatArray, ...]:
+        """Return lla, vel_n, q_nb, states, their sd and the covariance of the corrected output."""
+        x, P = self.kf.x[:, 0], self.kf.P
+        nav = corrected(self.nav, x)
+        earth = ellipsoid(nav.lat, nav.h)
+        J = ned_matrix(nav, earth)
+        east, north = reduced(nav, earth)
+        to_ned = np.zeros((13, 13))
+        to_ned[0:3, 0:3] = to_ned[3:6, 3:6] = FRD_OF_FUR
+        to_ned[6, 6] = 1.0
+        to_ned[7:10, 7:10] = NED_OF_ENU @ np.diag([1 / east, 1 / north, 1.0])
+        to_ned[10:13, 10:13] = NED_OF_ENU
+        states = x[9:].copy()
+        states[:3] += self.eps
+        states[3:6] += self.da
+        return (
+            np.array([nav.lat, nav.lon, nav.h]),
+            NED_OF_ENU @ nav.V,
+            rotation.from_matrix(NED_OF_ENU @ nav.B @ FRD_OF_FUR.T),
+            to_ned @ states,
+            np.sqrt(np.diag(to_ned @ P[9:, 9:] @ to_ned.T)),
+            J @ P[:9, :9] @ J.T,
+        )
