@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 
-RATE = 7.292115e-5  # rotation rate of the Earth [rad/s], NIMA TR8350.2 (2000)
+EARTH_RATE = 7.292115e-5  # rotation rate of the Earth [rad/s], NIMA TR8350.2 (2000)
 GM = 3.986004418e14  # geocentric gravitational constant [m^3/s^2], NIMA TR8350.2 (2000)
 GAMMA_E = 9.7803253359  # normal gravity at the equator [m/s^2], NIMA TR8350.2 (2000)
 _K = 0.00193185265241  # Somigliana's constant [1], NIMA TR8350.2 (2000)

@@ -19,7 +19,7 @@ def still(
     """A body at rest at ORIGIN with roll, pitch, heading [rad]: it feels the Earth rate and -gravity."""
     t = np.arange(round(duration * rate) + 1) / rate
     q_nb = rotation.from_euler(*attitude)
-    w_ie_n = earth.RATE * np.array([np.cos(ORIGIN[0]), 0.0, -np.sin(ORIGIN[0])])
+    w_ie_n = earth.EARTH_RATE * np.array([np.cos(ORIGIN[0]), 0.0, -np.sin(ORIGIN[0])])
     f_n = -earth.gravity_n(ORIGIN[0], ORIGIN[2])
     q_bn = rotation.conjugate(q_nb)
     return _record(
@@ -67,7 +67,7 @@ def _earth_part(t, heading, tilt_bn):
     """Integral of w_ie_b over each sample, Simpson's rule."""
 
     def w_ie_b(h):
-        w_level = earth.RATE * np.column_stack(
+        w_level = earth.EARTH_RATE * np.column_stack(
             [
                 np.cos(ORIGIN[0]) * np.cos(h),
                 -np.cos(ORIGIN[0]) * np.sin(h),

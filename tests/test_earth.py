@@ -30,7 +30,7 @@ def closed_form_gravity(lat, alt):
     q = 0.5 * ((1 + 3 * u * u / E2) * np.arctan2(E, u) - 3 * u / E)
     q0 = 0.5 * ((1 + 3 * b * b / E2) * np.arctan2(E, b) - 3 * b / E)
     q1 = 3 * (1 + u * u / E2) * (1 - u / E * np.arctan2(E, u)) - 1
-    rate2 = earth.RATE**2
+    rate2 = earth.EARTH_RATE**2
     g_u = (
         -(earth.GM / (u * u + E2) + rate2 * a * a * E / (u * u + E2) * q1 / q0 * (0.5 * sb * sb - 1 / 6)) / w
         + rate2 * u * cb * cb / w

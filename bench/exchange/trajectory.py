@@ -22,7 +22,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import Events, Trajectory
-from bench.earth import RATE, matrix_en, to_ecef, to_geodetic
+from bench.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
 from bench.exchange.table_files import Columns, described, group, read_table
 from bench.flight.increments import Motion
@@ -288,15 +288,15 @@ def _stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
         first, end = begun * substeps, min(begun + _CHUNK, samples) * substeps
         t: FloatArray = dt * np.arange(first - (first > 0), end + 2, dtype=np.float64)
         pos_e, q_eb = fit.pos_e(t), fit.q_eb(t)
-        half = 0.5 * RATE * t
+        half = 0.5 * EARTH_RATE * t
         q_ie = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
         lat, lon, _ = to_geodetic(pos_e).T
         q_ne = conjugate(from_matrix(matrix_en(lat, lon)))
         motion = Motion(
             dt=dt,
-            epa=RATE * t,
+            epa=EARTH_RATE * t,
             pos_i=rotate(q_ie, pos_e),
-            vel_i=rotate(q_ie, fit.vel(t) + np.cross([0.0, 0.0, RATE], pos_e)),
+            vel_i=rotate(q_ie, fit.vel(t) + np.cross([0.0, 0.0, EARTH_RATE], pos_e)),
             q_nb=continuous(multiply(q_ne, q_eb)),
             q_ib=continuous(multiply(q_ie, q_eb)),
         )

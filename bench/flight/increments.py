@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.earth import RATE, gravity_n, matrix_en, to_geodetic
+from bench.earth import EARTH_RATE, gravity_n, matrix_en, to_geodetic
 from bench.rotation import conjugate, continuous, from_euler, multiply, rotate, to_rotvec
 
 
@@ -97,8 +97,8 @@ def gravitation_i(pos_i: FloatArray) -> FloatArray:
     outward = -north * np.sin(lat) - down * np.cos(lat)
     return np.stack(
         [
-            outward * np.cos(lon) - RATE**2 * pos_i[:, 0],
-            outward * np.sin(lon) - RATE**2 * pos_i[:, 1],
+            outward * np.cos(lon) - EARTH_RATE**2 * pos_i[:, 0],
+            outward * np.sin(lon) - EARTH_RATE**2 * pos_i[:, 1],
             north * np.cos(lat) - down * np.sin(lat),
         ],
         axis=-1,
@@ -108,7 +108,7 @@ def gravitation_i(pos_i: FloatArray) -> FloatArray:
 def earth_relative(epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return geodetic position (K, 3) [rad, rad, m] and Earth-relative velocity (K, 3) [m/s], n."""
     carried = np.stack([-pos_i[:, 1], pos_i[:, 0], np.zeros(len(pos_i))], axis=-1)
-    pos_e, vel_e = _about_pole(-epa, pos_i), _about_pole(-epa, vel_i - RATE * carried)
+    pos_e, vel_e = _about_pole(-epa, pos_i), _about_pole(-epa, vel_i - EARTH_RATE * carried)
     lla = to_geodetic(pos_e)
     vel_n = np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel_e)
     return lla, vel_n

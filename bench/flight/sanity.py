@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
-from bench.earth import RATE
+from bench.earth import EARTH_RATE
 from bench.errors import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
 from bench.flight.jsbsim_units import FT
@@ -73,8 +73,8 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
         gap = np.linalg.norm(np.diff(r, axis=0) - 0.5 * dt * (v[1:] + v[:-1]), axis=1)
         turned = 2.0 * np.arccos(np.clip(np.abs(np.sum(q[1:] * q[:-1], axis=1)), 0.0, 1.0))
         faster = np.linalg.norm(np.diff(v, axis=0), axis=1)
-        earth = np.abs(np.diff(motion.epa) - RATE * dt)
-        parts.append((gap > _PLACE) | (turned > _ANGLE) | (faster > _SPEED) | (earth > 0.5 * RATE * dt))
+        earth = np.abs(np.diff(motion.epa) - EARTH_RATE * dt)
+        parts.append((gap > _PLACE) | (turned > _ANGLE) | (faster > _SPEED) | (earth > 0.5 * EARTH_RATE * dt))
         widest = max(widest, float(gap.max()))
     jumps = np.concatenate(parts)
     cuts = [int(k) + 1 for k in np.flatnonzero(jumps)]

@@ -24,7 +24,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
-from bench.earth import RATE, gravity_kernel, radii_kernel
+from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
 from bench.navigation.blocks import Index
 from bench.navigation.cycle import Belief, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
@@ -190,9 +190,9 @@ def antenna_kernel(
     r_m, r_p = meridian + nav[2], prime + nav[2]
     x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
     # rate of b against e: less the Earth's, seen in b
-    p = w_ib_b[0] - RATE * (C[0, 0] * c - C[2, 0] * s)
-    q = w_ib_b[1] - RATE * (C[0, 1] * c - C[2, 1] * s)
-    r = w_ib_b[2] - RATE * (C[0, 2] * c - C[2, 2] * s)
+    p = w_ib_b[0] - EARTH_RATE * (C[0, 0] * c - C[2, 0] * s)
+    q = w_ib_b[1] - EARTH_RATE * (C[0, 1] * c - C[2, 1] * s)
+    r = w_ib_b[2] - EARTH_RATE * (C[0, 2] * c - C[2, 2] * s)
     sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
     for i in range(3):
         H[POS + i, POS + i] = 1.0
@@ -339,7 +339,7 @@ def _standstill_kernel(
     matrix_kernel(state, C)
     s, c = np.sin(state[0]), np.cos(state[0])
     _, g_d = gravity_kernel(s, c, state[2])
-    n, d = RATE * c, -RATE * s
+    n, d = EARTH_RATE * c, -EARTH_RATE * s
     for i in range(3):
         _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, aid.variance[row, i])
         pending.H[first + i, VEL + i] = 1.0

@@ -238,7 +238,7 @@ def _matched(
 
 def _swept(antenna_b: FloatArray, q_nb: FloatArray, w_ib_b: FloatArray, lat: float) -> FloatArray:
     """Return the velocity (3,) of the antenna against the IMU, n."""
-    earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
     w_eb_b = w_ib_b - rotation.rotate(rotation.conjugate(q_nb), earth_n)
     swept: FloatArray = rotation.rotate(q_nb, np.cross(w_eb_b, antenna_b))
     return swept

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray, IntArray, as_float
 from bench.compiled import kernel
-from bench.earth import RATE, WGS84, gravity_gradient_kernel, radii_kernel
+from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
 from bench.navigation.mechanization import turn_kernel
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
@@ -99,7 +99,7 @@ def dynamics_kernel(nav: FloatArray, C: FloatArray, f_n: FloatArray, F: FloatArr
     dr_p = prime * _E2 * s * c / w2
     tan = s / c
     e_n, e_e, e_d = v_e / r_p, -v_n / r_m, -v_e * tan / r_p  # w_en_n
-    i_n, i_d = RATE * c, -RATE * s  # w_ie_n
+    i_n, i_d = EARTH_RATE * c, -EARTH_RATE * s  # w_ie_n
     k_n, k_e, k_d = 2.0 * i_n + e_n, e_e, 2.0 * i_d + e_d
     # change of w_en_n with latitude and height
     en_lat, en_alt = -e_n * dr_p / r_p, -e_n / r_p

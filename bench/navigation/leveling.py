@@ -51,7 +51,7 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     g = float(g_n[2])
     plumb = rotation.from_rotvec([0.0, g_n[0] / g, 0.0])  # the plumb line bends with height
     force_sd, rate_sd = mean_sd(sensors, T, g)
-    e_rate = earth.RATE * np.cos(lat)
+    e_rate = earth.EARTH_RATE * np.cos(lat)
     J = np.zeros((3, 3))  # phi by db_N, db_E, dw_E
     J[0, 1], J[1, 0] = -1 / g, 1 / g
     J[2] = -np.tan(lat) * J[0]

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray, as_float
 from bench.compiled import kernel
-from bench.earth import RATE, WGS84, gravity_kernel, radii_kernel
+from bench.earth import EARTH_RATE, WGS84, gravity_kernel, radii_kernel
 
 STATE_SIZE = 10
 _A = WGS84.a
@@ -128,14 +128,14 @@ def step_kernel(
     r_m, r_p = meridian + mid_alt, prime + mid_alt
     g_n, g_d = gravity_kernel(s, c, mid_alt)
     tan = s / c
-    k_n, k_d = 2.0 * RATE * c + v_e / r_p, -2.0 * RATE * s - v_e / r_p * tan
+    k_n, k_d = 2.0 * EARTH_RATE * c + v_e / r_p, -2.0 * EARTH_RATE * s - v_e / r_p * tan
     k_e = -v_n / r_m
     m_n = v_n + 0.5 * (f_n - dt * (k_e * v_d - k_d * v_e))
     m_e = v_e + 0.5 * (f_e - dt * (k_d * v_n - k_n * v_d))
     m_d = v_d + 0.5 * (f_d + dt * (g_d - (k_n * v_e - k_e * v_n)))
     e_n, e_e = m_e / r_p, -m_n / r_m  # w_en_n
     e_d = -e_n * tan
-    i_n, i_d = RATE * c, -RATE * s  # w_ie_n
+    i_n, i_d = EARTH_RATE * c, -EARTH_RATE * s  # w_ie_n
     z_n, z_e, z_d = (i_n + e_n) * dt, e_e * dt, (i_d + e_d) * dt  # rotation of n against i
     k_n, k_e, k_d = 2.0 * i_n + e_n, e_e, 2.0 * i_d + e_d
 

@@ -38,7 +38,7 @@ from bench.signals.delays import (
     range_rate_kernel,
     zenith_troposphere,
 )
-from bench.signals.orbits import L1, RATE
+from bench.signals.orbits import GPS_EARTH_RATE, L1
 from bench.specs import GnssSpec
 
 _E2 = WGS84.e2
@@ -173,13 +173,13 @@ def satellites_kernel(
     for k in range(sky.epoch_start[epoch], sky.epoch_start[epoch + 1]):
         sx, sy, sz = sky.sat[k, 0], sky.sat[k, 1], sky.sat[k, 2]
         wx, wy, wz = sky.sat[k, 3], sky.sat[k, 4], sky.sat[k, 5]
-        distance, ex, ey, ez = range_kernel(sx, sy, sz, rx, ry, rz, RATE)
+        distance, ex, ey, ez = range_kernel(sx, sy, sz, rx, ry, rz, GPS_EARTH_RATE)
         e_n = -s * cl * ex - s * sl * ey + c * ez
         e_e = -sl * ex + cl * ey
         e_d = -c * cl * ex - c * sl * ey - s * ez
         if not -e_d >= sky.sin_mask:
             continue
-        a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, RATE)
+        a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, GPS_EARTH_RATE)
         flat = np.sqrt(e_n * e_n + e_e * e_e)
         delay = zenith * mapping_kernel(-e_d)
         if sky.ionosphere[k] > 0.0 and flat > 0.0:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.data import ImuData
-from bench.earth import GAMMA_E, RATE
+from bench.earth import EARTH_RATE, GAMMA_E
 from bench.specs import ImuSpec, TriadSpec
 
 WINDOW = 1.0  # [s]
@@ -63,7 +63,9 @@ def windows(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[IntArray, Floa
         still &= (rate.std(axis=1) < _NOISY * noise).all(axis=1)
         means.append(rate.mean(axis=1))
     turn, force = means
-    still &= (np.abs(turn) < RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD) + _g_error(spec)).all(axis=1)
+    still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD) + _g_error(spec)).all(
+        axis=1
+    )
     size = np.linalg.norm(force, axis=1)
     allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
     still &= np.abs(size - GAMMA_E) < allowed

@@ -237,7 +237,7 @@ class _Flight:
         def motion(x: FloatArray) -> FloatArray:
             truth = _less(self.nav, x)
             lat = self.nav[0]
-            earth_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+            earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
             w_b = w_ib_b - self.rest[:3] + x[:, GYRO : GYRO + 3]
             w_b = w_b - rotation.rotate(rotation.conjugate(truth[:, 6:]), earth_n)
             return truth[:, 3:6] + rotation.rotate(truth[:, 6:], np.cross(w_b, antenna_b)) - fix[3:]

@@ -112,7 +112,7 @@ def antenna(
     )
     w_ib_n = rotation.rotate(truth.q_nb[rows], 0.5 * (rate_before + rate_after))
     lat = truth.lla[rows, 0]
-    w_ie_n = earth.RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
+    w_ie_n = earth.EARTH_RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
     vel_n = truth.vel_n[rows] + np.cross(w_ib_n - w_ie_n, lever_n)
     return earth.displace(truth.lla[rows], lever_n), vel_n
 

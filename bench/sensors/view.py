@@ -14,7 +14,7 @@ from bench.data import GLONASS, GPS, Trajectory
 from bench.sensors.gnss import antenna
 from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
-from bench.signals.orbits import RATE, C
+from bench.signals.orbits import GPS_EARTH_RATE, C
 from bench.specs import SkySpec
 
 _GEOMETRIC = 1e-3  # least elevation for which delays are computed [rad]
@@ -93,7 +93,7 @@ def geometry_kernel(
             for _ in range(4):
                 before = distance
                 orbits.track_kernel(t_0, step, coefficients, s, now - distance / C, False, state)
-                distance, ex, ey, ez = range_kernel(state[0], state[1], state[2], rx, ry, rz, RATE)
+                distance, ex, ey, ez = range_kernel(state[0], state[1], state[2], rx, ry, rz, GPS_EARTH_RATE)
                 below = sin_mask - (ex * ux + ey * uy + ez * uz)
                 if below > 1e-3:
                     asleep[s] = t[m] + below / _RISE
@@ -125,7 +125,7 @@ def geometry_kernel(
             orbits.track_kernel(t_0, step, coefficients, s, now - distance / C, True, state)
             a, b = range_rate_kernel(
                 state[0], state[1], state[2], state[4], state[5], state[6],
-                rx, ry, rz, ex, ey, ez, distance, RATE,
+                rx, ry, rz, ex, ey, ez, distance, GPS_EARTH_RATE,
             )  # fmt: skip
             for i in range(3):
                 out[k, i], out[k, 3 + i] = state[i], state[4 + i]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.compiled import kernel
-from bench.signals.orbits import RATE, C
+from bench.signals.orbits import GPS_EARTH_RATE, C
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
 TROPOSPHERE_SCALE = 7500.0  # height over which it falls to 1/e [m], B-10
@@ -226,5 +226,5 @@ def sagnac(sat_pos_e: ArrayLike, pos_e: ArrayLike) -> FloatArray:
         Receiver [m], e.
     """
     s, r = np.asarray(sat_pos_e, float), np.asarray(pos_e, float)
-    added: FloatArray = RATE / C * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+    added: FloatArray = GPS_EARTH_RATE / C * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
     return added

@@ -14,7 +14,7 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.signals.delays import range_kernel, range_rate_kernel
-from bench.signals.orbits import RATE
+from bench.signals.orbits import GPS_EARTH_RATE
 
 CLOSE = 0.1  # a step shorter than this is the last [m]; what remains is its square over the range, 5e-10 m
 _MOST = 20  # steps before an epoch is given up
@@ -378,7 +378,7 @@ def position(
         np.ascontiguousarray(sd),
         np.ascontiguousarray(system, np.int64),
         one_clock,
-        RATE if sagnac else 0.0,
+        GPS_EARTH_RATE if sagnac else 0.0,
         np.full((M, 3), np.nan) if start_e is None else np.ascontiguousarray(start_e, float),
         close,
         np.empty(0) if threshold is None else threshold,
@@ -433,7 +433,7 @@ def velocity(
         np.ascontiguousarray(range_rate),
         np.ascontiguousarray(sd),
         np.ascontiguousarray(used),
-        RATE if sagnac else 0.0,
+        GPS_EARTH_RATE if sagnac else 0.0,
         np.ascontiguousarray(pos_e),
         np.empty((5, 5)),
         np.empty((5, 5)),

@@ -17,7 +17,7 @@ from bench.compiled import kernel
 
 C = 299792458.0  # speed of light [m/s], exact
 WEEK, DAY = 604800.0, 86400.0  # [s]
-RATE = 7.2921151467e-5  # rotation rate of the Earth [rad/s], IS-GPS-200, table 20-IV
+GPS_EARTH_RATE = 7.2921151467e-5  # rotation rate of the Earth [rad/s], IS-GPS-200, table 20-IV
 _GM_GPS = 3.986005e14  # [m^3/s^2], IS-GPS-200, table 20-IV
 _RELATIVITY = -4.442807633e-10  # F of the eccentric clock term [s/sqrt(m)], IS-GPS-200, 20.3.3.3.3.1
 _GM_PZ = 3.986004418e14  # [m^3/s^2], PZ-90.11 reference document, 2014
@@ -174,8 +174,8 @@ def _kepler_kernel(
         u_rate = phi_rate * (1.0 + 2.0 * (q[13] * c2 - q[12] * s2))
         r_rate = a * e * sin_a * anomaly_rate + 2.0 * phi_rate * (q[15] * c2 - q[14] * s2)
         incl_rate = q[6] + 2.0 * phi_rate * (q[17] * c2 - q[16] * s2)
-        node_rate = q[8] - RATE
-        node = q[7] + node_rate * dt - RATE * q[1]
+        node_rate = q[8] - GPS_EARTH_RATE
+        node = q[7] + node_rate * dt - GPS_EARTH_RATE * q[1]
         su, cu, si, ci, sn, cn = np.sin(u), np.cos(u), np.sin(incl), np.cos(incl), np.sin(node), np.cos(node)
         x, y = r * cu, r * su
         vx, vy = r_rate * cu - y * u_rate, r_rate * su + x * u_rate

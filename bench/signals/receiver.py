@@ -25,7 +25,7 @@ from bench.signals.delays import (
     range_kernel,
     zenith_troposphere,
 )
-from bench.signals.orbits import L1, RATE, C
+from bench.signals.orbits import GPS_EARTH_RATE, L1, C
 
 CORRECTIONS = ("sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks")
 """What ``Processing.without`` may leave out; "clocks" means a second clock unknown for GLONASS."""
@@ -243,7 +243,7 @@ def look(
     C_en = np.ascontiguousarray(earth.matrix_en(lla[:, 0], lla[:, 1]))
     zenith = zenith_troposphere(lla[:, 0], lla[:, 2], troposphere)
     seen = Look(pos_e, lla, np.empty((K, 3)), np.empty(K), np.empty(K), np.empty(K))
-    _look_kernel(epoch_start, sat_pos_e, pos_e, C_en, RATE if sagnac else 0.0, seen.los_n)
+    _look_kernel(epoch_start, sat_pos_e, pos_e, C_en, GPS_EARTH_RATE if sagnac else 0.0, seen.los_n)
     _atmosphere_kernel(
         epoch_start,
         t,

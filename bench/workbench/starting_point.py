@@ -146,7 +146,7 @@ def _fix_covariance(specs: AssumedSpecs) -> FloatArray:
 def _antenna(nav: FloatArray, antenna_b: FloatArray, w_ib_b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return position and velocity (6,) of the antenna from the IMU, and H (6, 15)."""
     C = rotation.matrix(nav[6:])
-    earth_n = earth.RATE * np.array([np.cos(nav[0]), 0.0, -np.sin(nav[0])])
+    earth_n = earth.EARTH_RATE * np.array([np.cos(nav[0]), 0.0, -np.sin(nav[0])])
     swept = np.cross(w_ib_b - C.T @ earth_n, antenna_b)
     H = np.eye(6, 15)
     H[:3, 6:9] = -rotation.skew(C @ antenna_b)

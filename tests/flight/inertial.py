@@ -12,7 +12,7 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import Trajectory
-from bench.earth import RATE, WGS84, gravity_kernel, matrix_en, to_ecef
+from bench.earth import EARTH_RATE, WGS84, gravity_kernel, matrix_en, to_ecef
 
 _A, _E2 = WGS84.a, WGS84.e2
 
@@ -28,8 +28,8 @@ def _gravitation(x: float, y: float, z: float, out: FloatArray) -> None:
     alt = p * c + z * s - _A * np.sqrt(1.0 - _E2 * s * s)
     north, down = gravity_kernel(s, c, alt)
     outward = -north * s - down * c
-    out[0] = outward * x / p - RATE * RATE * x
-    out[1] = outward * y / p - RATE * RATE * y
+    out[0] = outward * x / p - EARTH_RATE * EARTH_RATE * x
+    out[1] = outward * y / p - EARTH_RATE * EARTH_RATE * y
     out[2] = north * c - down * s
 
 
@@ -115,9 +115,9 @@ def inertial(truth: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
     C_en = matrix_en(truth.lla[:, 0], truth.lla[:, 1])
     pos_e = to_ecef(truth.lla)
     vel_e = np.einsum("kij,kj->ki", C_en, truth.vel_n)
-    half = 0.5 * RATE * truth.t
+    half = 0.5 * EARTH_RATE * truth.t
     q_ie = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
-    vel_i = rotation.rotate(q_ie, vel_e + np.cross([0.0, 0.0, RATE], pos_e))
+    vel_i = rotation.rotate(q_ie, vel_e + np.cross([0.0, 0.0, EARTH_RATE], pos_e))
     q_ib = rotation.multiply(q_ie, rotation.multiply(rotation.from_matrix(C_en), truth.q_nb))
     return rotation.rotate(q_ie, pos_e), vel_i, q_ib
 

@@ -101,7 +101,7 @@ def rates_n(truth: Trajectory) -> tuple[FloatArray, FloatArray]:
     lat, alt = middle[:, 0], middle[:, 2]
     north, east, _ = (0.5 * (truth.vel_n[:-1] + truth.vel_n[1:])).T
     R_M, R_P = earth.radii(lat)
-    w_ie = earth.RATE * np.stack([np.cos(lat), 0 * lat, -np.sin(lat)], axis=-1)
+    w_ie = earth.EARTH_RATE * np.stack([np.cos(lat), 0 * lat, -np.sin(lat)], axis=-1)
     w_en = np.stack([east / (R_P + alt), -north / (R_M + alt), -east * np.tan(lat) / (R_P + alt)], axis=-1)
     return w_ie, w_en
 

@@ -84,7 +84,7 @@ def test_a_resting_imu_reads_minus_gravity_and_the_rate_of_the_earth():
     f_n = rotation.rotate(truth.q_nb[:-1], truth.dvel_b) / truth.t[1]
     assert_allclose(f_n, -np.broadcast_to(earth.gravity_n(LAT, GROUND), f_n.shape), atol=2e-5)
     w_n = rotation.rotate(truth.q_nb[:-1], truth.dtheta_b) / truth.t[1]
-    expected = earth.RATE * np.array([cos(LAT), 0.0, -sin(LAT)])
+    expected = earth.EARTH_RATE * np.array([cos(LAT), 0.0, -sin(LAT)])
     assert_allclose(w_n, np.broadcast_to(expected, w_n.shape), atol=5e-8)  # 0.01 deg/h
 
 

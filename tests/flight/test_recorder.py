@@ -170,7 +170,7 @@ def test_the_imu_moves_as_a_point_of_a_rigid_body(short_truth):
     apart = rotation.rotate(rotation.conjugate(cg.q_nb), earth.difference_n(imu.lla, cg.lla))
     assert_allclose(apart, np.broadcast_to(arm_b, apart.shape), atol=2e-6)  # first order in 3 m / 6400 km
     w_ib = cg.dtheta_b / dt
-    w_ie = rotation.rotate(rotation.conjugate(cg.q_nb), earth.RATE * level_pole(cg.lla[:, 0]))
+    w_ie = rotation.rotate(rotation.conjugate(cg.q_nb), earth.EARTH_RATE * level_pole(cg.lla[:, 0]))
     w_eb = (w_ib[:-1] + w_ib[1:]) / 2 - w_ie[1:-1]
     velocity = rotation.rotate(rotation.conjugate(cg.q_nb), imu.vel_n - cg.vel_n)[1:-1]
     assert_allclose(velocity, np.cross(w_eb, arm_b), atol=3e-4)

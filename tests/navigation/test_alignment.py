@@ -42,7 +42,7 @@ def standing(duration, rate=50.0, roll=ROLL, pitch=PITCH, heading=HEADING, lat=L
     lla = np.array([lat, 0.3, 250.0])
     q = rotation.from_euler(roll, pitch, heading)
     back = rotation.conjugate(q)
-    w_b = rotation.rotate(back, earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)]))
+    w_b = rotation.rotate(back, earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)]))
     f_b = rotation.rotate(back, -earth.gravity_n(lat, lla[2]))
     one = np.ones((n + 1, 1))
     return Trajectory(
@@ -163,7 +163,7 @@ def test_a_bias_tilts_and_turns_as_the_closed_form_says():
     off = replace(sensed.data, imu=replace(imu, dvel_b=imu.dvel_b + db * dt, dtheta_b=imu.dtheta_b + dw * dt))
     start, _ = alignment.complete(off, sensed.initial)
     phi = rotation.to_rotvec(start.q_nb)
-    down = -dw[1] / (earth.RATE * np.cos(LAT)) - np.tan(LAT) * phi[0]
+    down = -dw[1] / (earth.EARTH_RATE * np.cos(LAT)) - np.tan(LAT) * phi[0]
     assert_allclose(phi, [-db[1] / g, db[0] / g, down], rtol=2e-3)
 
 
@@ -330,11 +330,11 @@ def straight(duration=30.0, rate=100.0):
     turns, pushes = [], []
     for a in push:  # level at constant heading: what turns n turns b, what pulls down is held
         lat = rows[-1][0]
-        w_n = earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+        w_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
         r_m, r_p = earth.radii(lat)
         w_n += np.array([rows[-1][4] / r_p, -rows[-1][3] / r_m, -rows[-1][4] / r_p * np.tan(lat)])
         f_n = -earth.gravity_n(lat, 800.0) + a * np.array([np.cos(0.6), np.sin(0.6), 0.0])
-        f_n += np.cross(w_n + earth.RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)]), rows[-1][3:6])
+        f_n += np.cross(w_n + earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)]), rows[-1][3:6])
         back = rotation.conjugate(rows[-1][6:])
         turns.append(rotation.rotate(back, w_n) / rate)
         pushes.append(rotation.rotate(back, f_n) / rate)

@@ -167,7 +167,7 @@ def test_register_elements_in_their_own_frame():
     nav = nav.astype(float)
     f_n = rotation.matrix(nav[6:]) @ f_b.astype(float)
     R_M, R_P = earth.radii(nav[0])
-    u, tan, sin, cos = earth.RATE, np.tan(nav[0]), np.sin(nav[0]), np.cos(nav[0])
+    u, tan, sin, cos = earth.EARTH_RATE, np.tan(nav[0]), np.sin(nav[0]), np.cos(nav[0])
     lon_rate = nav[4] / ((R_P + nav[2]) * cos)
     assert_allclose(F[4, 3], 2 * u * sin + 2 * lon_rate * sin - lon_rate * sin, rtol=1e-12)  # f4,5 = U sin
     assert_allclose(F[3, 4], -2 * (u + lon_rate) * sin, rtol=1e-12)  # f5,4

@@ -143,7 +143,7 @@ def standing(duration, rate=200.0):
     lla, q = np.array([47 * DEG, 11 * DEG, 500.0]), rotation.from_euler(0.01, 4 * DEG, 35 * DEG)
     C = rotation.matrix(q)
     g = earth.gravity_n(lla[0], lla[2])
-    w = earth.RATE * np.array([np.cos(lla[0]), 0.0, -np.sin(lla[0])])
+    w = earth.EARTH_RATE * np.array([np.cos(lla[0]), 0.0, -np.sin(lla[0])])
     base = weaving(1.0)
     still = np.ones((n + 1, 1))
     return Trajectory(

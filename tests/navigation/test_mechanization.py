@@ -43,7 +43,7 @@ def inertial_solution(duration):
     lla, vel_n, q_nb = (np.array(x) for x in START)
     C_en = earth.matrix_en(lla[0], lla[1])
     r = earth.to_ecef(lla)
-    rate = np.array([0.0, 0.0, earth.RATE])
+    rate = np.array([0.0, 0.0, earth.EARTH_RATE])
     v = C_en @ vel_n + np.cross(rate, r)
     q = rotation.multiply(rotation.from_matrix(C_en), q_nb)  # the frames e and i agree at t = 0
 
@@ -126,7 +126,7 @@ def test_resting_on_the_earth_stays_at_rest_for_an_hour():
     """Gate G5: horizontal below 0.1 m; the vertical channel diverges from rounding alone (570 s)."""
     lla, q_nb = [0.9, 0.3, 200.0], rotation.from_euler(0.02, -0.03, 2.0)
     C_bn = rotation.matrix(q_nb).T
-    w = C_bn @ [earth.RATE * np.cos(0.9), 0.0, -earth.RATE * np.sin(0.9)]
+    w = C_bn @ [earth.EARTH_RATE * np.cos(0.9), 0.0, -earth.EARTH_RATE * np.sin(0.9)]
     f = -C_bn @ earth.gravity_n(0.9, 200.0)
     n, dt = 180_000, 0.02
     out = mechanization.propagate(
@@ -145,7 +145,7 @@ def test_velocity_kick_swings_with_the_schuler_period():
     """
     n, dt = 60_000, 0.1
     q_nb = [1.0, 0.0, 0.0, 0.0]
-    w = [earth.RATE, 0.0, 0.0]
+    w = [earth.EARTH_RATE, 0.0, 0.0]
     f = -earth.gravity_n(0.0, 0.0)
     out = mechanization.propagate(
         [0.0, 0.0, 0.0], [0.5, 0.0, 0.0], q_nb, np.full(n, dt), np.tile(np.multiply(w, dt), (n, 1)),

@@ -12,7 +12,7 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 
 from bench import rotation, sensors
-from bench.earth import RATE
+from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import error_series
 from bench.navigation import integrity, square_root
 from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
@@ -86,7 +86,7 @@ def test_18_f_is_the_jacobian_of_the_mechanization(figure):
     # and the misprints would not pass: f1,2 over R3, f5,4 with 2u + lambda-dot as u, f6,3 and f6,2 reversed
     for (i, j), value in {
         (0, 1): F[0, 1] / R3,
-        (4, 3): -(2 * RATE + 150 / (earth.r1 * math.cos(0.9))) * math.sin(0.9),
+        (4, 3): -(2 * EARTH_RATE + 150 / (earth.r1 * math.cos(0.9))) * math.sin(0.9),
         (5, 2): -F[5, 2],
         (5, 1): -F[5, 1],
     }.items():
@@ -106,7 +106,7 @@ def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
         earth = navigator.sphere(lat, h)
         still = Nav(lat, 0.0, h, V_n, B)
         (lat_rate, lon_rate, _), V_rate, _ = navigator.rates(still, np.zeros(3), np.zeros(3), earth)
-        turn = RATE + lon_rate
+        turn = EARTH_RATE + lon_rate
         w_in = np.array([-lat_rate, turn * math.cos(lat), turn * math.sin(lat)])
         return lat_rate, lon_rate, B.T @ w_in, B.T @ -V_rate, earth, still
 
@@ -147,7 +147,7 @@ def test_19_three_attitude_parametrizations_are_one():
                 [v[1] / earth.r2, lon_rate],
                 F @ x,
                 error_dynamics.delta_rate(lon_rate, delta, eps),
-                -error_dynamics.inertial_matrix(RATE * t + lon) @ eps,
+                -error_dynamics.inertial_matrix(EARTH_RATE * t + lon) @ eps,
             ]
         )
 
@@ -161,7 +161,7 @@ def test_19_three_attitude_parametrizations_are_one():
     end = solve_ivp(rate, (0, 5000), y0, rtol=3e-14, atol=1e-18, method="DOP853").y[:, -1]
     lat, lon = end[0], end[1]
     of_delta = error_dynamics.alpha_of_delta(lat, end[2], end[3], end[17:20])
-    back = error_dynamics.inertial_matrix(RATE * 5000 + lon).T @ end[20:23]
+    back = error_dynamics.inertial_matrix(EARTH_RATE * 5000 + lon).T @ end[20:23]
     assert np.abs(of_delta - end[8:11]).max() < 1e-15
     assert np.abs(back - end[17:20]).max() < 1e-15
     assert np.abs(end[8:11]).max() > 1e-4  # of which there is much

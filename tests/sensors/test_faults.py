@@ -192,7 +192,7 @@ def test_spoofed_ranges_are_those_from_the_false_place(turn, plain):
     here = earth.to_ecef(turn.lla[at])
     there = earth.to_ecef(earth.displace(turn.lla[at], away))
     sat = clean.sat_pos_e[rows]
-    angle = earth.RATE * 0.075  # of the Earth in the travel time, within 1e-6 rad
+    angle = earth.EARTH_RATE * 0.075  # of the Earth in the travel time, within 1e-6 rad
     turned = sat @ np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )

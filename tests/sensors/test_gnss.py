@@ -77,7 +77,7 @@ def test_without_errors_a_fix_is_the_antenna(turn):
     lever_rate_n = np.einsum("kji,kj->ki", C_en[rows], rate_e)
     assert_allclose(fixes.vel_n[:-1] - turn.vel_n[rows], lever_rate_n, rtol=0, atol=2e-5)
     assert np.abs(lever_rate_n).max() > 0.3
-    assert earth.RATE * np.linalg.norm(LEVER) > 5 * 2e-5
+    assert earth.EARTH_RATE * np.linalg.norm(LEVER) > 5 * 2e-5
 
 
 def test_the_turn_rate_of_an_instant_is_centred_on_it(turn):

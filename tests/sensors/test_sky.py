@@ -92,7 +92,7 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
         for _ in range(5):
             now = o.t[k] + o.gps_t0 - travel
             pos = orbits.states(sets[o.system[k]], np.array([o.sat[k] - 1]), now).pos_e[0]
-            c, s = np.cos(orbits.RATE * travel[0]), np.sin(orbits.RATE * travel[0])
+            c, s = np.cos(orbits.GPS_EARTH_RATE * travel[0]), np.sin(orbits.GPS_EARTH_RATE * travel[0])
             turned = np.array([c * pos[0] + s * pos[1], c * pos[1] - s * pos[0], pos[2]])
             travel = np.array([np.linalg.norm(turned - here[k])]) / orbits.C
         n, e, d = earth.matrix_en(*lla[k, :2]).T @ (turned - here[k])

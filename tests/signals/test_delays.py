@@ -97,10 +97,10 @@ def test_the_range_kernel_turns_the_earth_during_the_travel():
         sat = 26.56e6 * up / np.linalg.norm(up)
         travel = 0.0
         for _ in range(6):
-            c, s = np.cos(orbits.RATE * travel), np.sin(orbits.RATE * travel)
+            c, s = np.cos(orbits.GPS_EARTH_RATE * travel), np.sin(orbits.GPS_EARTH_RATE * travel)
             turned = np.array([c * sat[0] + s * sat[1], c * sat[1] - s * sat[0], sat[2]])
             travel = np.linalg.norm(turned - here) / orbits.C
-        distance, *e = delays.range_kernel(*sat, *here, orbits.RATE)
+        distance, *e = delays.range_kernel(*sat, *here, orbits.GPS_EARTH_RATE)
         assert abs(distance - orbits.C * travel) < 2e-8
         assert_allclose(e, (turned - here) / (orbits.C * travel), rtol=0, atol=1e-12)
         assert_allclose(delays.range_kernel(*sat, *here, 0.0)[0], np.linalg.norm(sat - here), rtol=1e-15)

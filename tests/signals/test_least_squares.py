@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth
 from bench.signals import delays, least_squares, orbits
-from bench.signals.orbits import RATE
+from bench.signals.orbits import GPS_EARTH_RATE
 
 THERE = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 1200.0])
 
@@ -41,7 +41,7 @@ def view(constellations, lla, t, mask, first=0):
         travel = np.full(len(when), 0.07)
         for _ in range(5):
             found = orbits.states(sets, which, when - travel)
-            c, s = np.cos(RATE * travel), np.sin(RATE * travel)
+            c, s = np.cos(GPS_EARTH_RATE * travel), np.sin(GPS_EARTH_RATE * travel)
             turned = np.column_stack(
                 [
                     c * found.pos_e[:, 0] + s * found.pos_e[:, 1],
@@ -128,8 +128,8 @@ def test_doppler_velocity_is_exact(both):
     here = earth.to_ecef(THERE)
     closed = np.empty(len(both.system))
     for k in range(len(closed)):
-        d, *e = delays.range_kernel(*both.pos_e[k], *here, RATE)
-        a, b = delays.range_rate_kernel(*both.pos_e[k], *both.vel_e[k], *here, *e, d, RATE)
+        d, *e = delays.range_kernel(*both.pos_e[k], *here, GPS_EARTH_RATE)
+        a, b = delays.range_rate_kernel(*both.pos_e[k], *both.vel_e[k], *here, *e, d, GPS_EARTH_RATE)
         closed[k] = (a - np.dot(e, VELOCITY_E)) / b
     M = len(both.epoch_start) - 1
     fix = least_squares.velocity(
@@ -150,14 +150,14 @@ def test_the_range_rate_is_the_rate_of_the_range():
         travel = np.full(24, 0.07)
         for _ in range(6):
             found = orbits.states(sets, np.arange(24), np.full(24, t0 + t) - travel)
-            ranges = np.array([delays.range_kernel(*p, *there, RATE)[0] for p in found.pos_e])
+            ranges = np.array([delays.range_kernel(*p, *there, GPS_EARTH_RATE)[0] for p in found.pos_e])
             travel = ranges / orbits.C
         return ranges, found
 
     (after, _), (before, _), (middle, found) = moved(h), moved(-h), moved(0.0)
     for k in range(24):
-        d, *e = delays.range_kernel(*found.pos_e[k], *here, RATE)
-        a, b = delays.range_rate_kernel(*found.pos_e[k], *found.vel_e[k], *here, *e, d, RATE)
+        d, *e = delays.range_kernel(*found.pos_e[k], *here, GPS_EARTH_RATE)
+        a, b = delays.range_rate_kernel(*found.pos_e[k], *found.vel_e[k], *here, *e, d, GPS_EARTH_RATE)
         assert abs((a - np.dot(e, VELOCITY_E)) / b - (after[k] - before[k]) / (2 * h)) < 1e-6
     assert np.abs(middle).min() > 1.9e7
 

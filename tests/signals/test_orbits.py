@@ -75,7 +75,7 @@ def position_and_clock(sat, t):
     r = semi_axis * (1 - sat["e"] * np.cos(anomaly)) + wave @ [sat["c_rc"], sat["c_rs"]]
     incl = sat["i_0"] + wave @ [sat["c_ic"], sat["c_is"]] + sat["i_rate"] * dt
     # the node in the Earth-fixed axes: node_0 is that of the start of the week
-    node = sat["node_0"] + sat["node_rate"] * dt - orbits.RATE * (sat["t_oe_week"] + dt)
+    node = sat["node_0"] + sat["node_rate"] * dt - orbits.GPS_EARTH_RATE * (sat["t_oe_week"] + dt)
     turn = Rotation.from_euler("ZXZ", [node, incl, u])
     since = t - sat["t_oc"]
     return turn.apply([r, 0.0, 0.0]), sat["af_0"] + sat["af_1"] * since + sat["af_2"] * since**2
@@ -110,7 +110,7 @@ def test_without_harmonics_the_inertial_motion_keeps_keplers_laws():
     )
     sets, t = eccentric(**off), np.linspace(0.0, 43000.0, 200)
     found = at(sets, t)
-    angle = orbits.RATE * t
+    angle = orbits.GPS_EARTH_RATE * t
     turn = np.array(
         [
             [np.cos(angle), -np.sin(angle), 0 * t],
@@ -119,7 +119,7 @@ def test_without_harmonics_the_inertial_motion_keeps_keplers_laws():
         ]
     )
     pos = np.einsum("ijk,kj->ki", turn, found.pos_e)
-    vel = np.einsum("ijk,kj->ki", turn, found.vel_e + np.cross([0, 0, orbits.RATE], found.pos_e))
+    vel = np.einsum("ijk,kj->ki", turn, found.vel_e + np.cross([0, 0, orbits.GPS_EARTH_RATE], found.pos_e))
     a, gm = 5153.6**2, 3.986005e14
     energy = 0.5 * np.sum(vel**2, axis=1) - gm / np.linalg.norm(pos, axis=1)
     assert_allclose(energy, -gm / (2 * a), rtol=1e-12)

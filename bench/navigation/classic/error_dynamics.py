@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
-from bench.earth import RATE
+from bench.earth import EARTH_RATE
 from bench.navigation.classic.navigator import R3, Earth, Nav
 
 
@@ -24,8 +24,8 @@ def dynamics_matrix(nav: Nav, a: ArrayLike, earth: Earth) -> FloatArray:
     a_e, a_n, a_h = (float(v) for v in np.asarray(a, float))
     r1, r2, r1_lat, r2_lat = earth.r1, earth.r2, earth.r1_lat, earth.r2_lat
     lat_rate, lon_rate = v_n / r2, v_e / (r1 * c)
-    U = 2 * RATE + lon_rate
-    w_e, w_n, w_h = -lat_rate, (RATE + lon_rate) * c, (RATE + lon_rate) * s
+    U = 2 * EARTH_RATE + lon_rate
+    w_e, w_n, w_h = -lat_rate, (EARTH_RATE + lon_rate) * c, (EARTH_RATE + lon_rate) * s
 
     F = np.zeros((15, 15))
     F[0, 1] = lon_rate * (tan - r1_lat / r1)
@@ -48,19 +48,21 @@ def dynamics_matrix(nav: Nav, a: ArrayLike, earth: Earth) -> FloatArray:
         + earth.g_n_lat
     ) / R3
     F[4, 2] = v_e**2 * tan / r1**2 + v_h * v_n / r2**2 + earth.g_n_h
-    F[4, 3], F[4, 4], F[4, 5] = -2 * (RATE + lon_rate) * s, -v_h / r2, -lat_rate
-    F[5, 1] = (-2 * RATE * v_e * s - v_e**2 * r1_lat / r1**2 - v_n**2 * r2_lat / r2**2 - earth.g_lat) / R3
+    F[4, 3], F[4, 4], F[4, 5] = -2 * (EARTH_RATE + lon_rate) * s, -v_h / r2, -lat_rate
+    F[5, 1] = (
+        -2 * EARTH_RATE * v_e * s - v_e**2 * r1_lat / r1**2 - v_n**2 * r2_lat / r2**2 - earth.g_lat
+    ) / R3
     F[5, 2] = -earth.g_h - v_e**2 / r1**2 - v_n**2 / r2**2
-    F[5, 3], F[5, 4] = 2 * (RATE + lon_rate) * c, 2 * lat_rate
+    F[5, 3], F[5, 4] = 2 * (EARTH_RATE + lon_rate) * c, 2 * lat_rate
     F[3, 7], F[3, 8] = -a_h, a_n
     F[4, 6], F[4, 8] = a_h, -a_e
     F[5, 6], F[5, 7] = -a_n, a_e
     F[3:6, 12:15] = nav.B
 
     F[6, 1], F[6, 2], F[6, 4] = lat_rate * r2_lat / r2 / R3, v_n / r2**2, -1 / r2
-    F[7, 1] = (-RATE * s - v_e * r1_lat / r1**2) / R3
+    F[7, 1] = (-EARTH_RATE * s - v_e * r1_lat / r1**2) / R3
     F[7, 2], F[7, 3] = -v_e / r1**2, 1 / r1
-    F[8, 1] = (RATE * c + lon_rate / c - v_e * tan * r1_lat / r1**2) / R3
+    F[8, 1] = (EARTH_RATE * c + lon_rate / c - v_e * tan * r1_lat / r1**2) / R3
     F[8, 2], F[8, 3] = -v_e * tan / r1**2, tan / r1
     F[6, 7], F[6, 8] = w_h, -w_n
     F[7, 6], F[7, 8] = -w_h, w_e
@@ -104,7 +106,7 @@ def alpha_of_delta(lat: float, dR_E: float, dR_N: float, delta: ArrayLike) -> Fl
 def delta_rate(lon_rate: float, delta: ArrayLike, eps: ArrayLike) -> FloatArray:
     """Return d/dt of delta (3,) for gyro errors ``eps`` in the moving equatorial axes (A-5.1.12b)."""
     d, e = np.asarray(delta, float), np.asarray(eps, float)
-    turn = RATE + lon_rate
+    turn = EARTH_RATE + lon_rate
     return np.array([-turn * d[2] - e[0], -e[1], turn * d[0] - e[2]])
 
 

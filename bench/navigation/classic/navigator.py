@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.earth import RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
+from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
 
 R3 = 6_371_000.0  # sphere of the reduced coordinates [m], equations 1.5
 
@@ -112,13 +112,13 @@ def rates(
     lat_rate, lon_rate = v_n / earth.r2, v_e / (earth.r1 * c)
     dn = np.array(
         [
-            v_e * v_h / earth.r1 - v_e * v_n * tan / earth.r1 + 2 * RATE * (v_h * c - v_n * s),
-            v_n * v_h / earth.r2 + v_e**2 * tan / earth.r1 + 2 * RATE * v_e * s,
-            -(v_e**2) / earth.r1 - v_n**2 / earth.r2 - 2 * RATE * v_e * c,
+            v_e * v_h / earth.r1 - v_e * v_n * tan / earth.r1 + 2 * EARTH_RATE * (v_h * c - v_n * s),
+            v_n * v_h / earth.r2 + v_e**2 * tan / earth.r1 + 2 * EARTH_RATE * v_e * s,
+            -(v_e**2) / earth.r1 - v_n**2 / earth.r2 - 2 * EARTH_RATE * v_e * c,
         ]
     )
     V_rate = nav.B @ np.asarray(a_b, float) - dn + [0.0, earth.g_n, -earth.g]
-    w_in = np.array([-lat_rate, (RATE + lon_rate) * c, (RATE + lon_rate) * s])
+    w_in = np.array([-lat_rate, (EARTH_RATE + lon_rate) * c, (EARTH_RATE + lon_rate) * s])
     B_rate = nav.B @ rotation.skew(w_b) - rotation.skew(w_in) @ nav.B
     return np.array([lat_rate, lon_rate, v_h]), V_rate, B_rate
 
@@ -139,17 +139,17 @@ def mechanize(nav: Nav, dt: float, turn: Vector, dvel: Vector) -> tuple[Nav, Flo
     r1, r2 = prime + h, meridian + h
     g_n, g = gravity_kernel(s, c, h)
     lat_rate, lon_rate = v_n / r2, v_e / (r1 * c)  # at the start of the interval
-    w_e, w_n, w_h = -lat_rate, (2 * RATE + lon_rate) * c, (2 * RATE + lon_rate) * s  # of
+    w_e, w_n, w_h = -lat_rate, (2 * EARTH_RATE + lon_rate) * c, (2 * EARTH_RATE + lon_rate) * s  # of
     m_e = v_e + 0.5 * (a_e - dt * (w_n * v_h - w_h * v_n))
     m_n = v_n + 0.5 * (a_n - dt * (w_h * v_e - w_e * v_h - g_n))
     m_h = v_h + 0.5 * (a_h - dt * (w_e * v_n - w_n * v_e + g))
 
     lat_rate, lon_rate = m_n / r2, m_e / (r1 * c)  # and at its middle
-    w_e, w_n, w_h = -lat_rate, (2 * RATE + lon_rate) * c, (2 * RATE + lon_rate) * s
+    w_e, w_n, w_h = -lat_rate, (2 * EARTH_RATE + lon_rate) * c, (2 * EARTH_RATE + lon_rate) * s
     z_e, z_n, z_h = (
         -lat_rate * dt,
-        (RATE + lon_rate) * c * dt,
-        (RATE + lon_rate) * s * dt,
+        (EARTH_RATE + lon_rate) * c * dt,
+        (EARTH_RATE + lon_rate) * s * dt,
     )  # turn of the triad
     u_e = v_e + a_e - 0.5 * (z_n * a_h - z_h * a_n) - dt * (w_n * m_h - w_h * m_n)
     u_n = v_n + a_n - 0.5 * (z_h * a_e - z_e * a_h) - dt * (w_h * m_e - w_e * m_h - g_n)

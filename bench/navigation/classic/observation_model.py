@@ -8,7 +8,7 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.earth import RATE
+from bench.earth import EARTH_RATE
 from bench.navigation.classic.navigator import NED_OF_ENU, Earth, Nav, reduced
 from bench.navigation.classic.process_model import SIZE, Sigmas, per_axis
 
@@ -52,7 +52,7 @@ def antenna_matrix(H: FloatArray, nav: Nav, earth: Earth, antenna: FloatArray, w
 
 def antenna_sweep(nav: Nav, antenna: FloatArray, w_b: FloatArray) -> FloatArray:
     """Return the velocity (3,) [m/s], body, of an antenna relative to the IMU."""
-    earth_rate = RATE * np.array([0.0, math.cos(nav.lat), math.sin(nav.lat)])
+    earth_rate = EARTH_RATE * np.array([0.0, math.cos(nav.lat), math.sin(nav.lat)])
     sweep: FloatArray = rotation.skew(w_b - nav.B.T @ earth_rate) @ antenna
     return sweep
 
