@@ -1,9 +1,9 @@
 """bench: where an INS/GNSS navigation filter is judged on realistic flights.
 
 JSBSim flies an aircraft through a profile and gives the truth; sensor models
-turn truth into what an IMU, a GNSS receiver, a barometer, a magnetometer, a
-pitot tube would have reported; estimators turn the sensors into position, velocity,
-attitude and covariance; the bench says how wrong they were and whether they knew it.
+turn truth into what an IMU, a GNSS receiver, a barometer and other instruments would
+have reported; estimators turn the sensors into position, velocity, attitude and
+covariance; the bench says how wrong they were and whether they knew it.
 
 >>> import bench
 >>> result = bench.run("figure-eight", seed=7)  # doctest: +SKIP
@@ -47,8 +47,11 @@ Randomness
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import Any
+
+from bench.moved import MovedModules
 
 __version__ = "0.1.0"
 
@@ -81,9 +84,15 @@ _PUBLIC = {
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",
     "track_solution": "bench.navigation.wrapping",
+    "BenchError": "bench.errors",
+    "ConfigError": "bench.errors",
+    "EstimatorError": "bench.errors",
+    "FlightError": "bench.errors",
 }
 
 __all__ = ["__version__", *_PUBLIC]
+
+sys.meta_path.append(MovedModules())
 
 
 def __getattr__(name: str) -> Any:

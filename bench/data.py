@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, as_float
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.instruments import INSTRUMENTS, Reports
+from bench.moved import moved_from
 from bench.specs import DEFAULT_DATE, AssumedSpecs
 
 _LLA = ("lat_rad", "lon_rad", "alt_m")
@@ -224,12 +225,6 @@ class SensorData(Reports, Rebuilt):
         freeze_field(self, "antenna_b", float, (3,), finite=True)
         freeze_field(self, "output_t", float, (None,), finite=True)
         _increasing("SensorData.output_t", self.output_t)
-
-    @property
-    def records(self) -> set[str]:
-        """Names of the aiding records there are: "fixes", "observations", and those of instruments."""
-        receiver = {name for name in ("fixes", "observations") if getattr(self, name) is not None}
-        return receiver | self.instruments.keys()
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,3 +443,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "-" if value is None else str(value)
+
+
+if not TYPE_CHECKING:
+    __getattr__ = moved_from(__name__)

@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.fields import declared, figure, triad_figure
 from bench.instruments import Units
+from bench.moved import moved_from
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
@@ -536,3 +537,7 @@ class Profile:
     estimators: tuple[EstimatorChoice, ...]
     evaluation_from: float  # end of the alignment window [s]
     document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
+
+
+if not TYPE_CHECKING:
+    __getattr__ = moved_from(__name__)

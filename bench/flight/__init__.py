@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from bench.data import Trajectory
 from bench.flight import recorder
 from bench.flight.child_process import fly_in_child
 from bench.flight.summary import Summary, summarise
+from bench.moved import moved_from
 from bench.specs import FlightSpec, ScriptSpec
 
 __all__ = ["Summary", "fly", "fly_pieces", "summarise"]
@@ -53,3 +55,7 @@ def fly_pieces(
     if spec.aircraft.foreign is not None:
         return fly_in_child(spec, f"aircraft {spec.aircraft.name}", progress, seconds)
     return recorder.fly_pieces(spec, progress, seconds)
+
+
+if not TYPE_CHECKING:
+    __getattr__ = moved_from(__name__)

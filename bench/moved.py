@@ -1,0 +1,46 @@
+"""Names that programs outside of bench may still import: one line says what replaced each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NoReturn
+
+MODULES: Mapping[str, str] = {
+    "bench.door": "bench.api",
+    "bench.legs": "bench.flight.legs",
+    "bench.unit_names": "bench.units",
+}
+"""Module that is gone -> the module that replaced it."""
+
+NAMES: Mapping[str, str] = {
+    "bench.config.ConfigError": "bench.ConfigError",
+    "bench.flight.FlightError": "bench.FlightError",
+    **{f"bench.data.{name}": f"bench.instruments.{name}" for name in ("BaroData", "MagData", "AirspeedData")},
+    **{
+        f"bench.specs.{name}": f"bench.instruments.{name}"
+        for name in ("BaroSpec", "StaticPressureSpec", "MagSpec", "AirspeedSpec")
+    },
+}
+"""Name that is gone from a module -> the name that replaced it."""
+
+
+class MovedModules:
+    """The last finder of ``sys.meta_path``: it finds nothing, and names the replacement of a module."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        """Raise ModuleNotFoundError for a module that has been replaced."""
+        if name in MODULES:
+            raise ModuleNotFoundError(f"{name} is now {MODULES[name]}", name=name)
+
+
+def moved_from(module: str) -> Callable[[str], NoReturn]:
+    """Return a module ``__getattr__`` that names the replacement of what has left the module."""
+
+    def look_up(name: str) -> NoReturn:
+        replacement = NAMES.get(f"{module}.{name}")
+        if replacement is not None:
+            raise ImportError(f"{module}.{name} is now {replacement}")
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return look_up
