@@ -7,8 +7,9 @@ each figure says the unit and the limits it has in a file, and the tables of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
+from functools import partial
 from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
@@ -152,8 +153,8 @@ class Rebuilt:
     __slots__: tuple[str, ...] = ()
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
-    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return type(self), tuple(getattr(self, f.name) for f in fields(self))
+    def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
+        return partial(type(self), **{f.name: getattr(self, f.name) for f in fields(self)}), ()
 
 
 class Record(Rebuilt):

@@ -105,8 +105,8 @@ def test_an_estimator_of_yours_states_its_needs():
     Mine.needs = ("observations",)
     with pytest.raises(EstimatorError, match=r"needs a gnss at measurement level, one with \[sky\] such as"):
         check_needs(Mine(), "mine", {"fixes"})
-    Mine.needs = ("radar",)
-    with pytest.raises(EstimatorError, match="needs 'radar', which is none of fixes, observ"):
+    Mine.needs = ("sonar",)
+    with pytest.raises(EstimatorError, match="needs 'sonar', which is none of fixes, observ"):
         check_needs(Mine(), "mine", {"fixes"})
     del Mine.needs
     check_needs(Mine(), "mine", set())

@@ -386,6 +386,6 @@ def test_the_smoother_goes_back_over_tight(sensed, truth):
     forward = Tight(covariance_hz=20.0).run(sensed.data, sensed.initial)
     assert (np.einsum("kii->ki", smoothed.cov) <= np.einsum("kii->ki", forward.cov) * (1 + 1e-9)).all()
     assert_allclose(smoothed.lla[-1], forward.lla[-1], rtol=1e-12)
-    assert Loose().tight is False
+    assert Loose().options.tight is False
     k = len(smoothed) // 4
     assert horizontal(smoothed, truth, smoothed.t[k]) < 3.0

@@ -110,7 +110,7 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     decay_time[at], stationary[at] = 1 / tau, sd**2
     process = model.process._replace(decay_time=decay_time, stationary=stationary)
     model = replace(model, process=process)
-    flight = unscented._Flight(Unscented(), model, sensed.initial)
+    flight = unscented._Flight(Unscented().options, model, sensed.initial)
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0
     flight.rest = np.arange(1.0, len(flight.rest) + 1) * 1e-4
