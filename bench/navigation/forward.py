@@ -11,12 +11,12 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
 from bench.navigation import timeline
-from bench.navigation.agenda import MEASURE, OUTPUT, USE, Agenda
 from bench.navigation.aiding import SATELLITE_ROWS, SENSORS, Aid, Gate, Log, measure_kernel, use_kernel
 from bench.navigation.blocks import Index, Process, StateModel
 from bench.navigation.cycle import Belief, ImuSteps, Pending, Work, advance_kernel, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.schedule import MEASURE, OUTPUT, USE, Schedule
 
 
 class Stores(NamedTuple):
@@ -43,7 +43,7 @@ def _keep_kernel(belief: Belief, state: FloatArray, P: FloatArray) -> None:
 
 @kernel
 def _fusion_kernel(
-    agenda: IntArray,
+    schedule: IntArray,
     belief: Belief,
     process: Process,
     index: Index,
@@ -58,15 +58,15 @@ def _fusion_kernel(
 ) -> None:
     """Run the filter over a record.
 
-    A row of the agenda is a step (-1: the start), what is done after it, the kind of measurement, its row
+    A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
     among its kind, and the slot it waits in. ``belief`` is the start and ends as the last state.
     """
     n = belief.P.shape[0]
     keep = stores.node_t.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
-    while e < agenda.shape[0]:
-        until = agenda[e, 0]
+    while e < schedule.shape[0]:
+        until = schedule[e, 0]
         advance_kernel(k, until, belief, process, index, steps, work, pending, keep)
         k = until
         t = steps.t[k]  # the last one serves the start, index -1
@@ -79,8 +79,8 @@ def _fusion_kernel(
                 for j in range(n):
                     stores.transition[node, i, j] = work.Phi[i, j]
                     work.Phi[i, j] = 1.0 if i == j else 0.0
-        while e < agenda.shape[0] and agenda[e, 0] == until and agenda[e, 1] != OUTPUT:
-            action, kind, row, slot = agenda[e, 1], agenda[e, 2], agenda[e, 3], agenda[e, 4]
+        while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] != OUTPUT:
+            action, kind, row, slot = schedule[e, 1], schedule[e, 2], schedule[e, 3], schedule[e, 4]
             first = slot * pending.width
             if action != USE:
                 if kind == SATELLITE_ROWS:
@@ -96,7 +96,7 @@ def _fusion_kernel(
         if keep:
             _keep_kernel(belief, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
-        while e < agenda.shape[0] and agenda[e, 0] == until:
+        while e < schedule.shape[0] and schedule[e, 0] == until:
             _keep_kernel(belief, stores.state[output], stores.P[output])
             output += 1
             e += 1
@@ -118,7 +118,7 @@ def forward_run(
     sensors: SensorData,
     initial: InitialState,
     model: StateModel,
-    agenda: Agenda,
+    schedule: Schedule,
     sky: Sky,
     field: FloatArray,
     names: list[str],
@@ -134,7 +134,7 @@ def forward_run(
         Record and start.
     model : StateModel
         Layout, covariance at the start (overwritten), processes.
-    agenda : Agenda
+    schedule : Schedule
         Everything to measure.
     sky : Sky
         Satellites, none without tight coupling.
@@ -150,8 +150,8 @@ def forward_run(
         Store the nodes.
     """
     layout, n = model.layout, model.layout.size
-    steps, entries, slots = agenda.order()
-    values, variance = agenda.table()
+    steps, entries, slots = schedule.order()
+    values, variance = schedule.table()
     state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, np.zeros(n - 9)])
     lever = model.index.antenna_b
     if lever >= 0:
@@ -160,7 +160,7 @@ def forward_run(
     width = 2 * visible + 6
     size = 7 * len(values) + 2 * len(sky.t)
     log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
-    m = len(agenda.outputs)
+    m = len(schedule.outputs)
     at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
     stores = Stores(
         np.empty((m, n + 1)),
@@ -203,15 +203,15 @@ def forward_run(
     count = int(log.filled[0])
     numbers, marks = log.numbers[:count], log.marks[:count]
     out_state, out_P = stores.state, stores.P
-    if not np.array_equal(agenda.outputs, np.arange(len(sensors.output_t))):
+    if not np.array_equal(schedule.outputs, np.arange(len(sensors.output_t))):
         out_state = np.full((len(sensors.output_t), n + 1), np.nan)
         out_P = np.full((len(sensors.output_t), n, n), np.nan)
-        out_state[agenda.outputs], out_P[agenda.outputs] = stores.state, stores.P
-    events = agenda.events + refusals(numbers[:, 0], marks, names)
+        out_state[schedule.outputs], out_P[schedule.outputs] = stores.state, stores.P
+    events = schedule.events + refusals(numbers[:, 0], marks, names)
     node = np.full(len(sensors.output_t), -1)
     if keep:
         answered = entries[entries[:, 1] == OUTPUT, 0]
-        node[agenda.outputs] = np.searchsorted(at, answered)
+        node[schedule.outputs] = np.searchsorted(at, answered)
     nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
     told = timeline.as_events(events)
     return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), told), nodes

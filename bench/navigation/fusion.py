@@ -20,7 +20,6 @@ import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation import aiding, alignment, ranging, standstill
-from bench.navigation.agenda import Agenda
 from bench.navigation.aiding import POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import Block, StateModel, assumed, chosen_blocks, state_model
 from bench.navigation.error_state import POS, VEL
@@ -38,6 +37,7 @@ from bench.navigation.measurements import (
     unmodelled,
 )
 from bench.navigation.options import FusionOptions, TightOptions, read_options
+from bench.navigation.schedule import Schedule
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
@@ -82,36 +82,36 @@ class Fusion:
             )
         blocks = [b for b in self.blocks() if not b.records or records & set(b.records)]
         model = state_model(initial, specs, blocks)
-        agenda = Agenda(sensors, initial.t, compensate=self.options.compensate_latency)
-        agenda.events += aligned
+        schedule = Schedule(sensors, initial.t, compensate=self.options.compensate_latency)
+        schedule.events += aligned
         sky, seen = ranging.no_sky(), sensors.observations if SATELLITES in used else None
         if seen is not None:
-            sky = agenda.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
+            sky = schedule.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
         for sensor in used:
             if sensor is not SATELLITES:
-                agenda.add(sensor, sensors, initial, model.layout)
+                schedule.add(sensor, sensors, initial, model.layout)
         field = np.zeros((4, 3))
         if MAGNETOMETER in used:
             field = magnetic_map(initial.lla, sensors.date)
         if self.options.standstill:
-            last, rate_b = standstill.windows(sensors.imu, agenda.rows, specs.imu)
+            last, rate_b = standstill.windows(sensors.imu, schedule.rows, specs.imu)
             variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
-            agenda.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
+            schedule.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
         names = list(SENSORS)
         if seen is not None:
             names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
         absent = [sensor.option for sensor in self.aiding() if sensor.on_request and sensor not in used]
         if SATELLITES in self.aiding() and seen is None and sensors.fixes is not None:
             absent.append("tight coupling")
-        end = float(agenda.imu_t[-1]) if len(agenda.imu_t) else initial.t
-        agenda.events += [
+        end = float(schedule.imu_t[-1]) if len(schedule.imu_t) else initial.t
+        schedule.events += [
             (initial.t, end, "aiding", f"{what}: asked for, but the record holds nothing for it")
             for what in absent
         ]
         interval = 0.0 if self.options.covariance_hz is None else (1.0 - 1e-6) / self.options.covariance_hz
         gate = self._gate(len(names), initial.t, model)
         return forward_run(
-            sensors, initial, model, agenda, sky, field, names, gate=gate, interval=interval, keep=keep
+            sensors, initial, model, schedule, sky, field, names, gate=gate, interval=interval, keep=keep
         )
 
     def _gate(self, channels: int, start: float, model: StateModel) -> Gate:

@@ -22,7 +22,6 @@ from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import alignment
-from bench.navigation.agenda import OUTPUT, Agenda
 from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
 from bench.navigation.error_state import GYRO, PHI, POS, VEL
@@ -30,6 +29,7 @@ from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import UnscentedOptions, read_options
+from bench.navigation.schedule import OUTPUT, Schedule
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
@@ -82,12 +82,12 @@ class Unscented:
         initial, aligned = alignment.complete(sensors, initial)
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
-        agenda = Agenda(sensors, initial.t, compensate=False)
-        agenda.events += aligned
+        schedule = Schedule(sensors, initial.t, compensate=False)
+        schedule.events += aligned
         for sensor in used:
-            agenda.add(sensor, sensors, initial, model.layout)
-        steps, entries, _ = agenda.order()
-        values, variance = agenda.table()
+            schedule.add(sensor, sensors, initial, model.layout)
+        steps, entries, _ = schedule.order()
+        values, variance = schedule.table()
         share = steps.share[:, None]
         dtheta, dvel = sensors.imu.dtheta_b[steps.row] * share, sensors.imu.dvel_b[steps.row] * share
         todo: dict[int, list[list[int]]] = {}
@@ -97,7 +97,7 @@ class Unscented:
         flight = _Flight(self.options, model, initial)
         out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
-        waiting = iter(agenda.outputs.tolist())
+        waiting = iter(schedule.outputs.tolist())
         interval = (1.0 - 1e-6) / self.options.covariance_hz
         done, covered = -1, initial.t
         for k in range(-1, len(steps.t)):
@@ -129,7 +129,7 @@ class Unscented:
             extra=out[:, 10:],
             extra_sd=np.sqrt(np.where(sd2 >= 0, sd2, np.nan)),
             innovations=Innovations.from_rows(SENSORS, flight.innovations),
-            events=Events.from_rows(agenda.events),
+            events=Events.from_rows(schedule.events),
         )
 
     @property

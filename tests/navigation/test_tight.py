@@ -17,12 +17,12 @@ from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation import aiding, error_state, ranging
-from bench.navigation.agenda import Agenda
 from bench.navigation.blocks import index_of
 from bench.navigation.cycle import Belief, Pending, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
+from bench.navigation.schedule import Schedule
 from bench.specs import Fault
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
@@ -75,8 +75,8 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     """
     data, initial = sensed.data, sensed.initial
     n = 15 + 1 + 3 + 3  # baro, clock and lever arm
-    agenda = Agenda(data, initial.t, compensate=True)
-    sky = agenda.add_satellites(data.observations, data.specs.gnss, initial.lla[0])
+    schedule = Schedule(data, initial.t, compensate=True)
+    sky = schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0])
     aid = aiding.Aid(np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla)
     index = index_of(StateLayout(("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)))
     kernel = plain(ranging.satellites_kernel)

@@ -1,4 +1,4 @@
-"""When a filter does what: its steps, and after which of them it measures, uses and answers."""
+"""The schedule of a filter: its steps, and after which of them it measures, updates and answers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AT_ONCE, MEASURE, USE, OUTPUT = range(4)
 """What is done: measured and used, measured, used, answered."""
 
 
-class Agenda:
+class Schedule:
     """Collects the measurements of a run and puts them in order.
 
     Parameters
@@ -138,7 +138,7 @@ class Agenda:
         return np.concatenate(self._values), np.concatenate(self._variance)
 
     def order(self) -> tuple[Steps, IntArray, int]:
-        """Return the steps, the agenda (E, 5) of `bench.navigation.forward`, and the slots it needs."""
+        """Return the steps, the schedule (E, 5) of `bench.navigation.forward`, and the slots it needs."""
         nothing = np.empty(0)
         valid = np.concatenate([t for _, _, t, _ in self._kinds]) if self._kinds else nothing
         arrivals = np.concatenate([a for *_, a in self._kinds]) if self._kinds else nothing
@@ -167,9 +167,9 @@ class Agenda:
             _entries(uses[late], USE, kinds[late], rows[late], slot[late]),
             _entries(at, OUTPUT, 99, 0, 0),
         ]
-        agenda = np.concatenate(parts)
-        agenda = agenda[np.lexsort((agenda[:, 3], agenda[:, 1], agenda[:, 2], agenda[:, 0]))]
-        return steps, np.ascontiguousarray(agenda), int(slot.max(initial=0)) + 1
+        schedule = np.concatenate(parts)
+        schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
+        return steps, np.ascontiguousarray(schedule), int(slot.max(initial=0)) + 1
 
 
 def _entries(
