@@ -26,7 +26,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
 from bench.navigation.blocks import Index
-from bench.navigation.cycle import Belief, Pending, Work
+from bench.navigation.cycle import FilterState, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
 from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
 from bench.navigation.mechanization import matrix_kernel
@@ -54,7 +54,7 @@ RADAR_ROWS, ODOMETER_ROWS = 6, 7
 _SLOWEST_AIR = 5.0  # below it a pitot tube says nothing [m/s]
 
 
-class Aid(NamedTuple):
+class Measurements(NamedTuple):
     """Measurements of all kinds but satellites."""
 
     values: FloatArray  # (R, 6)
@@ -92,7 +92,7 @@ def use_kernel(
     t: float,
     first: int,
     rows: int,
-    belief: Belief,
+    now: FilterState,
     before: FloatArray,
     pending: Pending,
     gate: Gate,
@@ -103,7 +103,7 @@ def use_kernel(
 
     ``before`` is the covariance a smoother takes for that before the measurement: it grows where P does.
     """
-    P, dx, n = belief.P, belief.dx, belief.P.shape[0]
+    P, dx, n = now.P, now.dx, now.P.shape[0]
     a = first
     while a < first + rows:
         code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
@@ -155,7 +155,7 @@ def use_kernel(
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
-    feedback_kernel(belief.state, dx)
+    feedback_kernel(now.state, dx)
 
 
 @inner
@@ -230,23 +230,23 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def place_kernel(belief: Belief, aid: Aid, index: Index, work: Work) -> None:
-    """Fill ``work.lever`` with the antenna as it is believed to lie, ``work.C`` with the attitude."""
+def place_kernel(now: FilterState, data: Measurements, index: Index, work: Work) -> None:
+    """Fill ``work.lever`` with the estimated place of the antenna, ``work.C`` with the attitude."""
     at = index.antenna_b
     for i in range(3):
-        work.lever[i] = belief.state[at + 1 + i] if at >= 0 else aid.antenna_b[i]
-    matrix_kernel(belief.state, work.C)
+        work.lever[i] = now.state[at + 1 + i] if at >= 0 else data.antenna_b[i]
+    matrix_kernel(now.state, work.C)
 
 
 @inner
 def _fix_kernel(
-    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
-    state, values = belief.state, aid.values[row]
-    place_kernel(belief, aid, index, work)
+    state, values = now.state, data.values[row]
+    place_kernel(now, data, index, work)
     for i in range(6):
         code = i // 3
-        _row_kernel(pending, first + i, code, code, i - 3 * code, 3, aid.variance[row, i])
+        _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
     antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:], H, z)
     if index.antenna_b >= 0:
@@ -259,20 +259,22 @@ def _fix_kernel(
 
 
 @inner
-def _magnetic_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pending, work: Work) -> int:
-    state, C, m = belief.state, work.C, work.vectors[0]
+def _magnetic_kernel(
+    row: int, first: int, now: FilterState, data: Measurements, pending: Pending, work: Work
+) -> int:
+    state, C, m = now.state, work.C, work.vectors[0]
     matrix_kernel(state, C)
     s = np.sin(state[0])
     meridian, prime = radii_kernel(s)
-    north = (state[0] - aid.field_lla[0]) * meridian
-    east = (state[1] - aid.field_lla[1]) * prime * np.cos(state[0])
-    down = aid.field_lla[2] - state[2]
+    north = (state[0] - data.field_lla[0]) * meridian
+    east = (state[1] - data.field_lla[1]) * prime * np.cos(state[0])
+    down = data.field_lla[2] - state[2]
     for i in range(3):
-        m[i] = aid.field[0, i] + north * aid.field[1, i] + east * aid.field[2, i] + down * aid.field[3, i]
+        m[i] = data.field[0, i] + north * data.field[1, i] + east * data.field[2, i] + down * data.field[3, i]
     for j in range(3):
         k = first + j
-        _row_kernel(pending, k, MAGNETIC, MAGNETIC, j, 3, aid.variance[row, j])
-        pending.z[k] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2] - aid.values[row, j]
+        _row_kernel(pending, k, MAGNETIC, MAGNETIC, j, 3, data.variance[row, j])
+        pending.z[k] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2] - data.values[row, j]
         pending.H[k, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
         pending.H[k, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
         pending.H[k, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
@@ -280,45 +282,47 @@ def _magnetic_kernel(row: int, first: int, belief: Belief, aid: Aid, pending: Pe
 
 
 @inner
-def _airspeed_kernel(row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending) -> int:
-    state, wind = belief.state, index.wind_north
+def _airspeed_kernel(
+    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending
+) -> int:
+    state, wind = now.state, index.wind_north
     u = state[3] - state[wind + 1]
     v = state[4] - state[wind + 2]
     w = state[5]
     speed = np.sqrt(u * u + v * v + w * w)
     if not speed > _SLOWEST_AIR:
         return 0
-    _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, aid.variance[row, 0])
+    _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
     H[wind], H[wind + 1] = -u / speed, -v / speed
-    pending.z[first] = speed - aid.values[row, 0]
+    pending.z[first] = speed - data.values[row, 0]
     return 1
 
 
 @inner
 def _height_kernel(
-    code: int, bias: int, row: int, first: int, belief: Belief, aid: Aid, pending: Pending
+    code: int, bias: int, row: int, first: int, now: FilterState, data: Measurements, pending: Pending
 ) -> int:
     """A height above the ellipsoid, with the state of its bias (-1: it has none)."""
-    _row_kernel(pending, first, code, code, 0, 1, aid.variance[row, 0])
+    _row_kernel(pending, first, code, code, 0, 1, data.variance[row, 0])
     pending.H[first, POS + 2] = -1.0
-    pending.z[first] = belief.state[2] - aid.values[row, 0]
+    pending.z[first] = now.state[2] - data.values[row, 0]
     if bias >= 0:
         pending.H[first, bias] = 1.0
-        pending.z[first] += belief.state[bias + 1]
+        pending.z[first] += now.state[bias + 1]
     return 1
 
 
 @inner
 def _odometer_kernel(
-    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
-    state, C, at = belief.state, work.C, index.odometer_scale
+    state, C, at = now.state, work.C, index.odometer_scale
     matrix_kernel(state, C)
     forward = C[0, 0] * state[3] + C[1, 0] * state[4] + C[2, 0] * state[5]
     scale = 1.0 + state[at + 1] if at >= 0 else 1.0
-    _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, aid.variance[row, 0])
+    _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -326,28 +330,28 @@ def _odometer_kernel(
         H[PHI + i] = scale * (C[j, 0] * state[3 + k] - C[k, 0] * state[3 + j])  # c x v_n
     if at >= 0:
         H[at] = forward
-    pending.z[first] = scale * forward - aid.values[row, 0]
+    pending.z[first] = scale * forward - data.values[row, 0]
     return 1
 
 
 @inner
 def _standstill_kernel(
-    row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
     """Zero velocity, and the rate of the Earth in the mean of the gyros."""
-    state, C, at = belief.state, work.C, index.g_sensitivity_x
+    state, C, at = now.state, work.C, index.g_sensitivity_x
     matrix_kernel(state, C)
     s, c = np.sin(state[0]), np.cos(state[0])
     _, g_d = gravity_kernel(s, c, state[2])
     n, d = EARTH_RATE * c, -EARTH_RATE * s
     for i in range(3):
-        _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, aid.variance[row, i])
+        _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, data.variance[row, i])
         pending.H[first + i, VEL + i] = 1.0
         pending.z[first + i] = state[VEL + i]
     for j in range(3):
         k = first + 3 + j
-        _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, aid.variance[row, 3 + j])
-        pending.z[k] = aid.values[row, j] - state[GYRO + 1 + j] - (C[0, j] * n + C[2, j] * d)
+        _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, data.variance[row, 3 + j])
+        pending.z[k] = data.values[row, j] - state[GYRO + 1 + j] - (C[0, j] * n + C[2, j] * d)
         pending.H[k, GYRO + j] = -1.0
         pending.H[k, PHI] = -C[1, j] * d  # -C' [w_ie x]
         pending.H[k, PHI + 1] = -(C[2, j] * n - C[0, j] * d)
@@ -362,19 +366,26 @@ def _standstill_kernel(
 
 @inner
 def measure_kernel(
-    kind: int, row: int, first: int, belief: Belief, aid: Aid, index: Index, pending: Pending, work: Work
+    kind: int,
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: Work,
 ) -> int:
     """Fill the rows of one measurement from ``first`` on; return their number."""
     if kind == FIX_ROWS:
-        return _fix_kernel(row, first, belief, aid, index, pending, work)
+        return _fix_kernel(row, first, now, data, index, pending, work)
     if kind == BARO_ROWS:
-        return _height_kernel(BARO, index.baro_bias, row, first, belief, aid, pending)
+        return _height_kernel(BARO, index.baro_bias, row, first, now, data, pending)
     if kind == RADAR_ROWS:
-        return _height_kernel(RADAR, index.radar_bias, row, first, belief, aid, pending)
+        return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
     if kind == ODOMETER_ROWS:
-        return _odometer_kernel(row, first, belief, aid, index, pending, work)
+        return _odometer_kernel(row, first, now, data, index, pending, work)
     if kind == MAGNETIC_ROWS:
-        return _magnetic_kernel(row, first, belief, aid, pending, work)
+        return _magnetic_kernel(row, first, now, data, pending, work)
     if kind == AIRSPEED_ROWS:
-        return _airspeed_kernel(row, first, belief, aid, index, pending)
-    return _standstill_kernel(row, first, belief, aid, index, pending, work)
+        return _airspeed_kernel(row, first, now, data, index, pending)
+    return _standstill_kernel(row, first, now, data, index, pending, work)

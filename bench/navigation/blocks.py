@@ -100,7 +100,7 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Blo
     initial : InitialState
         Covariance of position, velocity and attitude at the start, and theirs with the biases.
     specs : AssumedSpecs
-        The datasheets to believe.
+        The datasheets that the estimator assumes.
     blocks : iterable of Block
         The further states, in the order of the layout.
 

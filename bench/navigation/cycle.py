@@ -25,8 +25,8 @@ from bench.navigation.error_state import (
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 
 
-class Belief(NamedTuple):
-    """What the filter believes: n error states, and the n + 1 numbers they are errors of."""
+class FilterState(NamedTuple):
+    """The state of the filter: the n + 1 numbers it estimates, and its n error states."""
 
     state: FloatArray  # (n + 1,) navigation state (10), then the values of the states from the gyro bias on
     P: FloatArray  # (n, n)
@@ -183,7 +183,7 @@ def wait_kernel(T: float, pending: Pending, drives: IntArray, clock: int, work: 
 def advance_kernel(
     k: int,
     until: int,
-    belief: Belief,
+    now: FilterState,
     process: Process,
     index: Index,
     steps: ImuSteps,
@@ -195,7 +195,7 @@ def advance_kernel(
 
     What the loop needs is named before it: a field of a tuple costs a reference count each time.
     """
-    state, P, Phi = belief.state, belief.P, work.Phi
+    state, P, Phi = now.state, now.P, work.Phi
     drives, interval = process.drives, steps.interval
     scale, sensitivity, clock = index.gyro_scale, index.g_sensitivity_x, index.clock_offset
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown

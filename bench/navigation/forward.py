@@ -11,9 +11,17 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
 from bench.navigation import timeline
-from bench.navigation.aiding import SATELLITE_ROWS, SENSORS, Aid, Gate, Log, measure_kernel, use_kernel
+from bench.navigation.aiding import (
+    SATELLITE_ROWS,
+    SENSORS,
+    Gate,
+    Log,
+    Measurements,
+    measure_kernel,
+    use_kernel,
+)
 from bench.navigation.blocks import Index, Process, StateModel
-from bench.navigation.cycle import Belief, ImuSteps, Pending, Work, advance_kernel, work_for
+from bench.navigation.cycle import FilterState, ImuSteps, Pending, Work, advance_kernel, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
 from bench.navigation.schedule import MEASURE, OUTPUT, USE, Schedule
@@ -31,24 +39,24 @@ class Stores(NamedTuple):
 
 
 @inner
-def _keep_kernel(belief: Belief, state: FloatArray, P: FloatArray) -> None:
-    """Copy what is believed; loops, because copies of slices take the compiler seconds each."""
-    n = belief.P.shape[0]
+def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
+    """Copy the state of the filter; loops, because copies of slices take the compiler seconds each."""
+    n = now.P.shape[0]
     for i in range(n + 1):
-        state[i] = belief.state[i]
+        state[i] = now.state[i]
     for i in range(n):
         for j in range(n):
-            P[i, j] = belief.P[i, j]
+            P[i, j] = now.P[i, j]
 
 
 @kernel
 def _fusion_kernel(
     schedule: IntArray,
-    belief: Belief,
+    now: FilterState,
     process: Process,
     index: Index,
     steps: ImuSteps,
-    aid: Aid,
+    data: Measurements,
     sky: Sky,
     pending: Pending,
     gate: Gate,
@@ -59,22 +67,22 @@ def _fusion_kernel(
     """Run the filter over a record.
 
     A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
-    among its kind, and the slot it waits in. ``belief`` is the start and ends as the last state.
+    among its kind, and the slot it waits in. ``now`` is the state at the start and becomes the last one.
     """
-    n = belief.P.shape[0]
+    n = now.P.shape[0]
     keep = stores.node_t.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
     while e < schedule.shape[0]:
         until = schedule[e, 0]
-        advance_kernel(k, until, belief, process, index, steps, work, pending, keep)
+        advance_kernel(k, until, now, process, index, steps, work, pending, keep)
         k = until
         t = steps.t[k]  # the last one serves the start, index -1
         before = work.B  # nobody looks there
         if keep:
             before = stores.node_cov[node, 0]
             stores.node_t[node] = t
-            _keep_kernel(belief, stores.node_state[node, 0], stores.node_cov[node, 0])
+            _keep_kernel(now, stores.node_state[node, 0], stores.node_cov[node, 0])
             for i in range(n):
                 for j in range(n):
                     stores.transition[node, i, j] = work.Phi[i, j]
@@ -84,20 +92,20 @@ def _fusion_kernel(
             first = slot * pending.width
             if action != USE:
                 if kind == SATELLITE_ROWS:
-                    made = satellites_kernel(row, first, belief, aid, index, sky, pending, work)
+                    made = satellites_kernel(row, first, now, data, index, sky, pending, work)
                 else:
-                    made = measure_kernel(kind, row, first, belief, aid, index, pending, work)
+                    made = measure_kernel(kind, row, first, now, data, index, pending, work)
                 pending.live[slot] = made
             if action != MEASURE:
                 made = pending.live[slot]
                 pending.live[slot] = 0
-                use_kernel(t, first, made, belief, before, pending, gate, log, work)
+                use_kernel(t, first, made, now, before, pending, gate, log, work)
             e += 1
         if keep:
-            _keep_kernel(belief, stores.node_state[node, 1], stores.node_cov[node, 1])
+            _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
         while e < schedule.shape[0] and schedule[e, 0] == until:
-            _keep_kernel(belief, stores.state[output], stores.P[output])
+            _keep_kernel(now, stores.state[output], stores.P[output])
             output += 1
             e += 1
 
@@ -172,7 +180,7 @@ def forward_run(
     )
     _fusion_kernel(
         entries,
-        Belief(state, model.P, np.zeros(n)),
+        FilterState(state, model.P, np.zeros(n)),
         model.process,
         model.index,
         ImuSteps(
@@ -185,7 +193,7 @@ def forward_run(
             sensors.imu.dvel_b,
             interval,
         ),
-        Aid(values, variance, sensors.antenna_b.copy(), field, initial.lla.copy()),
+        Measurements(values, variance, sensors.antenna_b.copy(), field, initial.lla.copy()),
         sky,
         Pending(
             np.zeros((slots * width, n)),

@@ -23,13 +23,13 @@ from bench.navigation.aiding import (
     PSEUDORANGE,
     RANGE_RATE,
     SENSORS,
-    Aid,
+    Measurements,
     antenna_kernel,
     lever_kernel,
     place_kernel,
 )
 from bench.navigation.blocks import Index
-from bench.navigation.cycle import Belief, Pending, Work
+from bench.navigation.cycle import FilterState, Pending, Work
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -139,12 +139,19 @@ def satellite_names(o: GnssObservations) -> list[str]:
 
 @inner
 def satellites_kernel(
-    epoch: int, first: int, belief: Belief, aid: Aid, index: Index, sky: Sky, pending: Pending, work: Work
+    epoch: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    sky: Sky,
+    pending: Pending,
+    work: Work,
 ) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
-    state, C, H, z = belief.state, work.C, pending.H, pending.z
-    n, at = belief.P.shape[0], index.clock_offset
-    place_kernel(belief, aid, index, work)
+    state, C, H, z = now.state, work.C, pending.H, pending.z
+    n, at = now.P.shape[0], index.clock_offset
+    place_kernel(now, data, index, work)
     # the last six rows of the slot take the antenna
     last = first + pending.width - 6
     for j in range(last, last + 6):

@@ -49,7 +49,9 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
     state[:3], state[3:6] = truth.lla[0], [21.0, -13.0, 2.0]
     state[6:10] = rotation.from_euler(0.4, -0.2, 1.1)
     state[model.index.radar_bias + 1], state[model.index.odometer_scale + 1] = 0.7, 0.03
-    aid = aiding.Aid(np.full((1, 6), 3.0), np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
+    aid = aiding.Measurements(
+        np.full((1, 6), 3.0), np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3)
+    )
     code = aiding.RADAR_ROWS if kind == "radar" else aiding.ODOMETER_ROWS
 
     def row(error):
@@ -58,7 +60,7 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
         pending = cycle.Pending(
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
-        belief = cycle.Belief(moved, model.P.copy(), np.zeros(n))
+        belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
         made = MEASURE(
             code, 0, 0, belief, aid, model.index, pending, cycle.work_for(n, len(model.process.drives))
         )

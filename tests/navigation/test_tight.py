@@ -18,7 +18,7 @@ from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation import aiding, error_state, ranging
 from bench.navigation.blocks import index_of
-from bench.navigation.cycle import Belief, Pending, work_for
+from bench.navigation.cycle import FilterState, Pending, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
@@ -77,7 +77,9 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     n = 15 + 1 + 3 + 3  # baro, clock and lever arm
     schedule = Schedule(data, initial.t, compensate=True)
     sky = schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0])
-    aid = aiding.Aid(np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla)
+    aid = aiding.Measurements(
+        np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
+    )
     index = index_of(StateLayout(("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)))
     kernel = plain(ranging.satellites_kernel)
     start = np.concatenate(
@@ -96,7 +98,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
             np.zeros((width, n)), np.zeros(width), np.zeros(width), np.zeros((width, 4), np.int64),
             np.zeros(1, np.int64), width,
         )  # fmt: skip
-        rows = kernel(3, 0, Belief(state, np.zeros((n, n)), np.zeros(n)), aid, index, sky, pending, work)
+        rows = kernel(3, 0, FilterState(state, np.zeros((n, n)), np.zeros(n)), aid, index, sky, pending, work)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 
     size = np.repeat([30.0, 1.0, 1e-3, 1e-3, 1.0], 3)

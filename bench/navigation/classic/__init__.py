@@ -69,18 +69,18 @@ class Classic22:
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
         events += aligned
         t = sensors.imu.t[rows]
-        aids: dict[int, list[tuple[int | None, int | None]]] = {}
+        arrived: dict[int, list[tuple[int | None, int | None]]] = {}
         fixes, baro = sensors.fixes, sensors.baro
         if fixes is not None:
             used, at, left = timeline.fix_rows(fixes, t, initial.t)
             events += left
             for row, k in zip(used.tolist(), at.tolist(), strict=True):
-                aids.setdefault(k, []).append((row, None))
+                arrived.setdefault(k, []).append((row, None))
         if baro is not None:
             used, at, left = timeline.aiding_rows(baro, baro.alt_baro[:, None], "baro", t, initial.t)
             events += left
             for row, k in zip(used.tolist(), at.tolist(), strict=True):
-                waiting = aids.setdefault(k, [])
+                waiting = arrived.setdefault(k, [])
                 if waiting and waiting[-1][1] is None:
                     waiting[-1] = (waiting[-1][0], row)
                 else:
@@ -103,9 +103,9 @@ class Classic22:
         answers = [flight.answer()] * outputs.get(-1, 0)
         for k, (now, dt) in enumerate(zip(t.tolist(), span.tolist(), strict=True)):
             flight.advance(dt, dtheta[k], dvel[k])
-            if k in aids or k in outputs or flight.elapsed >= interval:
+            if k in arrived or k in outputs or flight.elapsed >= interval:
                 flight.predict()
-            for fix_row, baro_row in aids.get(k, ()):
+            for fix_row, baro_row in arrived.get(k, ()):
                 flight.update(now, fix_row, baro_row)
             if k in outputs:
                 answers += [flight.answer()] * outputs[k]

@@ -151,7 +151,7 @@ class FilterLoop:
         PH, S = self.kf.P @ H.T, H @ self.kf.P @ H.T + R
         metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
         error = H[:, :15] @ self.kf.x[:15, 0]  # of the INS, as far as it is known
-        apart = (Y - error) * metres  # corrected INS less aid
+        apart = (Y - error) * metres  # corrected INS less measured
         use = []
         vel_row = fix_row
         if fix_row is not None and self.sensors.fixes is not None:
@@ -198,7 +198,7 @@ class FilterLoop:
         return changed
 
     def _measurements(self, earth: Earth, fix_row: int | None, baro_row: int | None) -> FloatArray:
-        """Return Y (8,), INS less aid (A-5.4.3), NaN in the rows of what has not arrived."""
+        """Return Y (8,), INS less measured (A-5.4.3), NaN in the rows of what has not arrived."""
         Y = np.full(8, np.nan)
         nav = self.nav
         if baro_row is not None and self.sensors.baro is not None:
