@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.evaluation.errors import error_series
 from numpy.testing import assert_allclose
 from scipy import stats
 
 from bench import rotation, sensors
+from bench.evaluation.error_series import error_series
 from bench.instruments import OdometerSpec, RadarSpec
 from bench.navigation import aiding, cycle
 from bench.navigation.blocks import chosen_blocks, state_model
