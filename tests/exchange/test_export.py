@@ -221,7 +221,6 @@ def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_th
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins under pandas 3
 def test_python_ins_runs_on_what_its_readme_says(run, export, monkeypatch):
-    pytest.importorskip("pyins")
     _, truth, sensed = run
     out = export("python-ins", "--with", "truth")
     code = (out / "README.md").read_text().split("```python\n")[1].split("```")[0]
@@ -345,7 +344,6 @@ def test_local_axes():
 
 
 def test_rosbag2_is_read_back_by_rosbags(run, export):
-    pytest.importorskip("rosbags")
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 

@@ -443,7 +443,6 @@ def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_pat
 
 def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
     """A course alignment tells no place: the map of the bag begins at the first fix."""
-    pytest.importorskip("rosbags")
     out, bag = tmp_path / "out", tmp_path / "bag"
     main(["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-o", str(out), "--no-rrd"])
     with_solution = ["--with", "solution:loose-15"]
