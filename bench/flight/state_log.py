@@ -63,7 +63,7 @@ _JUMP = 1e-4  # the centre of gravity jumped when it moved further in one step [
 
 
 class StateLog:
-    """Keeps the states of every step and, at 20 Hz, air data, controls and ground contacts.
+    """Keeps the states of every step; at 20 Hz air data and controls, of foreign models ground contacts too.
 
     Parameters
     ----------
@@ -106,14 +106,16 @@ class StateLog:
 
         engine = next((name for name in _ENGINES if manager.get_node(name)), "none")
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
-        slow = (*(_OWN if guided else foreign), *_GROUND)
+        slow = _OWN if guided else (*foreign, *_GROUND)
         names = _MOTION if guided else (*_MOTION, *_CENTRE)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided = what, imu_b, guided
         self._read_state = [read(name) for name in names]
-        self._read_slow = [*(read(name) for name, _ in slow), touch("gear"), touch("contact")]
-        self._units = np.array([*(unit for _, unit in slow), 1.0, 1.0])
+        contacts = [] if guided else [touch("gear"), touch("contact")]
+        self._read_slow = [*(read(name) for name, _ in slow), *contacts]
+        self._units = np.array([*(unit for _, unit in slow), *(1.0 for _ in contacts)])
         self._states, self._slow = array("d"), array("d")  # of them the next stretch is made
+        self._extend = self._states.extend  # looked up once, not at every step
         self._given = 0  # rows of states that were handed out and are still there
         self._begun = 0  # the tick at which the next stretch begins
         self._offset_b = np.zeros(3)  # from the present centre of gravity to the first one [m]
@@ -121,7 +123,7 @@ class StateLog:
 
     def keep_state(self) -> None:
         """Keep the state of this step."""
-        self._states.extend([read() for read in self._read_state])
+        self._extend([read() for read in self._read_state])
 
     def keep_air(self) -> None:
         """Keep air data, controls and contacts of the last state kept, 20 times a second.
@@ -133,7 +135,7 @@ class StateLog:
         """
         values = [read() for read in self._read_slow]
         state = self._states[-len(self._read_state) :]
-        if not all(map(math.isfinite, (*state, *values) if self._guided else state)):
+        if not math.isfinite(sum(state) + (sum(values) if self._guided else 0.0)):
             t = self._begun / GUIDANCE_RATE + (self._left() + NEIGHBOURS) * self.dt
             raise FlightError(f"{self._what}: the motion is no longer finite at {t:.2f} s")
         self._slow.extend(values)
