@@ -307,10 +307,10 @@ def measure_allan(
         report.check_picture(Path(picture))
     spec = None if unit is None else read_imu(*sensor_file("imu", unit, Path()))
     if log is not None:
-        curves = noise_curves.record_curves(*read_resting_log(Path(log)), spec)
+        curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)
         name = Path(log).stem + (f" and {spec.name}" if spec else "")
     elif spec is not None:
-        curves = noise_curves.model_curves(spec, seed)
+        curves = noise_curves.measure_model(spec, seed)
         name = spec.name
     else:
         raise ConfigError("measure_allan needs a unit of the catalog or a log")

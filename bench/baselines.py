@@ -25,7 +25,7 @@ from bench.config import load_profile
 from bench.config.tables import NOT_NEGATIVE, Table, checked, noting
 from bench.data import RunResult
 from bench.errors import ConfigError
-from bench.evaluation.metrics import metric_of
+from bench.evaluation.metrics import find_metric
 from bench.specs import Profile
 from bench.wording import suggest
 
@@ -121,7 +121,7 @@ def _direction(name: str) -> Direction | None:
     """Return which way a metric gets worse, or None for one that baselines do not hold."""
     if name == CONVERGED:
         return "higher"
-    row = None if name.endswith("_all") else metric_of(name)
+    row = None if name.endswith("_all") else find_metric(name)
     return (row.direction or None) if row else None
 
 
@@ -168,7 +168,7 @@ def record(
 
 def _limit(name: str, found: Statistic) -> dict[str, Any]:
     """Return the limit of a metric over the same draws."""
-    row = metric_of(name)
+    row = find_metric(name)
     if row is None:  # the fraction of runs that converged
         tolerance, reason = 0.0, "a run that diverges is worse"
     elif row.unit == "1" and abs(found.mean) < 1.0:

@@ -15,7 +15,7 @@ from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, Senso
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
-from bench.evaluation.outages import OutageDrift, drift_row
+from bench.evaluation.outages import OutageDrift, make_drift_row
 from bench.exchange.log_records import LogRecords, divided, read_records
 from bench.exchange.log_start import start
 from bench.navigation import estimator
@@ -39,7 +39,7 @@ def read_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     records = read_records(spec)
-    checks = validity.check(records.imu, records.fixes, records.baro, np.asarray(spec.antenna_b))
+    checks = validity.check_recording(records.imu, records.fixes, records.baro, np.asarray(spec.antenna_b))
     return RecordedLog(spec, records, tuple(checks), built)
 
 
@@ -63,7 +63,7 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
             metrics[label]["unmodelled"] = list(asked(spec.assumed))
         for duration in durations:
             cuts = session.cuts(one, label, duration, places)
-            drifts.append(drift_row(label, duration, cuts, spec.assumed.imu))
+            drifts.append(make_drift_row(label, duration, cuts, spec.assumed.imu))
     doubts = [check for check in log.checks if not check.good]
     last = float(log.records.imu.t.max())
     events = Events.from_rows([(0.0, last, "sanity", check.text) for check in doubts])
@@ -148,7 +148,7 @@ class Session:
         """Return the drift over an outage at each place, each in a run of its own."""
         t = self.fixes.t
         found = []
-        for begin in outages.places(self.first, float(t[-1]), duration, places):
+        for begin in outages.place_outages(self.first, float(t[-1]), duration, places):
             before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
             end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])

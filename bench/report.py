@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bench.errors import ConfigError
-from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, noise_figures
+from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
 from bench.specs import ImuSpec
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def _draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
     axes.fill_between(tau, low, high, color=colour, alpha=0.2, lw=0, label="99.9 % band")
     if curve.terms:
         axes.plot(tau, factor * curve.expected, color=_BLUE, lw=1.6, label="datasheet, all terms")
-    texts = noise_figures(curve.triad, getattr(spec, curve.triad)) if spec else {}
+    texts = format_noise_figures(curve.triad, getattr(spec, curve.triad)) if spec else {}
     for name, term in curve.terms.items():
         shown = np.where(factor * term > floor, factor * term, np.nan)
         label = f"{name}, {texts[name]}" + ("" if np.isfinite(shown).any() else ", below the picture")

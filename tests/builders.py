@@ -95,7 +95,7 @@ class Ensemble:
     def claims(self, states: int = 9, nees_factor: float = 1.0) -> Any:
         """Return the verdict on the three claims of consistency: NEES at whole seconds, and NIS."""
         whole = np.abs(self.t - np.round(self.t)) < 1e-6
-        return consistency.consistency(nees_factor * np.array(self.nees)[:, whole], states, self.nis)
+        return consistency.check_consistency(nees_factor * np.array(self.nees)[:, whole], states, self.nis)
 
 
 def ensemble(

@@ -1,1 +1,1 @@
-"""The judgement: errors against the truth, named metrics of one run, consistency of many."""
+"""Evaluation: errors against the truth, metrics of one run, statistics of many runs."""

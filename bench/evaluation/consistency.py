@@ -1,4 +1,4 @@
-"""Does a filter know how wrong it is: chi-square bounds, NIS by sensor, and the verdict over many runs."""
+"""Consistency of a filter with its covariance: chi-square bounds, NIS by sensor, verdict over many runs."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ STANDARD_ERRORS = 3.3
 """Allowed distance of the mean NEES from its expectation, in standard errors of the run averages [1]."""
 
 LARGEST_OFFSET = 0.6
-"""Allowed distance of the mean NEES from its expectation, whatever the spread [1]."""
+"""Allowed distance of the mean NEES from its expectation, whatever the standard error [1]."""
 
 LEAST_INSIDE = 0.8
-"""Least fraction of epochs whose NEES over the runs lies in its 95 % band [1]."""
+"""Fraction of epochs that must have their NEES, averaged over the runs, in its 95 % band [1]."""
 
 NIS_PROBABILITY = 0.999
 """Probability of the band of a mean NIS [1]."""
 
 
 def chi2_quantile(probability: float, dof: float) -> float:
-    """Return the value a chi-square variable with dof degrees of freedom stays below with a probability.
+    """Return the quantile of the chi-square distribution with dof degrees of freedom.
 
     Examples
     --------
-    >>> round(chi2_quantile(0.999, 3), 2)  # the gate of A-5.4.7 at one false alarm in a thousand
+    >>> round(chi2_quantile(0.999, 3), 2)  # the gate of A-5.4.7 with a false-alarm probability of 0.001
     16.27
     """
     from scipy.special import gammaincinv
@@ -37,7 +37,7 @@ def chi2_quantile(probability: float, dof: float) -> float:
 
 
 def mean_band(dof: float, n: int, probability: float) -> tuple[float, float]:
-    """Return the central band of the mean of n independent chi-square variables with dof degrees of freedom.
+    """Return the central interval of the mean of n independent chi-square variables with dof each.
 
     Examples
     --------
@@ -50,38 +50,38 @@ def mean_band(dof: float, n: int, probability: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class SensorNis:
-    """Normalized innovation squares of one sensor, a row per update of its whole sub-vector."""
+    """Normalized innovation squares (NIS) of one sensor, a row per measurement vector."""
 
     t: FloatArray  # (K,) [s]
     nis: FloatArray  # (K,)
-    dof: IntArray  # (K,) components of the sub-vector
-    accepted: BoolArray  # (K,) every component was used
+    dof: IntArray  # (K,) components of the measurement vector
+    accepted: BoolArray  # (K,) all components were used
 
 
 def nis_by_sensor(innovations: Innovations, from_s: float = -np.inf) -> dict[str, SensorNis]:
     """Return the NIS of each sensor from an instant on, one value per update.
 
-    A table of innovations repeats the NIS of a sub-vector on the rows of its
-    components, which stand together with growing ``component``. Rejected updates
-    are kept: the NIS of a matched filter is chi-square only when nothing is cut off.
+    The table of innovations repeats the NIS of a measurement vector on the rows of its components, which are
+    next to each other with increasing ``component``. Rejected updates are kept: the NIS of a matched filter
+    is chi-square only if its tail is not cut off.
 
     Parameters
     ----------
     innovations : Innovations
-        As the solution holds them.
+        Innovations of a solution.
     from_s : float
-        First instant [s] that counts.
+        First instant to include [s].
 
     Returns
     -------
     nis : dict of SensorNis
-        By the sensor's name, only sensors that have rows.
+        By name of the sensor, for the sensors that have rows.
     """
     if len(innovations) == 0:
         return {}
     same = (
         (np.diff(innovations.code) == 0)
-        & (np.diff(innovations.t) == 0)  # rows of one update carry one copied time
+        & (np.diff(innovations.t) == 0)  # the rows of one update carry the same time
         & (np.diff(innovations.component) > 0)
     )
     first = np.concatenate([[0], np.flatnonzero(~same) + 1])
@@ -109,15 +109,20 @@ class MeanNis:
 
     @property
     def inside(self) -> bool:
-        """Whether the mean lies in its band; not so for NaN."""
+        """Whether the mean lies in its band; False if it is NaN."""
         return self.low <= self.mean <= self.high
 
 
 def mean_nis(nis: FloatArray, dof: IntArray, probability: float = NIS_PROBABILITY) -> MeanNis:
-    """Return the mean of K NIS values and the band it has in a matched filter.
+    """Return the mean of K NIS values and the interval of that mean for a matched filter.
 
-    Innovations of a matched filter are independent in time, so their sum is
-    chi-square with the sum of the degrees of freedom. False-alarm rate: 1 - probability.
+    Innovations of a matched filter are independent in time, so the sum of their NIS is chi-square with the
+    sum of the degrees of freedom. False-alarm rate: 1 - probability.
+
+    Raises
+    ------
+    ValueError
+        If there are no values.
     """
     if len(nis) == 0:
         raise ValueError("mean_nis: nis must hold at least one update; got none")
@@ -127,7 +132,7 @@ def mean_nis(nis: FloatArray, dof: IntArray, probability: float = NIS_PROBABILIT
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """The consistency claim of an ensemble of runs, in numbers and reasons."""
+    """Consistency of an ensemble of runs: the statistics, and the reasons against it."""
 
     states: int
     runs: int
@@ -138,30 +143,30 @@ class Consistency:
     low: float  # 95 % band of the mean of one epoch over the runs
     high: float
     nis: Mapping[str, MeanNis]  # by sensor
-    reasons: tuple[str, ...]  # why the claim fails; empty when it holds
+    reasons: tuple[str, ...]  # why it is not consistent; empty if it is
 
     @property
     def verdict(self) -> bool:
-        """Whether the filter is consistent: no reason speaks against it."""
+        """Whether the filter is consistent: there is no reason against it."""
         return not self.reasons
 
 
-def consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[SensorNis]]) -> Consistency:
-    """Judge whether the covariance of a filter describes its errors, from many runs.
+def check_consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[SensorNis]]) -> Consistency:
+    """Check whether the covariance of a filter describes its errors, from many runs.
 
     Parameters
     ----------
     nees : (R, M) array
         NEES of R runs with independent noise, at M common instants after the alignment window.
     states : int
-        Number of states that NEES counts: its expectation.
+        Number of states in NEES: its expected value.
     nis : mapping of sequences of SensorNis
         By sensor, one entry per run (:func:`nis_by_sensor`).
 
     Returns
     -------
     result : Consistency
-        Three claims, each with its reason when broken:
+        Statistics and a reason for each condition that is not met:
 
         (a) the mean of the R time averages differs from ``states`` by less than
         :data:`STANDARD_ERRORS` standard errors and by less than :data:`LARGEST_OFFSET`. The errors
@@ -175,7 +180,7 @@ def consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[Sensor
     Raises
     ------
     ValueError
-        When there are fewer than two runs, no epoch or no update of a sensor.
+        If there are fewer than two runs, no epochs, or no updates of a sensor.
     """
     nees = as_float("nees", nees, (None, None), finite=False)
     runs, epochs = nees.shape
@@ -192,11 +197,11 @@ def consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[Sensor
         for name, series in nis.items()
     }
     offset = abs(mean - states)
-    errors_away = offset / standard_error if standard_error > 0 else float("inf")
+    distance = offset / standard_error if standard_error > 0 else float("inf")
     reasons = []
     if not offset < STANDARD_ERRORS * standard_error:
         reasons.append(
-            f"mean NEES {mean:.3f} is {errors_away:.1f} standard errors ({standard_error:.3f}) "
+            f"mean NEES {mean:.3f} is {distance:.1f} standard errors ({standard_error:.3f}) "
             f"from {states}; allowed {STANDARD_ERRORS}"
         )
     if not offset < LARGEST_OFFSET:

@@ -1,4 +1,4 @@
-"""Solution minus truth, in frame n, at the solution's times; and the NEES of that difference."""
+"""Errors of a solution: estimate minus truth in frame n at the solution's times, their NEES, convergence."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from bench.units import SAME_INSTANT
 _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 
 BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
-"""Rows of ``NavSolution.cov``."""
+"""Block of states -> its rows of ``NavSolution.cov``."""
 
 FAILED, NOT_COVERED = "failed", "not_covered"
-"""Kinds of events: there is no solution, the text says why; a solution brought along says nothing then."""
+"""Kinds of events: there is no solution, for the reason in the text; an interval without a solution."""
 
 DIVERGED_SIGMAS = 10.0
-"""Horizontal errors above this many sigma [1] and above :data:`DIVERGED_DISTANCE` mean divergence."""
+"""A horizontal error above this many sigma [1] and above :data:`DIVERGED_DISTANCE` means divergence."""
 
 DIVERGED_DISTANCE = 1000.0
 """See :data:`DIVERGED_SIGMAS` [m]."""
@@ -35,7 +35,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
     truth : Trajectory
         The motion as flown.
     solution : NavSolution
-        The estimate; NaN values mean a block that is not estimated.
+        The estimate; a block that is not estimated is NaN.
 
     Returns
     -------
@@ -46,15 +46,15 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
     Raises
     ------
     ValueError
-        When a time of the solution lies outside the truth.
+        If a time of the solution lies outside the truth.
     """
-    lla, vel_n, q_nb = truth_at(truth, solution.t)
+    lla, vel_n, q_nb = interpolate_truth(truth, solution.t)
     with np.errstate(over="ignore", invalid="ignore"):  # a diverged solution is a result, not a warning
         pos_n = earth.difference_n(solution.lla, lla)
         vel_error_n = solution.vel_n - vel_n
         phi_n = rotation.to_rotvec(rotation.multiply(solution.q_nb, rotation.conjugate(q_nb)))
-        turned = rotation.to_euler(solution.q_nb)[2] - rotation.to_euler(q_nb)[2]
-        heading = np.pi - np.mod(np.pi - turned, 2 * np.pi)
+        difference = rotation.to_euler(solution.q_nb)[2] - rotation.to_euler(q_nb)[2]
+        heading = np.pi - np.mod(np.pi - difference, 2 * np.pi)
         error = np.hstack([pos_n, vel_error_n, phi_n])
         present = claimed_blocks(solution)
         counted = np.repeat([name in present for name in BLOCKS], 3)
@@ -71,7 +71,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
 
 
 def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
-    """Return the names of :data:`BLOCKS` that hold any number, in the values or on the diagonal of cov."""
+    """Return the names of the blocks that have any number, as values or on the diagonal of cov."""
     values = {"pos": solution.lla, "vel": solution.vel_n, "phi": solution.q_nb}
     variance = np.einsum("kii->ki", solution.cov)
     return tuple(
@@ -82,21 +82,21 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
 
 
 def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
-    """Return the estimated blocks with any number on the diagonal of cov: those whose accuracy is claimed."""
+    """Return the estimated blocks whose accuracy is claimed: any number on the diagonal of cov."""
     variance = np.einsum("kii->ki", solution.cov)
     return tuple(name for name in estimated_blocks(solution) if not np.isnan(variance[:, BLOCKS[name]]).all())
 
 
-def truth_at(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def interpolate_truth(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return lla (M, 3), vel_n (M, 3), q_nb (M, 4) of the truth at times t (M,).
 
-    A time that is a sample instant takes that row. Between samples position is the
-    cubic with the velocities of its two ends, velocity linear, attitude at constant rate.
+    At a sample instant the row of that sample is returned. Between samples, position is the cubic that
+    matches position and velocity at both ends, velocity is linear and the attitude rate is constant.
 
     Raises
     ------
     ValueError
-        When a time is not finite or lies outside the truth.
+        If a time is not finite or lies outside the truth.
     """
     first, last = float(truth.t[0]), float(truth.t[-1])
     slack = SAME_INSTANT * ((last - first) / max(len(truth) - 1, 1))
@@ -112,11 +112,13 @@ def truth_at(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, 
     lla, vel_n, q_nb = truth.lla[row], truth.vel_n[row], truth.q_nb[row]
     between = np.flatnonzero(np.abs(truth.t[row] - t) > slack)
     if len(between):
-        lla[between], vel_n[between], q_nb[between] = _interpolate(truth, before[between], t[between])
+        lla[between], vel_n[between], q_nb[between] = _interpolate_rows(truth, before[between], t[between])
     return lla, vel_n, q_nb
 
 
-def _interpolate(truth: Trajectory, k: IntArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _interpolate_rows(
+    truth: Trajectory, k: IntArray, t: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return lla, vel_n, q_nb at times t inside the intervals (t[k], t[k + 1])."""
     h = (truth.t[k + 1] - truth.t[k])[:, None]
     s = (t - truth.t[k])[:, None] / h
@@ -137,10 +139,10 @@ def _lla_rate(lla: FloatArray, vel_n: FloatArray) -> FloatArray:
 
 
 def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
-    """Return e' P^-1 e (M,) of errors (M, n) under covariances (M, n, n).
+    """Return e' P^-1 e (M,) of errors (M, n) with covariances (M, n, n).
 
-    By Cholesky of ``D^-1 P D^-1``, ``D = sqrt(diag P)``, so that metres and radians
-    do not share one scale. NaN where that is not positive definite or not finite.
+    Computed from the Cholesky factor of ``D^-1 P D^-1``, ``D = sqrt(diag P)``, because metres and radians
+    differ in scale. NaN where that matrix is not positive definite or not finite.
     """
     nees = np.full(len(error), np.nan)
     if error.shape[1] == 0:
@@ -152,33 +154,36 @@ def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
 
 
 def positive_definite(cov: FloatArray) -> BoolArray:
-    """Return which covariances (M, n, n) are finite and positive definite, in the scale of their own sd."""
+    """Return a mask (M,) of the covariances (M, n, n) that are finite and positive definite.
+
+    Each is scaled by its own standard deviations first.
+    """
     good = np.zeros(len(cov), np.bool_)
     good[_scaled_factors(cov, ~good)[0]] = True
     return good
 
 
 def _scaled_factors(cov: FloatArray, wanted: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the wanted rows that are positive definite, the factors of D^-1 P D^-1 there, and D."""
+    """Return the wanted rows that are positive definite, their Cholesky factors of D^-1 P D^-1, and D."""
     variance = np.einsum("kii->ki", cov)
     usable = wanted & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
     sd = np.sqrt(variance[usable])
-    factors, good = _cholesky(cov[usable] / sd[:, :, None] / sd[:, None, :])
+    factors, good = _factor_matrices(cov[usable] / sd[:, :, None] / sd[:, None, :])
     return np.flatnonzero(usable)[good], factors, sd[good]
 
 
-def _cholesky(P: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the factors of the positive definite matrices among P (M, n, n), and which those are (M,)."""
+def _factor_matrices(P: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the Cholesky factors of the positive definite matrices among P (M, n, n), and a mask (M,)."""
     good = np.ones(len(P), np.bool_)
     try:
         factors = np.asarray(np.linalg.cholesky(P), np.float64)
-    except np.linalg.LinAlgError:  # at least one is not: find out which
-        good = np.array([_positive_definite(matrix) for matrix in P], np.bool_)
+    except np.linalg.LinAlgError:  # at least one matrix is not positive definite: find out which
+        good = np.array([_has_factor(matrix) for matrix in P], np.bool_)
         factors = np.asarray(np.linalg.cholesky(P[good]), np.float64)
     return factors, good
 
 
-def _positive_definite(matrix: FloatArray) -> bool:
+def _has_factor(matrix: FloatArray) -> bool:
     try:
         np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
@@ -187,10 +192,10 @@ def _positive_definite(matrix: FloatArray) -> bool:
 
 
 def heading_sd(solution: NavSolution) -> FloatArray:
-    """Return the standard deviation (M,) of the heading that follows from the covariance of phi_n [rad].
+    """Return the standard deviation of the heading (M,) from the covariance of phi_n [rad].
 
-    To first order ``d heading = phi_D + tan(pitch) (phi_N cos(heading) + phi_E sin(heading))``,
-    the turn of the horizontal part of ``C_nb e_1``.
+    ``d heading = phi_D + tan(pitch) (phi_N cos(heading) + phi_E sin(heading))`` to first order: the rotation
+    of the horizontal part of the forward axis ``C_nb e_1``.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         _, pitch, heading = rotation.to_euler(solution.q_nb)
@@ -201,14 +206,14 @@ def heading_sd(solution: NavSolution) -> FloatArray:
     return sd
 
 
-def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | None]:
-    """Say whether a solution can be judged, and if not, why.
+def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | None]:
+    """Return whether a solution converged, and the reason if it did not.
 
-    It cannot when a state or covariance is not finite, the covariance is not positive
-    definite, or the horizontal error exceeds both 10 sigma (root of the sum of the two
-    horizontal variances) and 1 km at some epoch. A block that is NaN throughout, values
-    and covariance, is not estimated and does not count; where no covariance is claimed there is none to
-    judge. An event of kind `FAILED` says that there is no solution, and why.
+    It did not converge if a state or covariance is not finite, the covariance is not positive definite, or
+    the horizontal error exceeds both 10 sigma (root of the sum of the two horizontal variances) and 1 km at
+    some epoch. A block that is NaN throughout, values and covariance, is not estimated and is not checked.
+    A covariance that is not claimed is not checked either. An event of kind `FAILED` means that there is no
+    solution; its text is the reason.
     """
     failed = solution.events.of(FAILED)
     if failed:
@@ -228,17 +233,17 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
     for title, column in columns.items():
         bad = _not_finite(column)
         if bad.any():
-            return False, f"{title} is not finite at {_when(solution, bad)}"
+            return False, f"{title} is not finite at {_describe_epochs(solution, bad)}"
     claimed = claimed_blocks(solution)
     if claimed:
         counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in claimed])
         cov = solution.cov[:, counted][:, :, counted]
         bad = _not_finite(cov)
         if bad.any():
-            return False, f"covariance is not finite at {_when(solution, bad)}"
+            return False, f"covariance is not finite at {_describe_epochs(solution, bad)}"
         bad = ~positive_definite(cov)
         if bad.any():
-            return False, f"covariance is not positive definite at {_when(solution, bad)}"
+            return False, f"covariance is not positive definite at {_describe_epochs(solution, bad)}"
     if "pos" in blocks:
         distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
         sigma = np.sqrt(solution.cov[:, 0, 0] + solution.cov[:, 1, 1])
@@ -246,48 +251,40 @@ def converged(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | N
         if bad.any():
             k = int(np.argmax(bad))
             return False, (
-                f"horizontal error is {distance[k]:.0f} m at {_when(solution, bad)}, "
+                f"horizontal error is {distance[k]:.0f} m at {_describe_epochs(solution, bad)}, "
                 f"more than {DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} m"
             )
     return True, None
 
 
-def aligning(solution: NavSolution, until: float) -> int:
-    """Return the number of leading epochs before ``until`` [s] that are NaN throughout."""
-    said = solution.t >= until
+def count_aligning_epochs(solution: NavSolution, until: float) -> int:
+    """Count the epochs at the start of a solution, before ``until`` [s], that are NaN throughout."""
+    started = solution.t >= until
     for column in (solution.lla, solution.vel_n, solution.q_nb, solution.cov):
-        said |= ~np.isnan(column.reshape(len(column), -1)).all(axis=1)
-    return int(np.argmax(said)) if said.any() else 0
+        started |= ~np.isnan(column.reshape(len(column), -1)).all(axis=1)
+    return int(np.argmax(started)) if started.any() else 0
 
 
-def from_row(record: _Series, first: int) -> _Series:
-    """Return the epochs of a solution or error series from a row on; innovations and events are kept."""
-    return _taken(record, slice(first, None))
-
-
-def covered(solution: NavSolution) -> BoolArray:
-    """Return which epochs (M,) no event of kind `NOT_COVERED` takes out; all when none would be left."""
+def find_covered_epochs(solution: NavSolution) -> BoolArray:
+    """Return a mask (M,) of the epochs outside all `NOT_COVERED` events; all epochs if none would be left."""
     rows = np.ones(len(solution), np.bool_)
     for start, end, _ in solution.events.of(NOT_COVERED):
         rows[(solution.t >= start) & (solution.t <= end)] = False
     return rows if rows.any() else ~rows
 
 
-def at_rows(record: _Series, rows: BoolArray) -> _Series:
-    """Return some epochs of a solution or error series; innovations and events are kept."""
-    return _taken(record, rows)
-
-
-def _taken(record: _Series, rows: Any) -> _Series:
+def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Series:
+    """Return the given epochs of a solution or error series; all innovations and events are kept."""
     columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
-    taken: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
-    return replace(record, **taken)
+    selected: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
+    return replace(record, **selected)
 
 
 def _not_finite(values: FloatArray) -> BoolArray:
-    """Return which rows (M,) of values (M, ...) hold NaN or infinity."""
+    """Return a mask (M,) of the rows of values (M, ...) that hold NaN or infinity."""
     return np.array(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
 
 
-def _when(solution: NavSolution, bad: BoolArray) -> str:
+def _describe_epochs(solution: NavSolution, bad: BoolArray) -> str:
+    """Return the first bad epoch and the number of bad epochs, in words."""
     return f"t = {solution.t[int(np.argmax(bad))]:g} s ({int(bad.sum())} of {len(solution)} epochs)"

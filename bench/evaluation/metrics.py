@@ -1,7 +1,7 @@
 """Named scalars of one run, each a function of a :class:`Case` with its row in :data:`METRICS`.
 
-A metric's name ends in its unit. Every metric exists twice: ``x`` over the epochs
-from the end of the alignment window on, ``x_all`` over the whole run.
+A metric's name ends in its unit. Every metric exists twice: ``x`` over the epochs from the end of the
+alignment window on, ``x_all`` over the whole run.
 """
 
 from __future__ import annotations
@@ -16,23 +16,21 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.evaluation import detection
-from bench.evaluation.consistency import SensorNis, chi2_quantile, mean_nis, nis_by_sensor
+from bench.evaluation.case import Case, Outages, build_case
+from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
-    aligning,
-    at_rows,
+    check_convergence,
     claimed_blocks,
-    converged,
-    covered,
+    count_aligning_epochs,
     error_series,
     estimated_blocks,
-    from_row,
-    heading_sd,
+    find_covered_epochs,
+    select_epochs,
 )
 from bench.specs import Fault
 from bench.units import SAME_INSTANT
 
-Outages = Sequence[tuple[float, float]]
 Value = float | None
 Values = Mapping[str, Value]
 
@@ -40,31 +38,6 @@ AXES = ("n", "e", "d")
 
 HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
-
-_NOTHING = np.empty(0)
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What a metric sees: the epochs of one run from an instant on."""
-
-    t: FloatArray  # (M,) [s]
-    pos_n: FloatArray  # (M, 3) errors [m], n
-    vel_n: FloatArray  # (M, 3) [m/s], n
-    phi_n: FloatArray  # (M, 3) [rad], n
-    heading: FloatArray  # (M,) [rad]
-    heading_sd: FloatArray  # (M,) [rad]
-    sd: FloatArray  # (M, 9) of pos_n, vel_n, phi_n
-    nees: FloatArray  # (M,)
-    states: int  # that nees counts
-    nis: Mapping[str, SensorNis]
-    events: Mapping[str, int]  # what the estimator reported: number by kind
-    outages: tuple[tuple[int, float, float], ...]  # number from 1, [start, end) [s]: those that start inside
-    faults: Mapping[str, Fault]  # number from 1: those that start inside
-    scripted: tuple[Fault, ...]  # all of the run
-    alarms: tuple[detection.Alarms, ...]  # of the whole run
-    from_s: float  # [s]
-    asked: int  # number of epochs asked for, of which t holds those that the solution covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +48,7 @@ class Metric:
     function: Callable[[Case], Value | Values]
     unit: str
     block: Literal["pos", "vel", "phi", "cov", "pos cov", "vel cov", "phi cov", ""]  # absent without it
-    direction: Literal["lower", "both", ""]  # what a baseline holds: lower is better, no drift, nothing
+    direction: Literal["lower", "both", ""]  # what a baseline watches: growth, any change, nothing
     description: str
 
 
@@ -86,7 +59,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _axis_rms(error_n: FloatArray) -> dict[str, Value]:
+def _rms_by_axis(error_n: FloatArray) -> dict[str, Value]:
     by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
     squares = np.square(error_n)
     by_axis["h"] = float(np.sqrt(squares[:, :2].sum(axis=1).mean()))
@@ -96,12 +69,12 @@ def _axis_rms(error_n: FloatArray) -> dict[str, Value]:
 
 def pos_rmse(case: Case) -> Values:
     """Root mean square of the position error by axis, horizontal and 3D [m]."""
-    return _axis_rms(case.pos_n)
+    return _rms_by_axis(case.pos_n)
 
 
 def vel_rmse(case: Case) -> Values:
     """Root mean square of the velocity error by axis, horizontal and 3D [m/s]."""
-    return _axis_rms(case.vel_n)
+    return _rms_by_axis(case.vel_n)
 
 
 def phi_rmse(case: Case) -> Values:
@@ -111,7 +84,7 @@ def phi_rmse(case: Case) -> Values:
 
 def tilt_rmse(case: Case) -> float:
     """Root mean square of the angle between true and estimated vertical, first order [deg]."""
-    return float(np.rad2deg(_rms(_norm_h(case.phi_n))))
+    return float(np.rad2deg(_rms(_horizontal_norm(case.phi_n))))
 
 
 def heading_rmse(case: Case) -> float:
@@ -126,7 +99,7 @@ def heading_max(case: Case) -> float:
 
 def pos_max_h(case: Case) -> float:
     """Largest horizontal position error [m]."""
-    return float(_norm_h(case.pos_n).max())
+    return float(_horizontal_norm(case.pos_n).max())
 
 
 def pos_max_v(case: Case) -> float:
@@ -139,35 +112,35 @@ def vel_max(case: Case) -> float:
     return float(np.linalg.norm(case.vel_n, axis=1).max())
 
 
-def _norm_h(error_n: FloatArray) -> FloatArray:
+def _horizontal_norm(error_n: FloatArray) -> FloatArray:
     return np.hypot(error_n[:, 0], error_n[:, 1])
 
 
-def _order(values: FloatArray, fraction: float) -> float:
-    """Return the smallest of the values that at least a fraction of them does not exceed."""
+def _order_statistic(values: FloatArray, fraction: float) -> float:
+    """Return the order statistic: the smallest value that a fraction of the values does not exceed."""
     return float(np.quantile(values, fraction, method="inverted_cdf"))
 
 
 def cep50(case: Case) -> float:
     """Radius that holds half of the horizontal errors [m]."""
-    return _order(_norm_h(case.pos_n), 0.50)
+    return _order_statistic(_horizontal_norm(case.pos_n), 0.50)
 
 
 def cep95(case: Case) -> float:
-    """Radius that holds 95 % of the horizontal errors [m]: CEP95, and R95, which is its other name."""
-    return _order(_norm_h(case.pos_n), 0.95)
+    """Radius that holds 95 % of the horizontal errors [m]; also called R95."""
+    return _order_statistic(_horizontal_norm(case.pos_n), 0.95)
 
 
 def pos_95_v(case: Case) -> float:
     """Vertical distance that holds 95 % of the vertical errors [m]."""
-    return _order(np.abs(case.pos_n[:, 2]), 0.95)
+    return _order_statistic(np.abs(case.pos_n[:, 2]), 0.95)
 
 
 # --- outages and convergence --------------------------------------------------------------------------
 
 
-def _outage_rows(case: Case) -> dict[str, tuple[int, int]]:
-    """Return the first and last row of each outage that has a row; an interval is [start, end)."""
+def _find_outage_rows(case: Case) -> dict[str, tuple[int, int]]:
+    """Return the first and last row inside each outage [start, end), by number, if it has any row."""
     rows = {}
     for number, start, end in case.outages:
         first = int(np.searchsorted(case.t, start - SAME_INSTANT))
@@ -179,22 +152,21 @@ def _outage_rows(case: Case) -> dict[str, tuple[int, int]]:
 
 def outage_drift_h(case: Case) -> Values:
     """Horizontal error at the last instant of each outage [m]."""
-    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in _outage_rows(case).items()}
+    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in _find_outage_rows(case).items()}
 
 
 def outage_growth_h(case: Case) -> Values:
-    """Length of horizontal error at the last minus error at the first instant of each outage [m]."""
+    """Growth of the horizontal error over each outage: length of (last minus first error) [m]."""
     return {
         key: float(np.hypot(*(case.pos_n[last, :2] - case.pos_n[first, :2])))
-        for key, (first, last) in _outage_rows(case).items()
+        for key, (first, last) in _find_outage_rows(case).items()
     }
 
 
 def heading_convergence(case: Case) -> Value:
-    """Return the time [s] after which the heading error stays below max(1 deg, 3 sigma).
+    """Return the first instant after which the heading error stays below max(1 deg, 3 sigma) [s].
 
-    It stays there to the end of the run or the start of the next outage. The first
-    such instant, since the start of the run; None when there is none.
+    It has to stay there to the end of the run or the start of the next outage. None if it never does.
     """
     below = np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd)
     starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
@@ -211,12 +183,15 @@ def heading_convergence(case: Case) -> Value:
 
 
 def nees_mean(case: Case) -> float:
-    """Mean NEES; its expectation is nees_states. One run has no band: its errors are correlated in time."""
+    """Mean NEES, expected to be nees_states.
+
+    There is no band for one run because its errors are correlated in time.
+    """
     return float(np.mean(case.nees))
 
 
 def nees_states(case: Case) -> float:
-    """Number of states that NEES counts."""
+    """Number of states in NEES, its expected value."""
     return float(case.states)
 
 
@@ -232,22 +207,22 @@ def _coverage(error_n: FloatArray, sd: FloatArray) -> Values:
 
 
 def coverage_pos(case: Case) -> Values:
-    """Fraction of epochs with the position error within 3 sigma, by axis; 0.9973 is right."""
+    """Fraction of epochs with the position error within 3 sigma, by axis; 0.9973 is expected."""
     return _coverage(case.pos_n, case.sd[:, BLOCKS["pos"]])
 
 
 def coverage_vel(case: Case) -> Values:
-    """Fraction of epochs with the velocity error within 3 sigma, by axis; 0.9973 is right."""
+    """Fraction of epochs with the velocity error within 3 sigma, by axis; 0.9973 is expected."""
     return _coverage(case.vel_n, case.sd[:, BLOCKS["vel"]])
 
 
 def coverage_phi(case: Case) -> Values:
-    """Fraction of epochs with the attitude error within 3 sigma, by axis of n; 0.9973 is right."""
+    """Fraction of epochs with the attitude error within 3 sigma, by axis of n; 0.9973 is expected."""
     return _coverage(case.phi_n, case.sd[:, BLOCKS["phi"]])
 
 
 def output_coverage(case: Case) -> float:
-    """Fraction of the epochs asked for at which there is a solution; metrics are of these."""
+    """Fraction of the requested epochs that have a solution; the other metrics use only those."""
     return len(case.t) / case.asked
 
 
@@ -267,17 +242,17 @@ def nis_high(case: Case) -> Values:
 
 
 def updates(case: Case) -> Values:
-    """Number of updates of each sensor that were offered."""
+    """Number of updates of each sensor, accepted or not."""
     return {name: float(len(s.nis)) for name, s in case.nis.items()}
 
 
 def rejected(case: Case) -> Values:
-    """Number of updates of each sensor of which the gate refused some component."""
+    """Number of updates of each sensor with at least one component rejected by the gate."""
     return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
 
 
 def events(case: Case) -> Values:
-    """Number of events of each kind the estimator reported."""
+    """Number of events that the estimator reported, by kind."""
     return {kind: float(count) for kind, count in case.events.items()}
 
 
@@ -287,8 +262,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("pos_max_v_m", pos_max_v, "m", "pos", "", "largest vertical position error"),
     Metric("cep50_m", cep50, "m", "pos", "lower", "radius that holds 50 % of the horizontal errors"),
     Metric("cep95_m", cep95, "m", "pos", "lower", "radius that holds 95 % of the horizontal errors"),
-    Metric("r95_m", cep95, "m", "pos", "", "the same as cep95_m, under the name of navigation standards"),
-    Metric("pos_95_v_m", pos_95_v, "m", "pos", "lower", "holds 95 % of the vertical errors"),
+    Metric("r95_m", cep95, "m", "pos", "", "the same as cep95_m, as navigation standards call it"),
+    Metric("pos_95_v_m", pos_95_v, "m", "pos", "lower", "height that holds 95 % of the vertical errors"),
     Metric("vel_rmse_{}_mps", vel_rmse, "m/s", "vel", "lower", "RMS velocity error: n, e, d, horizontal, 3D"),
     Metric("vel_max_mps", vel_max, "m/s", "vel", "", "largest velocity error, 3D"),
     Metric("phi_rmse_{}_deg", phi_rmse, "deg", "phi", "lower", "RMS attitude error about n, e, d"),
@@ -301,39 +276,76 @@ METRICS: tuple[Metric, ...] = (
         "s",
         "phi",
         "",
-        "after it |heading error| < max(1 deg, 3 sigma) to the end or the next outage",
+        "from then on |heading error| < max(1 deg, 3 sigma) to the end or the next outage",
     ),
     Metric(
-        "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at its last instant"
+        "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at the end of an outage"
     ),
-    Metric("outage_{}_growth_h_m", outage_growth_h, "m", "pos", "lower", "last minus first horizontal error"),
     Metric(
-        "fault_{}_detected", detection.fault_detected, "1", "", "both", "1: an alarm came while it was there"
+        "outage_{}_growth_h_m",
+        outage_growth_h,
+        "m",
+        "pos",
+        "lower",
+        "growth of the horizontal error in an outage",
     ),
-    Metric("fault_{}_delay_s", detection.fault_delay, "s", "", "lower", "from its start to its first alarm"),
     Metric(
-        "fault_{}_max_h_m", detection.fault_max_h, "m", "pos", "lower", "largest horizontal error meanwhile"
+        "fault_{}_detected",
+        detection.fault_detected,
+        "1",
+        "",
+        "both",
+        "1: an alarm was raised during the fault",
+    ),
+    Metric(
+        "fault_{}_delay_s",
+        detection.fault_delay,
+        "s",
+        "",
+        "lower",
+        "time from the start of a fault to its first alarm",
+    ),
+    Metric(
+        "fault_{}_max_h_m",
+        detection.fault_max_h,
+        "m",
+        "pos",
+        "lower",
+        "largest horizontal error during the fault",
     ),
     Metric(
         "false_alarms_{}", detection.false_alarms, "1", "", "", "alarms of a sensor that no fault explains"
     ),
     Metric("nees_mean", nees_mean, "1", "cov", "both", "mean NEES; nees_states is expected"),
-    Metric("nees_states", nees_states, "1", "cov", "", "states that NEES counts"),
-    Metric("nees_inside_95", nees_inside_95, "1", "cov", "both", "epochs in the 95 % interval of NEES"),
-    Metric("coverage_3sigma_pos_{}", coverage_pos, "1", "pos cov", "both", "epochs within 3 sigma"),
-    Metric("coverage_3sigma_vel_{}", coverage_vel, "1", "vel cov", "both", "epochs within 3 sigma"),
-    Metric("coverage_3sigma_phi_{}", coverage_phi, "1", "phi cov", "both", "epochs within 3 sigma"),
-    Metric("output_coverage", output_coverage, "1", "", "", "epochs with a solution; metrics are of these"),
+    Metric("nees_states", nees_states, "1", "cov", "", "number of states in NEES"),
+    Metric(
+        "nees_inside_95",
+        nees_inside_95,
+        "1",
+        "cov",
+        "both",
+        "fraction of epochs in the 95 % interval of NEES",
+    ),
+    Metric(
+        "coverage_3sigma_pos_{}", coverage_pos, "1", "pos cov", "both", "fraction of epochs within 3 sigma"
+    ),
+    Metric(
+        "coverage_3sigma_vel_{}", coverage_vel, "1", "vel cov", "both", "fraction of epochs within 3 sigma"
+    ),
+    Metric(
+        "coverage_3sigma_phi_{}", coverage_phi, "1", "phi cov", "both", "fraction of epochs within 3 sigma"
+    ),
+    Metric("output_coverage", output_coverage, "1", "", "", "fraction of requested epochs with a solution"),
     Metric("nis_mean_{}", nis_mean, "1", "", "both", "mean NIS of a sensor, rejected updates included"),
     Metric("nis_low_{}", nis_low, "1", "", "", "lower edge of the 99.9 % band of nis_mean"),
     Metric("nis_high_{}", nis_high, "1", "", "", "upper edge of the 99.9 % band of nis_mean"),
-    Metric("updates_{}", updates, "1", "", "", "updates of a sensor offered"),
-    Metric("rejected_{}", rejected, "1", "", "", "updates of a sensor refused by the gate"),
-    Metric("events_{}", events, "1", "", "", "events of a kind the estimator reported"),
+    Metric("updates_{}", updates, "1", "", "", "updates of a sensor, accepted or not"),
+    Metric("rejected_{}", rejected, "1", "", "", "updates of a sensor rejected by the gate"),
+    Metric("events_{}", events, "1", "", "", "events of one kind that the estimator reported"),
 )
 
 
-# --- the judgement ------------------------------------------------------------------------------------
+# --- all metrics of a run ----------------------------------------------------------------------------------
 
 
 def judge(
@@ -344,15 +356,15 @@ def judge(
     outages: Outages,
     faults: Sequence[Fault] = (),
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors and the metrics of one estimator in one run.
+    """Compare a solution with the truth: return the errors and the metrics of one estimator in one run.
 
     Parameters
     ----------
     truth : Trajectory
         The motion as flown.
     solution : NavSolution
-        What the estimator made of the sensors. Epochs before the end of the window at which it says nothing
-        at all, NaN throughout, are those of its alignment; ``x_all`` begins after them.
+        The output of the estimator. Epochs before the end of the window that are NaN throughout belong to
+        its alignment; ``x_all`` begins after them.
     evaluation_from : float
         End of the alignment window [s]; metrics ``x`` begin here, ``x_all`` at the start.
     outages : sequence of (start, end)
@@ -366,75 +378,39 @@ def judge(
         Estimate minus truth.
     metrics : dict
         ``converged`` (bool), ``reason`` (text, or None when converged), then a float or None by
-        metric name. A metric of a block that is not estimated is absent; all are None when not
-        converged, ``x`` also when it has no value after the alignment window.
+        metric name. A metric of a block that is not estimated is absent. All are None if the solution
+        did not converge; ``x`` is also None if it has no value after the alignment window.
 
     Raises
     ------
     ValueError
-        When the solution is empty or has a time outside the truth.
+        If the solution is empty or has a time outside the truth.
     """
     if len(solution) == 0:
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
-    rows = covered(solution)
-    judged, missing, solution = at_rows(errors, rows), solution.t[~rows], at_rows(solution, rows)
-    begun = aligning(solution, evaluation_from)
-    judged, solution = from_row(judged, begun), from_row(solution, begun)
-    sound, reason = converged(judged, solution)
-    if aligning(solution, np.inf):
-        first = solution.t[aligning(solution, np.inf)]
+    rows = find_covered_epochs(solution)
+    missing = solution.t[~rows]
+    judged, solution = select_epochs(errors, rows), select_epochs(solution, rows)
+    aligned = slice(count_aligning_epochs(solution, evaluation_from), None)
+    judged, solution = select_epochs(judged, aligned), select_epochs(solution, aligned)
+    sound, reason = check_convergence(judged, solution)
+    late = count_aligning_epochs(solution, np.inf)
+    if late:
+        first = solution.t[late]
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole = _values(case_from(judged, solution, -np.inf, outages, faults, missing), solution)
-        after = case_from(judged, solution, evaluation_from, outages, faults, missing)
-        window = _values(after, solution) if len(after.t) else {}
+        whole = _compute_metrics(build_case(judged, solution, -np.inf, outages, faults, missing), solution)
+        after = build_case(judged, solution, evaluation_from, outages, faults, missing)
+        window = _compute_metrics(after, solution) if len(after.t) else {}
     metrics: dict[str, Any] = {"converged": sound, "reason": reason}
     metrics.update({name: window.get(name) if sound else None for name in whole})
     metrics.update({f"{name}_all": whole[name] if sound else None for name in whole})
     return errors, metrics
 
 
-def case_from(
-    errors: ErrorSeries,
-    solution: NavSolution,
-    from_s: float,
-    outages: Outages,
-    faults: Sequence[Fault] = (),
-    missing: FloatArray = _NOTHING,
-) -> Case:
-    """Return what the metrics see of a run from an instant [s] on; ``missing`` are instants not covered."""
-    rows = errors.t >= from_s - SAME_INSTANT
-    kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
-    with np.errstate(invalid="ignore"):
-        sd = np.sqrt(np.einsum("kii->ki", solution.cov))
-    return Case(
-        t=errors.t[rows],
-        pos_n=errors.pos_n[rows],
-        vel_n=errors.vel_n[rows],
-        phi_n=errors.phi_n[rows],
-        heading=errors.heading[rows],
-        heading_sd=heading_sd(solution)[rows],
-        sd=sd[rows],
-        nees=errors.nees[rows],
-        states=errors.states,
-        nis=nis_by_sensor(solution.innovations, from_s - SAME_INSTANT),
-        events={kind: kinds.count(kind) for kind in sorted(set(kinds))},
-        outages=tuple(
-            (k, start, end)
-            for k, (start, end) in enumerate(outages, 1)
-            if start >= from_s - SAME_INSTANT and not ((missing >= start) & (missing < end)).any()
-        ),
-        faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_INSTANT},
-        scripted=tuple(faults),
-        alarms=detection.alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
-        from_s=from_s,
-        asked=int(rows.sum() + np.sum(missing >= from_s - SAME_INSTANT)),
-    )
-
-
-def _values(case: Case, solution: NavSolution) -> dict[str, Value]:
-    """Return every metric of the blocks that are estimated; None for one that is not a finite number."""
+def _compute_metrics(case: Case, solution: NavSolution) -> dict[str, Value]:
+    """Compute every metric of the estimated blocks; a value that is not finite becomes None."""
     claimed = claimed_blocks(solution)
     blocks = ("", *estimated_blocks(solution), *(f"{name} cov" for name in claimed), *["cov"][: len(claimed)])
     values: dict[str, Value] = {}
@@ -450,12 +426,12 @@ def _values(case: Case, solution: NavSolution) -> dict[str, Value]:
     }
 
 
-def metric_of(name: str) -> Metric | None:
-    """Return the row of :data:`METRICS` a metric's name belongs to; the suffix ``_all`` is allowed.
+def find_metric(name: str) -> Metric | None:
+    """Return the row of :data:`METRICS` for the name of a metric, with or without ``_all``; None if unknown.
 
     Examples
     --------
-    >>> metric_of("outage_2_drift_h_m_all").unit
+    >>> find_metric("outage_2_drift_h_m_all").unit
     'm'
     """
     name = name.removesuffix("_all")

@@ -1,4 +1,4 @@
-"""The Allan deviation of an IMU, measured on its own model or on a record at rest, against its datasheet."""
+"""Allan deviation of an IMU model, or of a recording at rest, compared with a datasheet."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import STANDARD_GRAVITY
 
 FAST, SLOW = (200.0, 300.0), (1.0, 65536.0)
-"""Rate [Hz] and length [s] of the two records of a unit: for white noise and quantization, for slow terms."""
+"""Rate [Hz] and length [s] of the two simulated records: for white noise and quantization, for slow terms."""
 INDEPENDENT = 16
-"""Fewest averages that fit a record."""
-_CHANGE = 8.0  # averaging times from here on are those of the slow record [s]
-_TAIL = 0.0005  # each side of a 99.9 % band
+"""Smallest number of independent averages in a record at the longest averaging time."""
+_CHANGE = 8.0  # the slow record serves averaging times from here on [s]
+_TAIL = 0.0005  # probability beyond each side of a 99.9 % band
 SHOWN_UNITS = {"gyro": ("deg/h", math.degrees(3600.0)), "accel": ("ug", 1e6 / STANDARD_GRAVITY)}
-"""Triad -> unit it is shown in, and that unit per SI."""
+"""Triad -> unit of the plots, and the factor from SI to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,8 @@ class AllanCurve:
     edf: FloatArray  # (T,) effective degrees of freedom of the measured variance
     low: FloatArray  # (T,) 99.9 % band of the measured value around what is expected [unit/s]
     high: FloatArray  # (T,)
-    expected: FloatArray  # (T,) of all terms of the datasheet; NaN without one [unit/s]
-    terms: Mapping[str, FloatArray] = field(default_factory=dict)  # of each of them
+    expected: FloatArray  # (T,) from all terms of the datasheet; NaN without one [unit/s]
+    terms: Mapping[str, FloatArray] = field(default_factory=dict)  # of each term
 
     @property
     def outside(self) -> int:
@@ -50,10 +50,10 @@ class AllanCurve:
 class AllanResult:
     """The Allan deviation of the triads of an IMU."""
 
-    name: str  # of the unit, of the log, or of both
+    name: str  # of the IMU, of the log, or of both
     curves: tuple[AllanCurve, ...]
-    spec: ImuSpec | None  # the datasheet it is compared with
-    simulated: bool  # of the model of the datasheet; otherwise of a log
+    spec: ImuSpec | None  # datasheet to compare with
+    simulated: bool  # True: measured on the model of the datasheet; False: on a log
 
     @property
     def points(self) -> int:
@@ -67,33 +67,33 @@ class AllanResult:
 
     @property
     def held(self) -> bool:
-        """Whether at most one value in a hundred of a model lies outside its band; a log is not judged."""
+        """Whether at most one value in a hundred lies outside its band; always True for a log."""
         return not self.simulated or self.outside <= max(1, self.points // 100)
 
 
-def model_curves(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
-    """Measure the model of a unit at rest and at one temperature, and compare it with its own figures.
+def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
+    """Simulate an IMU at rest and constant temperature, and compare its Allan deviation with its datasheet.
 
-    Averaging times below 8 s come from a record at 200 Hz, the others from one of 18 h at 1 Hz. A skewed
-    triad is measured along its own axes. Biases are lines between instants 0.05 s (1 s) apart, which the
-    curve takes into account: it shows where little white noise covers it.
+    Averaging times below 8 s come from a record at 200 Hz, the others from 18 h at 1 Hz. A skewed triad is
+    measured along its own axes. The simulated biases are linear between instants 0.05 s (1 s) apart; the
+    expected curve includes the effect, which is visible if there is little white noise.
     """
     resting = replace(spec, thermal=ThermalSpec(), vibration=VibrationSpec(), accel_cone=0.0, accel_arms=())
     triads = {"gyro": spec.gyro, "accel": spec.accel}
     found: dict[str, list[AllanCurve]] = {name: [] for name, triad in triads.items() if noise_terms(triad)}
     for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
-        record, _ = imu.measure(_still(rate, length), resting, seed, 0)
+        record, _ = imu.measure(_make_resting_truth(rate, length), resting, seed, 0)
         spans = allan.octaves(len(record), INDEPENDENT)
         spans = spans[(spans / rate >= first) & (spans / rate < last)]
         for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):
             if name in found:
                 step = imu.bias_step(triads[name], 1 / rate)
-                found[name].append(_curve(name, increments, 1 / rate, spans, triads[name], step))
-    return [_joined(parts) for parts in found.values()]
+                found[name].append(_measure_curve(name, increments, 1 / rate, spans, triads[name], step))
+    return [_join_curves(parts) for parts in found.values()]
 
 
-def _still(rate: float, length: float) -> Trajectory:
-    """Return a truth that does not turn and feels 1 g, at 25 degC in calm air."""
+def _make_resting_truth(rate: float, length: float) -> Trajectory:
+    """Return a truth at rest in a frame that does not rotate, with 1 g, at 25 degC in calm air."""
     n = round(rate * length)
     t = np.arange(n + 1) / rate
     one = np.ones(2)
@@ -116,7 +116,7 @@ def _still(rate: float, length: float) -> Trajectory:
     return Trajectory(t, fixed, fixed, turn, np.zeros((n, 3)), force, air, controls, no_events())
 
 
-def _curve(
+def _measure_curve(
     name: str,
     increments: FloatArray,
     interval: float,
@@ -124,9 +124,9 @@ def _curve(
     triad: TriadSpec | None,
     step: float = 0.0,
 ) -> AllanCurve:
-    """Return the curve of one record, axes pooled, and its band around the figures of a datasheet.
+    """Return the Allan deviation of one record, axes pooled, with its band around the datasheet.
 
-    ``step`` is that of simulated biases [s].
+    ``step`` is the interval between the instants of the simulated biases [s].
     """
     by_axis = allan.overlapping(increments, interval, spans)
     measured: FloatArray = np.sqrt(np.mean(by_axis**2, axis=1))
@@ -138,19 +138,19 @@ def _curve(
     edf: FloatArray = axes * np.array(one_axis)
     expected = allan.deviation(process, tau) if terms else np.full(len(tau), np.nan)
     centre = expected if terms else measured
-    low, high = centre * _quantile(edf, _TAIL), centre * _quantile(edf, 1 - _TAIL)
+    low, high = centre * _ratio_quantile(edf, _TAIL), centre * _ratio_quantile(edf, 1 - _TAIL)
     by_term = {key: allan.deviation(term, tau) for key, term in terms.items()}
     return AllanCurve(name, tau, measured, edf, low, high, expected, by_term)
 
 
-def _quantile(edf: FloatArray, probability: float) -> FloatArray:
-    """Return that quantile of a measured over the expected Allan deviation."""
+def _ratio_quantile(edf: FloatArray, probability: float) -> FloatArray:
+    """Return the quantile (T,) of the ratio of measured to expected Allan deviation."""
     ratio: FloatArray = np.sqrt(2 * gammaincinv(edf / 2, probability) / edf)
     return ratio
 
 
-def _joined(parts: list[AllanCurve]) -> AllanCurve:
-    """Return curves of one triad, one after the other, as one."""
+def _join_curves(parts: list[AllanCurve]) -> AllanCurve:
+    """Join the curves of one triad for consecutive averaging times."""
     columns = ("tau", "measured", "edf", "low", "high", "expected")
     return AllanCurve(
         parts[0].triad,
@@ -159,8 +159,8 @@ def _joined(parts: list[AllanCurve]) -> AllanCurve:
     )
 
 
-def record_curves(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpec | None) -> list[AllanCurve]:
-    """Measure the record of a unit at rest; compare it with a datasheet when there is one.
+def measure_record(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpec | None) -> list[AllanCurve]:
+    """Return the Allan deviations of a recording at rest, compared with a datasheet if there is one.
 
     Parameters
     ----------
@@ -174,16 +174,16 @@ def record_curves(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpec
     interval = (t[-1] - t[0]) / (len(t) - 1)
     spans = allan.octaves(len(t), INDEPENDENT)
     return [
-        _curve(name, rates * interval, interval, spans, getattr(spec, name) if spec else None)
+        _measure_curve(name, rates * interval, interval, spans, getattr(spec, name) if spec else None)
         for name, rates in triads.items()
     ]
 
 
 def fit_noise(curve: AllanCurve) -> dict[str, float]:
-    """Return N, B and K of a measured curve, in SI: white noise, flat part, rate random walk.
+    """Fit N (white noise), B (flat part) and K (rate random walk) to a measured curve, in SI.
 
-    Least squares of the Allan variances with non-negative N^2, B^2, K^2 and a quantization, each variance
-    weighted by its degrees of freedom.
+    Least squares of the Allan variances with non-negative N^2, B^2, K^2 and quantization; the weights are the
+    degrees of freedom.
     """
     from scipy.optimize import nnls
 
@@ -194,8 +194,8 @@ def fit_noise(curve: AllanCurve) -> dict[str, float]:
     return {"N": math.sqrt(N2), "B": math.sqrt(B2), "K": math.sqrt(K2)}
 
 
-def noise_figures(name: str, triad: TriadSpec) -> dict[str, str]:
-    """Write the figures of a triad's random errors in the units of datasheets, by the name of the error."""
+def format_noise_figures(name: str, triad: TriadSpec) -> dict[str, str]:
+    """Return the random errors of a triad as text in the units of datasheets, by name of the error."""
     unit, factor = SHOWN_UNITS[name]
     root = "deg/sqrt(h)" if name == "gyro" else "m/s/sqrt(h)"
     per_root = math.degrees(60.0) if name == "gyro" else 60.0

@@ -1,7 +1,7 @@
-"""How far a filter drifts without GNSS: cuts at several places of a recording, their statistics, and the law.
+"""Drift of a filter without GNSS: outages made at several places of a recording, and their statistics.
 
-The fixes that are cut out judge the drift. Few places say little about a 95 % value; every quantile
-therefore comes with an interval that holds for any distribution, as long as the places are independent.
+The fixes inside an outage are the reference for the drift. A few places say little about the 95 % value, so
+every quantile has a confidence interval. It is valid for any distribution if the places are independent.
 """
 
 from __future__ import annotations
@@ -17,42 +17,43 @@ from bench.specs import ImuSpec
 from bench.units import STANDARD_GRAVITY
 
 CONFIDENCE = 0.95
-"""Of the intervals of the quantiles."""
+"""Confidence of the intervals of the quantiles [1]."""
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-"""Median of the length of a horizontal error over its standard deviation by axis, when normal."""
+"""Median of the length of a normal horizontal error, over its standard deviation by axis [1]."""
 RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
-"""The same of the 95 % quantile."""
+"""95 % quantile of the length of a normal horizontal error, over its standard deviation by axis [1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutageDrift:
-    """What one outage at one place did to an estimator."""
+    """Drift of an estimator in one outage."""
 
-    start: float  # the last fix before it [s]
-    duration: float  # from there to the fix that ends it [s]
-    drift: float  # horizontal error at the fix that ends it [m]
-    drift_v: float  # vertical [m]
-    claimed: float  # standard deviation by axis that the filter claims there [m]
+    start: float  # last fix before the outage [s]
+    duration: float  # from there to the fix that ends the outage [s]
+    drift: float  # horizontal error at the fix that ends the outage [m]
+    drift_v: float  # vertical error there [m]
+    claimed: float  # standard deviation by axis that the filter gives there [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile of a sample and its interval; an end that so few values cannot give is None."""
+    """A quantile of a sample and its confidence interval; a limit is None if there are too few values."""
 
     value: float
     low: float | None
     high: float | None
 
 
-def quantile(values: FloatArray, fraction: float, confidence: float = CONFIDENCE) -> Quantile:
-    """Return a quantile of independent values, and the order statistics that enclose the true one.
+def estimate_quantile(values: FloatArray, fraction: float, confidence: float = CONFIDENCE) -> Quantile:
+    """Return a quantile of independent values with its distribution-free confidence interval.
 
-    The number of values below the true quantile is binomial, whatever they are distributed like
-    (David, Nagaraja, Order Statistics, 3rd ed., 7.1). Each end may fail with half of 1 - confidence.
+    The number of values below the true quantile is binomial for any distribution, so order statistics
+    enclose it (David, Nagaraja, Order Statistics, 3rd ed., 7.1). Each limit fails with probability
+    (1 - confidence) / 2.
 
     Examples
     --------
-    >>> quantile(np.arange(1.0, 11.0), 0.5)  # of ten values the second and the ninth
+    >>> estimate_quantile(np.arange(1.0, 11.0), 0.5)  # of ten values the second and the ninth
     Quantile(value=5.5, low=2.0, high=9.0)
     """
     from scipy.special import bdtr
@@ -69,13 +70,13 @@ def quantile(values: FloatArray, fraction: float, confidence: float = CONFIDENCE
     )
 
 
-def places(first: float, last: float, duration: float, count: int) -> FloatArray:
-    """Return where cuts of a duration begin, evenly from the first instant to the last possible [s].
+def place_outages(first: float, last: float, duration: float, count: int) -> FloatArray:
+    """Return the starts of ``count`` outages, evenly spaced from the first to the last possible instant [s].
 
     Raises
     ------
     ValueError
-        When there is no room for one.
+        If there is no room for an outage.
     """
     if last - duration < first:
         raise ValueError(f"an outage of {duration:g} s does not fit between {first:g} and {last:g} s")
@@ -83,15 +84,15 @@ def places(first: float, last: float, duration: float, count: int) -> FloatArray
 
 
 def closed_form_sd(imu: ImuSpec, duration: float) -> float:
-    """Return the standard deviation by axis [m] of the drift of a well-calibrated IMU without aiding.
+    """Return the standard deviation by axis of the drift of a calibrated IMU without aiding [m].
 
-    Position and velocity are known when the aiding ends, the biases up to their instability::
+    Position and velocity are known when the aiding ends; the bias errors are the bias instabilities::
 
         s^2 = (b_a T^2 / 2)^2 + (g b_g T^3 / 6)^2 + N_a^2 T^3 / 3 + g^2 N_g^2 T^5 / 20
 
     with the bias instabilities b and the random walks N of the datasheet: double and triple integrals of a
-    constant and of white noise. Good for T far below 84 minutes. Scale factors, misalignments, the tilt and
-    heading at the start and wrong clocks come on top.
+    constant and of white noise. Valid for T far below 84 minutes. Scale factor errors, misalignments, initial
+    tilt and heading errors and timing errors are not included.
 
     Parameters
     ----------
@@ -112,15 +113,17 @@ def closed_form_sd(imu: ImuSpec, duration: float) -> float:
     )
 
 
-def drift_row(label: str, duration: float, cuts: Sequence[OutageDrift], imu: ImuSpec) -> dict[str, Any]:
-    """Return a row of the drift table: quantiles of the horizontal drift and what was to be expected [m]."""
-    drift = np.array([cut.drift for cut in cuts])
-    median, most = quantile(drift, 0.5), quantile(drift, 0.95)
-    law = closed_form_sd(imu, duration)
+def make_drift_row(
+    label: str, duration: float, drifts: Sequence[OutageDrift], imu: ImuSpec
+) -> dict[str, Any]:
+    """Return a row of the drift table: quantiles of the horizontal drift, measured and expected [m]."""
+    drift = np.array([one.drift for one in drifts])
+    median, most = estimate_quantile(drift, 0.5), estimate_quantile(drift, 0.95)
+    expected = closed_form_sd(imu, duration)
     return {
         "estimator": label,
         "duration_s": duration,
-        "places": len(cuts),
+        "places": len(drifts),
         "median_h_m": median.value,
         "median_h_low_m": median.low,
         "median_h_high_m": median.high,
@@ -128,43 +131,43 @@ def drift_row(label: str, duration: float, cuts: Sequence[OutageDrift], imu: Imu
         "p95_h_low_m": most.low,
         "p95_h_high_m": most.high,
         "rms_h_m": float(np.sqrt(np.mean(drift**2))),
-        "median_v_m": float(np.median([cut.drift_v for cut in cuts])),
-        "claimed_median_h_m": float(RAYLEIGH_MEDIAN * np.median([cut.claimed for cut in cuts])),
-        "closed_form_median_h_m": RAYLEIGH_MEDIAN * law,
-        "closed_form_p95_h_m": RAYLEIGH_95 * law,
-        "starts_s": [cut.start for cut in cuts],
+        "median_v_m": float(np.median([one.drift_v for one in drifts])),
+        "claimed_median_h_m": float(RAYLEIGH_MEDIAN * np.median([one.claimed for one in drifts])),
+        "closed_form_median_h_m": RAYLEIGH_MEDIAN * expected,
+        "closed_form_p95_h_m": RAYLEIGH_95 * expected,
+        "starts_s": [one.start for one in drifts],
         "drifts_h_m": drift.tolist(),
     }
 
 
 DRIFT_COLUMNS = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
 DRIFT_MEANING = (
-    "In brackets the 95 % interval of the quantile, from the places alone. Claimed: the median the filter "
-    "says of itself. Law: the median by bias instability and noise of the assumed datasheet after a perfect "
-    "start."
+    "In brackets: the 95 % confidence interval of the quantile. Claimed: the median by the covariance of the "
+    "filter. Law: the median expected from bias instability and noise of the assumed datasheet, with a "
+    "perfect start."
 )
 
 
-def drift_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """Write a row of the drift table; an end of an interval that so few places cannot give is a dash."""
+def format_drift_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a row of the drift table as text; a limit is a dash if there are too few places."""
     return (
         f"{row['duration_s']:g} s",
         row["estimator"],
         str(row["places"]),
-        _interval(row, "median_h"),
-        _interval(row, "p95_h"),
-        _number(row["claimed_median_h_m"]),
+        _format_quantile(row, "median_h"),
+        _format_quantile(row, "p95_h"),
+        _format_number(row["claimed_median_h_m"]),
         f"{row['closed_form_median_h_m']:.3g}",
     )
 
 
-def _interval(row: Mapping[str, Any], name: str) -> str:
+def _format_quantile(row: Mapping[str, Any], name: str) -> str:
     low, high = row[f"{name}_low_m"], row[f"{name}_high_m"]
     if not np.isfinite(row[f"{name}_m"]):
         return "-"
-    ends = " to ".join(map(_number, (low, high)))
+    ends = " to ".join(map(_format_number, (low, high)))
     return f"{row[f'{name}_m']:.3g} ({ends})"
 
 
-def _number(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"

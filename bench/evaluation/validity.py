@@ -1,8 +1,8 @@
-"""Is a recording what it says it is? Order and gaps of times, units, axes, the clocks of IMU and receiver.
+"""Plausibility checks of a recording: order of times, gaps, units, axes, clocks of IMU and receiver.
 
-Nothing is repaired: a check says what it measured and whether that is as it should be. The checks use
-the motion itself: gravity where the vehicle stands still, and where it moves, turns and accelerations that
-the IMU and the receiver both measure.
+Each check reports what it measured and whether that is plausible. Nothing is repaired. The checks use the
+motion itself: gravity at standstill, and on the move the turns and accelerations that both the IMU and the
+receiver measure.
 """
 
 from __future__ import annotations
@@ -18,73 +18,75 @@ from bench.instruments import BaroData
 from bench.units import STANDARD_GRAVITY
 
 STILL = 0.2
-"""Ground speed [m/s] below which a vehicle is taken to stand."""
+"""Ground speed below which a vehicle counts as standing still [m/s]."""
 STILL_AT_LEAST = 2.0
-"""So long [s]."""
+"""Shortest standstill that is used [s]."""
 GRAVITY_OFF = 0.03
-"""Share of gravity that the specific force at rest may be off: more than the bias of any usual unit [1]."""
+"""Allowed relative error of the specific force at rest [1]: more than the bias of any usual IMU."""
 TILT_OFF = np.deg2rad(20.0)
-"""Angle [rad] of the specific force at rest to the up axis that no parking place explains."""
+"""Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""
 GAIN_OFF = 0.2
-"""Share that the turn rate or acceleration of the IMU may differ from that of the receiver [1]."""
+"""Allowed relative difference of the turn rates of IMU and receiver [1]."""
 YAW_OFF = np.deg2rad(10.0)
-"""Angle [rad] between the forward axis and where accelerations point that is worth a word."""
+"""Allowed angle between the forward axis and the direction of accelerations [rad]."""
 SHIFT_OFF = 0.02
-"""Time [s] between the clocks that is worth a word: 0.2 m at 10 m/s."""
+"""Allowed time shift between the clocks [s]: 0.2 m at 10 m/s."""
 RATE_LIMIT = np.deg2rad(4000.0)
-"""Angular rate [rad/s] beyond the range of usual gyros."""
-_MOVING = 2.0  # ground speed that gives a course [m/s]
-_TURNING = np.deg2rad(1.0)  # rms turn rate that a correlation needs [rad/s]
-_SPEEDING = 0.1  # rms acceleration along the track that it needs [m/s^2]
-_SEARCH = 1.0  # shifts looked at, either way [s]
-_STEP = 0.01  # [s]
-_SIGMAS = 5.0  # a shift counts beyond so many of its standard deviations
-_GAP = 3.0  # of usual intervals
+"""Angular rate beyond the range of usual gyros [rad/s]."""
+_MOVING = 2.0  # lowest ground speed that gives a course [m/s]
+_TURNING = np.deg2rad(1.0)  # lowest rms turn rate for a correlation [rad/s]
+_SPEEDING = 0.1  # lowest rms acceleration along the track for a correlation [m/s^2]
+_SEARCH = 1.0  # largest time shift that is tried, either way [s]
+_STEP = 0.01  # step of the search [s]
+_SIGMAS = 5.0  # a shift is reported beyond this many of its standard deviations
+_GAP = 3.0  # a longer interval is a gap, in usual intervals
 _LAGS = 4  # fixes over which the residuals of central differences are correlated
-_FEWEST = 20  # fixes for a correlation
+_FEWEST = 20  # smallest number of fixes for a correlation
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str  # ends in the unit of the value
-    value: float | None  # None: it could not be measured
+    value: float | None  # None if it could not be measured
     text: str
     good: bool
 
 
-def check(imu: ImuData, fixes: GnssFixes, baro: BaroData | None, antenna_b: FloatArray) -> list[Check]:
-    """Return what was looked at in a recording, in the order to read it.
+def check_recording(
+    imu: ImuData, fixes: GnssFixes, baro: BaroData | None, antenna_b: FloatArray
+) -> list[Check]:
+    """Check a recording; return the results in reading order.
 
     Parameters
     ----------
     imu : ImuData
-        In b, in the order of its file.
+        In frame b, in the order of the file.
     fixes : GnssFixes
-        On the same clock.
+        With times of the same clock.
     baro : BaroData or None
-        The same.
+        With times of the same clock.
     antenna_b : (3,) array
         GNSS antenna relative to the IMU [m], b.
 
     Notes
     -----
-    Turns are compared as the course over ground of the IMU with its turn rate. A car turns about its rear
-    axle: an IMU a distance L ahead of it swings out, and its clock seems to be late by L over the speed.
+    The course over ground at the IMU is compared with the integral of the turn rate. A car turns about its
+    rear axle: an IMU at a distance L ahead of it swings out, and its clock seems to be late by L / speed.
     """
-    checks = [*_times("imu", imu.t, imu.valid), *_times("gnss", fixes.t, fixes.valid)]
+    checks = [*_check_times("imu", imu.t, imu.valid), *_check_times("gnss", fixes.t, fixes.valid)]
     if baro is not None:
-        checks += _times("baro", baro.t, baro.valid)
-    motion = _Motion.of(imu, fixes)
-    checks += _rates(motion)
-    checks += _rest(motion)
-    checks += _together(motion, np.asarray(antenna_b))
+        checks += _check_times("baro", baro.t, baro.valid)
+    motion = _Motion.from_records(imu, fixes)
+    checks += _check_rates(motion)
+    checks += _check_rest(motion)
+    checks += _check_alignment(motion, np.asarray(antenna_b))
     return checks
 
 
-def _times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
-    """Return the checks of the times of a record; row 1 is the first."""
+def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
+    """Check the times of a record; messages count rows from 1."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
     back = np.flatnonzero(steps <= 0)
@@ -114,7 +116,7 @@ def _times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """What both units measured, in order of time."""
+    """Measurements of IMU and receiver in order of time."""
 
     t: FloatArray  # (N,) of the IMU [s]
     dt: FloatArray  # (N,) [s]
@@ -125,7 +127,8 @@ class _Motion:
     vel: FloatArray  # (M, 2) over ground [m/s], n
 
     @classmethod
-    def of(cls, imu: ImuData, fixes: GnssFixes) -> _Motion:
+    def from_records(cls, imu: ImuData, fixes: GnssFixes) -> _Motion:
+        """Take the valid rows whose time increases."""
         keep = np.flatnonzero(imu.valid)
         keep = keep[imu.t[keep] > np.concatenate([[-np.inf], np.maximum.accumulate(imu.t[keep])[:-1]])]
         dt = imu.dt[keep, None]
@@ -147,7 +150,8 @@ class _Motion:
         return np.asarray(np.hypot(self.vel[:, 0], self.vel[:, 1]))
 
 
-def _rates(motion: _Motion) -> list[Check]:
+def _check_rates(motion: _Motion) -> list[Check]:
+    """Check the largest angular rate."""
     most = float(np.abs(motion.gyro).max()) if len(motion.gyro) else 0.0
     text = f"imu: largest angular rate {np.rad2deg(most):.4g} deg/s"
     if most > RATE_LIMIT:
@@ -162,17 +166,17 @@ def _rates(motion: _Motion) -> list[Check]:
     return [Check("gyro_max_deg_s", float(np.rad2deg(most)), text, True)]
 
 
-def standing(fixes_t: FloatArray, speed: FloatArray) -> list[tuple[float, float]]:
-    """Return the times [s] between fixes during which a vehicle stood still."""
+def find_standstills(fixes_t: FloatArray, speed: FloatArray) -> list[tuple[float, float]]:
+    """Return start and end [s] of every standstill between fixes."""
     still = np.concatenate([[False], speed < STILL, [False]])
     edges = np.flatnonzero(still[1:] != still[:-1])
     spans = [(float(fixes_t[a]), float(fixes_t[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [(a, b) for a, b in spans if b - a >= STILL_AT_LEAST]
 
 
-def _rest(motion: _Motion) -> list[Check]:
-    """Return the checks of gravity and gyro bias where the vehicle stands still."""
-    spans = standing(motion.fix_t, motion.speed)
+def _check_rest(motion: _Motion) -> list[Check]:
+    """Check gravity and angular rate at standstill."""
+    spans = find_standstills(motion.fix_t, motion.speed)
     rows = np.zeros(len(motion.t), np.bool_)
     for a, b in spans:
         rows |= (motion.t > a + 0.5) & (motion.t < b - 0.5)
@@ -200,15 +204,15 @@ def _rest(motion: _Motion) -> list[Check]:
         words += ": mounting_deg does not make z point down"
     found.append(Check("rest_tilt_deg", float(np.rad2deg(tilt)), words, bool(tilt <= TILT_OFF)))
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
-    said = ", ".join(f"{b:.3f}" for b in bias)
+    axes = ", ".join(f"{b:.3f}" for b in bias)
     found.append(
-        Check("rest_rate_deg_s", float(np.linalg.norm(bias)), f"imu: angular rate at rest {said} deg/s", True)
+        Check("rest_rate_deg_s", float(np.linalg.norm(bias)), f"imu: angular rate at rest {axes} deg/s", True)
     )
     return found
 
 
-def _together(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
-    """Return the checks that need a motion both units measured: clocks, units and axes."""
+def _check_alignment(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
+    """Check clocks, units and axes with the motion that both IMU and receiver measured."""
     good = np.asarray(np.isfinite(motion.vel).all(axis=1))
     if good.sum() < _FEWEST:
         text = "gnss: no velocity; the clocks, turns and accelerations of IMU and receiver are not compared"
@@ -228,17 +232,17 @@ def _together(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
     rate = np.where(speed > _MOVING, np.gradient(course, t), 0.0)
     forward = np.array([1.0, 0.0, 0.0]) - down[0] * down
     ahead, right = antenna_b @ forward, antenna_b @ np.cross(down, forward)
-    course = course - rate * ahead / np.maximum(speed, _MOVING)  # of the IMU; the antenna swings
+    course = course - rate * ahead / np.maximum(speed, _MOVING)  # of the IMU: the antenna swings
     speed = speed + rate * right
     early, late = t[middle], t[middle + 2]
     span = late - early
     turn = (course[middle + 2] - course[middle]) / span
     gain_of_speed = (speed[middle + 2] - speed[middle]) / span
-    found = _velocity(motion, good, middle)
+    found = _check_velocity(motion, good, middle)
     if np.sqrt(np.mean(turn**2)) > _TURNING:
-        yaw = _integral(motion.t, (motion.gyro @ down)[:, None])
-        shift, sd, gain = _shift(motion.t, yaw, early, late, turn[:, None])
-        found.append(_clock(shift, sd, "turns"))
+        yaw = _integrate(motion.t, (motion.gyro @ down)[:, None])
+        shift, sd, gain = _fit_shift(motion.t, yaw, early, late, turn[:, None])
+        found.append(_check_clock(shift, sd, "turns"))
         text = f"imu: turn rate is {gain:.3f} of that of the course"
         if abs(gain - 1.0) > GAIN_OFF:
             guess = {57.3: "deg/s in a column of rad/s", 1 / 57.3: "rad/s in a column of deg/s"}
@@ -248,38 +252,40 @@ def _together(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
             )
         found.append(Check("turn_gain", gain, text, abs(gain - 1.0) <= GAIN_OFF))
     elif np.sqrt(np.mean(gain_of_speed**2)) > _SPEEDING:
-        forward = _integral(motion.t, motion.accel[:, :1] - level[:1])
-        shift, sd, _ = _shift(motion.t, forward, early, late, gain_of_speed[:, None])
-        found.append(_clock(shift, sd, "accelerations"))
+        forward = _integrate(motion.t, motion.accel[:, :1] - level[:1])
+        shift, sd, _ = _fit_shift(motion.t, forward, early, late, gain_of_speed[:, None])
+        found.append(_check_clock(shift, sd, "accelerations"))
     else:
         text = "imu: too few turns and accelerations to compare its clock with the receiver's"
         found.append(Check("imu_shift_s", None, text, True))
     if np.sqrt(np.mean(gain_of_speed**2)) > _SPEEDING:
         across = 0.5 * (speed[middle + 2] + speed[middle]) * turn
-        found.append(_forward(motion, level, early, late, np.column_stack([gain_of_speed, across])))
+        found.append(
+            _check_forward_axis(motion, level, early, late, np.column_stack([gain_of_speed, across]))
+        )
     return found
 
 
-def _integral(t: FloatArray, rate: FloatArray) -> FloatArray:
+def _integrate(t: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the integral (N, k) of rates (N, k) that held over the intervals ending at t (N,)."""
     return np.asarray(np.cumsum(rate * np.diff(t, prepend=t[0])[:, None], axis=0))
 
 
 def _mean_rate(t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray) -> FloatArray:
-    """Return the mean rates (M, k) of integrals (N, k) between instants (M,)."""
+    """Return the mean rates (M, k) between instants (M,) of integrals (N, k), less their average."""
     columns = [(np.interp(late, t, one) - np.interp(early, t, one)) / (late - early) for one in integral.T]
     rates = np.stack(columns, axis=-1)
     return np.asarray(rates - rates.mean(axis=0))
 
 
-def _shift(
+def _fit_shift(
     t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray, seen: FloatArray
 ) -> tuple[float, float, float]:
-    """Return what to add to the times t to fit what was seen [s], its standard deviation, and the gain.
+    """Return the time to add to t that fits the reference rates [s], its standard deviation, and the gain.
 
-    The shift is where the correlation of the mean rates of both between ``early`` and ``late`` is highest.
-    Its standard deviation is that of a least squares fit to first order in the shift, with the correlation
-    of the residuals, which is strong: neighbouring central differences share half their time.
+    The shift maximizes the correlation between the mean rates of the integral from ``early`` to ``late`` and
+    the reference ``seen``. Its standard deviation is that of a linear least squares fit with correlated
+    residuals: neighbouring central differences share half their time.
     """
     shifts = np.arange(-_SEARCH, _SEARCH + 0.5 * _STEP, _STEP)
     inside = (early > t[0] + _SEARCH) & (late < t[-1] - _SEARCH)
@@ -304,21 +310,21 @@ def _shift(
 
 
 def _variance_of_sum(values: FloatArray) -> float:
-    """Return the variance of the sum of values that are correlated over a few rows, and never none."""
+    """Return the variance (above 0) of the sum of values that are correlated over a few rows."""
     products = [np.dot(values[lag:], values[:-lag]) for lag in range(1, min(_LAGS, len(values) - 1) + 1)]
     alone = float(np.dot(values, values))
     return max(alone + 2.0 * float(np.sum(products)), 0.01 * alone)
 
 
-def _velocity(motion: _Motion, good: BoolArray, middle: IntArray) -> list[Check]:
-    """Compare the velocity of the receiver with what its positions do: some report it late."""
+def _check_velocity(motion: _Motion, good: BoolArray, middle: IntArray) -> list[Check]:
+    """Compare the velocity of the receiver with its positions: some receivers report velocity late."""
     t, origin = motion.fix_t[good], motion.lla[good][0]
     path, velocity = local_ned(motion.lla[good], origin)[:, :2], motion.vel[good]
     between = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
     travelled = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
     early, late = t[middle], t[middle + 2]
     seen = (path[middle + 2] - path[middle]) / (late - early)[:, None]
-    shift, sd, _ = _shift(t, travelled, early, late, seen)
+    shift, sd, _ = _fit_shift(t, travelled, early, late, seen)
     text = f"gnss: its velocity fits its positions with {shift:+.3f} s added to its time (sd {sd:.3f} s)"
     bad = abs(shift) > max(SHIFT_OFF, _SIGMAS * sd)
     if bad:
@@ -326,7 +332,8 @@ def _velocity(motion: _Motion, good: BoolArray, middle: IntArray) -> list[Check]
     return [Check("velocity_shift_s", shift if np.isfinite(shift) else None, text, not bad)]
 
 
-def _clock(shift: float, sd: float, by: str) -> Check:
+def _check_clock(shift: float, sd: float, by: str) -> Check:
+    """Check the time shift between IMU and receiver."""
     good = not (abs(shift) > max(SHIFT_OFF, _SIGMAS * sd))
     text = f"imu: its clock fits the receiver's by {by} with {shift:+.3f} s added (sd {sd:.3f} s)"
     if not good:
@@ -334,14 +341,14 @@ def _clock(shift: float, sd: float, by: str) -> Check:
     return Check("imu_shift_s", shift if np.isfinite(shift) else None, text, good)
 
 
-def _forward(
+def _check_forward_axis(
     motion: _Motion, level: FloatArray, early: FloatArray, late: FloatArray, seen: FloatArray
 ) -> Check:
-    """Compare where the specific force points when the receiver speeds up and slows down.
+    """Compare the direction of the specific force with the accelerations of the receiver.
 
-    ``seen`` (M, 2): its acceleration along and across the track [m/s^2].
+    ``seen`` (M, 2): acceleration along and across the track [m/s^2].
     """
-    speeds = _integral(motion.t, motion.accel[:, :2] - level[:2])
+    speeds = _integrate(motion.t, motion.accel[:, :2] - level[:2])
     own = _mean_rate(motion.t, speeds, early, late)
     gains = np.linalg.lstsq(seen - seen.mean(axis=0), own, rcond=None)[0][0]
     angle = float(np.arctan2(gains[1], gains[0]))

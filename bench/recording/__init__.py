@@ -44,7 +44,7 @@ def write(
     solutions, errors, metrics : mappings by estimator
         What the estimators made of it. The first is the main one: the overview shows it.
     outages : sequence of mappings
-        Rows of the drift table of a log, as `bench.evaluation.outages.drift_row` makes them.
+        Rows of the drift table of a log, as `bench.evaluation.outages.make_drift_row` makes them.
 
     Raises
     ------

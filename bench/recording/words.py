@@ -9,8 +9,8 @@ import numpy as np
 
 from bench.config.log import LogSpec
 from bench.data import NavSolution, Sensed
-from bench.evaluation.metrics import metric_of
-from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, drift_cells
+from bench.evaluation.metrics import find_metric
+from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.instruments import INSTRUMENTS
 from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour, Motion
 from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
@@ -109,7 +109,7 @@ def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Map
     ]
     for name in dict.fromkeys(name for values in metrics.values() for name in values):
         row = [values.get(name) for values in metrics.values()]
-        if metric_of(name) is not None and not name.endswith("_all"):
+        if find_metric(name) is not None and not name.endswith("_all"):
             lines.append(f"| {name} | {' | '.join(_number(value) for value in row)} |")
     return "\n".join(lines) + "\n"
 
@@ -176,6 +176,6 @@ def drift_page(table: Sequence[Mapping[str, Any]]) -> str:
     """Return the drift over outages of a log in Markdown; nothing when none was cut."""
     if not table:
         return ""
-    rows = [DRIFT_COLUMNS, ("---",) * len(DRIFT_COLUMNS), *map(drift_cells, table)]
+    rows = [DRIFT_COLUMNS, ("---",) * len(DRIFT_COLUMNS), *map(format_drift_row, table)]
     lines = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join(["", "**Horizontal drift without GNSS** [m]", "", *lines, "", DRIFT_MEANING, ""])

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import api, store
-from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, noise_figures
-from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, drift_cells
+from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
+from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.specs import TriadSpec
 from bench.workbench import show
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
@@ -52,7 +52,7 @@ def navigate_log(
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
         for row in result.more["outages"]:
-            table.add_row(*drift_cells(row))
+            table.add_row(*format_drift_row(row))
         console.print(table)
         console.print(DRIFT_MEANING, soft_wrap=True)
     api.save(result, folder, recording=recording, force=force, say=console.print)
@@ -160,6 +160,6 @@ def _fitted(curve: AllanCurve) -> str:
     """Say the figures of a measured curve in the units of datasheets."""
     found = fit_noise(curve)
     as_triad = TriadSpec(random_walk=found["N"], bias_instability=found["B"], rate_random_walk=found["K"])
-    texts = noise_figures(curve.triad, as_triad)
+    texts = format_noise_figures(curve.triad, as_triad)
     del texts["quantization"]
     return f"{curve.triad}, fitted: " + ", ".join(f"{name} {text}" for name, text in texts.items())

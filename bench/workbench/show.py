@@ -17,7 +17,7 @@ from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
 from bench.data import NavSolution, RunResult
 from bench.evaluation.error_series import FAILED
-from bench.evaluation.metrics import metric_of
+from bench.evaluation.metrics import find_metric
 from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described
 from bench.specs import Profile
@@ -90,7 +90,7 @@ def _metrics(results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, 
             table.add_column(label.replace("-", "-\n", 1), justify="right", overflow="fold")
     for start in _SUMMARY:
         for name in names:
-            if name.startswith(start) and not name.endswith("_all") and metric_of(name) is not None:
+            if name.startswith(start) and not name.endswith("_all") and find_metric(name) is not None:
                 cells = [
                     _number(values.get(name)) + _band(name, values, narrow=narrow)
                     for values in results.values()

@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from bench.data import Innovations, no_innovations
 from bench.evaluation.consistency import (
     SensorNis,
+    check_consistency,
     chi2_quantile,
-    consistency,
     mean_band,
     mean_nis,
     nis_by_sensor,
@@ -134,7 +134,7 @@ def filtered(seed, *, assumed_R=1.0, assumed_q=1.0, runs=RUNS, epochs=EPOCHS):
 
 def test_a_matched_filter_is_consistent():
     nees, nis = filtered(seed=1)
-    result = consistency(nees, STATES, nis)
+    result = check_consistency(nees, STATES, nis)
     assert result.verdict, result.reasons
     assert result.reasons == ()
     assert (result.states, result.runs, result.epochs) == (STATES, RUNS, EPOCHS)
@@ -147,7 +147,7 @@ def test_a_matched_filter_is_consistent():
 
 def test_a_measurement_variance_20_percent_too_small_breaks_every_claim():
     nees, nis = filtered(seed=1, assumed_R=0.8)
-    result = consistency(nees, STATES, nis)
+    result = check_consistency(nees, STATES, nis)
     assert not result.verdict
     claims = ("standard errors", "allowed 0.6", "of the epochs", "mean NIS of gnss_position")
     assert len(result.reasons) == len(claims)
@@ -158,7 +158,7 @@ def test_a_measurement_variance_20_percent_too_small_breaks_every_claim():
 
 def test_a_filter_that_believes_too_little_of_itself_fails_too():
     nees, nis = filtered(seed=1, assumed_R=1.3)
-    result = consistency(nees, STATES, nis)
+    result = check_consistency(nees, STATES, nis)
     assert not result.verdict
     assert result.mean < STATES
     assert result.nis["gnss_position"].mean < result.nis["gnss_position"].low
@@ -166,7 +166,7 @@ def test_a_filter_that_believes_too_little_of_itself_fails_too():
 
 def test_process_noise_too_small_is_seen():
     nees, nis = filtered(seed=1, assumed_q=0.5)
-    assert not consistency(nees, STATES, nis).verdict
+    assert not check_consistency(nees, STATES, nis).verdict
 
 
 def ensemble(averages, spread_in_time=0.0):
@@ -177,28 +177,28 @@ def ensemble(averages, spread_in_time=0.0):
 
 def test_the_mean_fails_by_its_standard_errors_alone():
     averages = 9.3 + 0.1 * np.where(np.arange(50) % 2, 1.0, -1.0)  # standard error 0.0143
-    result = consistency(ensemble(averages), 9, {})
+    result = check_consistency(ensemble(averages), 9, {})
     assert not result.verdict
     assert len(result.reasons) == 1
     assert result.reasons[0].startswith("mean NEES 9.300 is 21.0 standard errors")
-    assert consistency(ensemble(averages - 0.27), 9, {}).verdict  # 2.1 standard errors
+    assert check_consistency(ensemble(averages - 0.27), 9, {}).verdict  # 2.1 standard errors
 
 
 def test_the_mean_fails_by_its_distance_alone():
     averages = 9.7 + 3.0 * np.where(np.arange(50) % 2, 1.0, -1.0)  # standard error 0.43
-    result = consistency(ensemble(averages), 9, {})
+    result = check_consistency(ensemble(averages), 9, {})
     assert result.reasons == ("mean NEES 9.700 is 0.700 from 9; allowed 0.6",)
-    assert consistency(ensemble(averages - 0.2), 9, {}).verdict
+    assert check_consistency(ensemble(averages - 0.2), 9, {}).verdict
 
 
 def test_the_share_of_epochs_fails_alone():
     """Half of the epochs are too high and half too low: the averages over time are perfect."""
     averages = 9.0 + 0.1 * np.where(np.arange(50) % 2, 1.0, -1.0)
-    result = consistency(ensemble(averages, spread_in_time=2.0), 9, {})
+    result = check_consistency(ensemble(averages, spread_in_time=2.0), 9, {})
     assert result.inside == 0.0
     assert len(result.reasons) == 1
     assert result.reasons[0].startswith("0.0% of the epochs have their NEES over 50 runs in 7.86 to 10.21")
-    assert consistency(ensemble(averages, spread_in_time=1.0), 9, {}).verdict
+    assert check_consistency(ensemble(averages, spread_in_time=1.0), 9, {}).verdict
 
 
 def test_one_bad_sensor_among_good_ones_is_named():
@@ -206,7 +206,7 @@ def test_one_bad_sensor_among_good_ones_is_named():
     averages = 9.0 + 0.1 * np.where(np.arange(50) % 2, 1.0, -1.0)
     good = [sensor_nis(rng.chisquare(3, 500), 3) for _ in range(50)]
     bad = [sensor_nis(1.25 * rng.chisquare(1, 500), 1) for _ in range(50)]
-    result = consistency(ensemble(averages), 9, {"gnss_position": good, "baro": bad})
+    result = check_consistency(ensemble(averages), 9, {"gnss_position": good, "baro": bad})
     assert len(result.reasons) == 1
     assert result.reasons[0].startswith("mean NIS of baro is 1.2")
     assert result.nis["gnss_position"].inside
@@ -216,10 +216,10 @@ def test_one_bad_sensor_among_good_ones_is_named():
 def test_nees_that_is_nan_is_not_consistent():
     nees, nis = filtered(seed=1, epochs=20)
     nees[3, 4] = np.nan
-    assert not consistency(nees, STATES, nis).verdict
+    assert not check_consistency(nees, STATES, nis).verdict
 
 
 @pytest.mark.parametrize("shape", [(1, 10), (5, 0)])
 def test_too_few_runs_or_epochs_are_an_error(shape):
     with pytest.raises(ValueError, match="at least 2 runs and 1 epoch"):
-        consistency(np.ones(shape), 9, {})
+        check_consistency(np.ones(shape), 9, {})

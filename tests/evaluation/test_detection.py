@@ -12,7 +12,8 @@ import pytest
 
 from bench.data import Events, Innovations, NavSolution
 from bench.evaluation import metrics
-from bench.evaluation.detection import _unexplained, alarms, delay
+from bench.evaluation.case import collect_alarms
+from bench.evaluation.detection import count_false_alarms, measure_delay
 from bench.navigation.fusion import Loose
 from bench.sensors import sense
 from bench.specs import Fault
@@ -108,15 +109,15 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
     from bench.evaluation.consistency import nis_by_sensor
 
     solution = by_hand({"gnss_position": [10.0, 20.0, 23.0, 30.0], "baro": [22.0]})
-    raised = alarms(nis_by_sensor(solution.innovations), solution.events)
+    raised = collect_alarms(nis_by_sensor(solution.innovations), solution.events)
     gnss, baro = Fault("spoofing", "gnss", 20.0, 30.0, ""), Fault("baro-step", "baro", 21.5, 30.0, "")
-    assert delay(gnss, raised) == 0.0
-    assert delay(baro, raised) == 0.5
-    assert delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
-    assert _unexplained([gnss, baro], raised, "gnss_position", 0.0) == 2
-    assert _unexplained([gnss], raised, "gnss_position", 15.0) == 1
-    assert _unexplained([gnss], raised, "baro", 0.0) == 1
-    assert _unexplained([gnss, baro], raised, "baro", 0.0) == 0
+    assert measure_delay(gnss, raised) == 0.0
+    assert measure_delay(baro, raised) == 0.5
+    assert measure_delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
+    assert count_false_alarms([gnss, baro], raised, "gnss_position", 0.0) == 2
+    assert count_false_alarms([gnss], raised, "gnss_position", 15.0) == 1
+    assert count_false_alarms([gnss], raised, "baro", 0.0) == 1
+    assert count_false_alarms([gnss, baro], raised, "baro", 0.0) == 0
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
@@ -126,11 +127,11 @@ def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
         (5.0, 5.0, "timeline", "gnss"),
     ]
     solution = by_hand({}, rows)
-    raised = alarms({}, solution.events)
+    raised = collect_alarms({}, solution.events)
     gnss, baro = Fault("spoofing", "gnss", 20.0, 60.0, ""), Fault("baro-step", "baro", 40.0, 60.0, "")
-    assert delay(gnss, raised) == 5.0
-    assert delay(baro, raised) == 10.0
-    assert _unexplained([baro], raised, "integrity", 0.0) == 1
+    assert measure_delay(gnss, raised) == 5.0
+    assert measure_delay(baro, raised) == 10.0
+    assert count_false_alarms([baro], raised, "integrity", 0.0) == 1
 
 
 EVERY = [

@@ -13,7 +13,13 @@ from scipy.linalg import expm
 
 from bench import rotation
 from bench.evaluation.consistency import mean_band
-from bench.evaluation.error_series import converged, error_series, heading_sd, normalized_squares, truth_at
+from bench.evaluation.error_series import (
+    check_convergence,
+    error_series,
+    heading_sd,
+    interpolate_truth,
+    normalized_squares,
+)
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 
 POS, VEL, PHI = np.array([3.0, -4.0, 2.0]), np.array([0.1, 0.2, -0.3]), np.array([0.01, -0.02, 0.03])
@@ -88,7 +94,7 @@ def test_heading_error_wraps_at_north(true_deg, est_deg, error_deg):
 def test_a_sample_instant_takes_its_own_row_even_with_rounding(truth):
     rows = np.array([0, 1, 777, len(truth) - 1])
     for jitter in (-1e-10, 0.0, 1e-10):
-        lla, vel_n, q_nb = truth_at(truth, truth.t[rows] + jitter)
+        lla, vel_n, q_nb = interpolate_truth(truth, truth.t[rows] + jitter)
         assert_array_equal(lla, truth.lla[rows])
         assert_array_equal(vel_n, truth.vel_n[rows])
         assert_array_equal(q_nb, truth.q_nb[rows])
@@ -104,7 +110,7 @@ def test_between_samples_the_error_falls_with_the_order_of_the_interpolation():
     for rate in (1.0, 2.0):
         coarse = weaving_truth(rate=rate)
         odd = np.flatnonzero((exact.t * rate * 4) % 4 == 1)  # a quarter into each interval
-        lla, vel_n, q_nb = truth_at(coarse, exact.t[odd])
+        lla, vel_n, q_nb = interpolate_truth(coarse, exact.t[odd])
         phi_n = rotation.to_rotvec(rotation.multiply(q_nb, rotation.conjugate(exact.q_nb[odd])))
         offset = (lla - exact.lla[odd]) * [6.4e6, 4.4e6, 1.0]
         worst.append([np.abs(x).max() for x in (offset, vel_n - exact.vel_n[odd], phi_n)])
@@ -121,8 +127,8 @@ def test_interpolation_crosses_the_date_line(truth):
         shifted, lla=np.column_stack([shifted.lla[:, 0], lon - 2 * np.pi * (lon > np.pi), shifted.lla[:, 2]])
     )
     t = truth.t[[999, 1000, 1001]] + 0.004
-    there, _, _ = truth_at(wrapped, t)
-    here, _, _ = truth_at(shifted, t)
+    there, _, _ = interpolate_truth(wrapped, t)
+    here, _, _ = interpolate_truth(shifted, t)
     assert_allclose(np.mod(there[:, 1], 2 * np.pi), np.mod(here[:, 1], 2 * np.pi), atol=1e-14)
 
 
@@ -185,7 +191,7 @@ def test_a_block_that_is_not_estimated_is_left_out_of_nees(truth):
         errors = error_series(truth, without(solution, *blocks))
         assert errors.states == 9 - 3 * len(blocks)
         assert_allclose(errors.nees, expected, rtol=1e-6)
-        assert converged(errors, without(solution, *blocks)) == (True, None)
+        assert check_convergence(errors, without(solution, *blocks)) == (True, None)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +213,7 @@ def test_nees_is_nan_only_where_the_covariance_is_not_positive_definite(truth, s
     bad = replace(solution, cov=cov)
     errors = error_series(truth, bad)
     assert_array_equal(np.flatnonzero(np.isnan(errors.nees)), [5])
-    sound, reason = converged(errors, bad)
+    sound, reason = check_convergence(errors, bad)
     assert not sound
     assert reason == "covariance is not positive definite at t = 0.5 s (1 of 201 epochs)"
 
@@ -255,16 +261,16 @@ def spoiled(solution, field, row, value):
 )
 def test_a_state_that_is_not_finite_has_not_converged(truth, field, value, reason):
     solution = spoiled(wrong_solution(truth), field, 7, value)
-    assert converged(error_series(truth, solution), solution) == (False, reason)
+    assert check_convergence(error_series(truth, solution), solution) == (False, reason)
 
 
 def test_a_state_beyond_the_nine_counts_too(truth):
     solution = wrong_solution(truth)
     ones = np.ones((len(solution), 1))
     solution = replace(solution, extra_names=("baro_bias_m",), extra=ones, extra_sd=ones)
-    assert converged(error_series(truth, solution), solution) == (True, None)
+    assert check_convergence(error_series(truth, solution), solution) == (True, None)
     bad = spoiled(solution, "extra_sd", 2, np.nan)
-    assert converged(error_series(truth, bad), bad) == (
+    assert check_convergence(error_series(truth, bad), bad) == (
         False,
         "standard deviation of baro_bias_m is not finite at t = 0.2 s (1 of 201 epochs)",
     )
@@ -273,7 +279,7 @@ def test_a_state_beyond_the_nine_counts_too(truth):
 def test_values_that_are_nan_throughout_under_a_finite_covariance_are_a_failure_not_an_absent_block(truth):
     solution = wrong_solution(truth)
     solution = replace(solution, vel_n=np.full_like(solution.vel_n, np.nan))
-    sound, reason = converged(error_series(truth, solution), solution)
+    sound, reason = check_convergence(error_series(truth, solution), solution)
     assert not sound
     assert reason == "velocity is not finite at t = 0 s (201 of 201 epochs)"
 
@@ -282,7 +288,10 @@ def test_an_estimator_without_any_block_has_not_converged(truth):
     solution = without(wrong_solution(truth), "pos", "vel", "phi")
     errors = error_series(truth, solution)
     assert errors.states == 0
-    assert converged(errors, solution) == (False, "no finite position, velocity or attitude at any epoch")
+    assert check_convergence(errors, solution) == (
+        False,
+        "no finite position, velocity or attitude at any epoch",
+    )
 
 
 @pytest.mark.parametrize(
@@ -296,7 +305,7 @@ def test_diverged_means_beyond_10_sigma_and_beyond_1_km(truth, distance, sigma, 
     pos_n = np.zeros((201, 3))
     pos_n[100:, :2] = distance / np.sqrt(2)
     solution = wrong_solution(truth, pos_n=pos_n, cov=cov)
-    verdict, reason = converged(error_series(truth, solution), solution)
+    verdict, reason = check_convergence(error_series(truth, solution), solution)
     assert verdict is sound
     if not sound:
         assert reason == (

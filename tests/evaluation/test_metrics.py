@@ -10,7 +10,7 @@ import pytest
 from bench import rotation
 from bench.data import Events, Innovations
 from bench.evaluation.consistency import chi2_quantile
-from bench.evaluation.metrics import METRICS, judge, metric_of
+from bench.evaluation.metrics import METRICS, find_metric, judge
 from bench.specs import Fault
 from bench.units import unit_of
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
@@ -126,7 +126,7 @@ def test_doubling_every_error_doubles_every_metric_of_accuracy(truth):
         return metrics_of(truth, solution, 6.0, OUTAGES)
 
     once, twice = judged(1.0), judged(2.0)
-    linear = [name for name in once if (row := metric_of(name)) and row.unit in ("m", "m/s", "deg")]
+    linear = [name for name in once if (row := find_metric(name)) and row.unit in ("m", "m/s", "deg")]
     assert len(linear) >= 2 * 20
     for name in linear:
         if once[name] is not None:
@@ -335,7 +335,7 @@ def test_every_row_of_the_table_gives_plain_numbers_under_its_name(truth):
     found = metrics_of(truth, full_run(truth), 3.0, OUTAGES, [fault])
     assert found.pop("converged") is True
     assert found.pop("reason") is None
-    rows = {metric_of(name) for name in found}
+    rows = {find_metric(name) for name in found}
     assert rows == set(METRICS)
     assert all(type(value) is float for value in found.values() if value is not None)
     assert all((name + "_all") in found for name in found if not name.endswith("_all"))
@@ -348,8 +348,8 @@ def test_the_name_of_a_metric_ends_in_its_unit():
 
 
 def test_a_name_without_a_row_has_no_metric():
-    assert metric_of("pos_rmse__m") is None
-    assert metric_of("converged") is None
+    assert find_metric("pos_rmse__m") is None
+    assert find_metric("converged") is None
 
 
 def test_metrics_of_a_block_that_is_not_estimated_are_absent(truth):

@@ -10,7 +10,7 @@ import numpy as np
 from bench import config, sensors, store
 from bench.data import RunResult, Sensed, Trajectory
 from bench.evaluation import metrics
-from bench.evaluation.error_series import at_rows
+from bench.evaluation.error_series import select_epochs
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 
@@ -33,7 +33,7 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     fixes = replace(sensed.data.fixes, valid=valid)
     sensed = replace(sensed, data=replace(sensed.data, fixes=fixes))
     rows = np.round(sensed.data.output_t * rate).astype(int)
-    solution = at_rows(wrong_solution(truth, every=1, **ERROR), rows)
+    solution = select_epochs(wrong_solution(truth, every=1, **ERROR), rows)
     errors, judged = metrics.judge(truth, solution, evaluation_from=5.0, outages=[LOST])
     result = RunResult(
         profile.document,

@@ -460,7 +460,11 @@ def test_an_aircraft_in_the_wind_finds_its_nose_within_the_drift_it_allows(short
     ],
 )
 def test_a_record_that_does_not_allow_it_is_refused_in_one_line(spec, motion, message):
-    truth = {"flying": weaving(20.0, rate=50.0), "short": standing(6.5), "standing": standing(20.0)}[motion]
+    truth = {
+        "flying": weaving(20.0, rate=50.0),
+        "short": standing(6.5),
+        "standing": standing(20.0),
+    }[motion]
     sensed = sensors.sense(truth, spec, 1, 0)
     with pytest.raises(EstimatorError) as caught:
         load("loose-15", {}).run(sensed.data, sensed.initial)

@@ -90,7 +90,7 @@ def test_an_epoch_between_two_samples_is_used_at_its_own_instant(truth):
     drawn = sensors.sense(truth, units(gnss=exact, baro=None), 7, 0)
     fixes = drawn.data.fixes
     t = fixes.t - 0.0025
-    lla, _, q = judge.truth_at(truth, t)
+    lla, _, q = judge.interpolate_truth(truth, t)
     arm = rotation.rotate(q, np.array(drawn.data.antenna_b))
     lla = earth.displace(lla, arm)
     moved = with_columns(fixes, t=t, t_arrival=t, lla=lla)

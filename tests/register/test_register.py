@@ -196,7 +196,7 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
 # --- the filter: #34 to #36 ---------------------------------------------------------------------------------
 
 
-def consistency(runs=200, seconds=900, seed=5, believed=None):
+def check_consistency(runs=200, seconds=900, seed=5, believed=None):
     """Mean NIS over all epochs and mean NEES over runs and epochs of a linear flight, grade 3."""
     rng = np.random.default_rng(seed)
     sig = GRADES["3"]
@@ -226,10 +226,10 @@ def test_34_a_linear_flight_is_consistent():
 
     A receiver twice as noisy in velocity as the filter believes leaves both.
     """
-    nis, nees = consistency()
+    nis, nees = check_consistency()
     assert abs(nis - 7) < 0.1
     assert abs(nees - 22) < 1.5
-    nis, nees = consistency(runs=20, believed=replace(GRADES["3"], white=(2.0, 2.75, 0.015)))
+    nis, nees = check_consistency(runs=20, believed=replace(GRADES["3"], white=(2.0, 2.75, 0.015)))
     assert nis > 7.1
     assert nees > 23.5
 

@@ -23,7 +23,7 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import read_imu
 from bench.errors import ConfigError
-from bench.evaluation.noise_curves import fit_noise, model_curves
+from bench.evaluation.noise_curves import fit_noise, measure_model
 from bench.exchange.resting_log import read_resting_log
 from bench.sensors import processes
 from bench.signals import allan
@@ -146,7 +146,7 @@ def seed_of(name):
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.stem)
 def test_every_unit_has_the_allan_deviation_of_its_figures(path):
     spec = read_imu(path, path.name)
-    curves = model_curves(spec, seed_of(path.stem))
+    curves = measure_model(spec, seed_of(path.stem))
     assert curves
     for curve in curves:
         total = np.sqrt(sum(term**2 for term in curve.terms.values()))
@@ -180,7 +180,7 @@ FULL = ImuSpec(
 
 def test_all_four_terms_at_once():
     """Quantization is as large as the white noise at 5 ms; then that rules, the instability, the walk."""
-    for curve in model_curves(FULL, 3):
+    for curve in measure_model(FULL, 3):
         assert curve.outside == 0, curve.measured / curve.expected
         bits, white, instability, walk = curve.terms.values()
         assert bits[0] > 0.95 * white[0]
@@ -196,7 +196,7 @@ def test_a_wrong_figure_is_seen(figure, factor):
     for name in ("gyro", "accel"):
         triad = getattr(FULL, name)
         claimed = replace(FULL, **{name: replace(triad, **{figure: factor * getattr(triad, figure)})})
-        measured = next(curve for curve in model_curves(FULL, 3) if curve.triad == name)
+        measured = next(curve for curve in measure_model(FULL, 3) if curve.triad == name)
         terms = processes.noise_terms(getattr(claimed, name))
         expected = allan.deviation(allan.total(*terms.values()), measured.tau)
         low, high = (
@@ -217,7 +217,7 @@ def test_a_skewed_warm_shaken_unit_is_measured_at_rest_along_its_axes():
         accel_cone=0.6,
         accel_arms=((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)),
     )
-    for plain, with_rest in zip(model_curves(FULL, 3), model_curves(odd, 3), strict=True):
+    for plain, with_rest in zip(measure_model(FULL, 3), measure_model(odd, 3), strict=True):
         assert_allclose(plain.measured, with_rest.measured, rtol=1e-6)
 
 

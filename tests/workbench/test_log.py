@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
 def checks(path):
     spec = load_log(str(path))
     recorded = read_records(spec)
-    found = validity.check(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
+    found = validity.check_recording(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
     return {c.name: c for c in found}
 
 
@@ -194,7 +194,7 @@ def test_the_standard_deviation_of_the_clock_shift_is_honest():
         n = len(imu["t"])
         angles, speeds = 0.01 * imu["gyro"], 0.01 * imu["accel"]
         record = ImuData(imu["t"], np.full(n, 0.01), np.ones(n, bool), angles, speeds)
-        found_now = validity.check(record, fixes_of(gnss), None, drives.ARM)
+        found_now = validity.check_recording(record, fixes_of(gnss), None, drives.ARM)
         shift = next(c for c in found_now if c.name == "imu_shift_s")
         sd = float(shift.text.rpartition("sd ")[2].partition(" ")[0])
         found.append((shift.value, sd))
@@ -465,11 +465,11 @@ def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says():
     samples = random.exponential(size=(20_000, 10))
     inside = 0
     for sample in samples:
-        found = outages.quantile(sample, 0.5)
+        found = outages.estimate_quantile(sample, 0.5)
         inside += found.low <= np.log(2.0) <= found.high
     exact = 1.0 - 2 * (1 + 10) / 2**10  # fewer than two below, or fewer than two above
     assert abs(inside / 20_000 - exact) < 3.3 * np.sqrt(exact * (1 - exact) / 20_000)
-    assert outages.quantile(samples[0], 0.95).high is None  # ten values say nothing above
+    assert outages.estimate_quantile(samples[0], 0.95).high is None  # ten values say nothing above
 
 
 def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
