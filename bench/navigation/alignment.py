@@ -1,4 +1,4 @@
-"""Initial alignment: what an estimator does before it can start where it was not told all of its state.
+"""Initial alignment: the part of the initial state that the profile does not give, found from the sensors.
 
 ``level``, at rest: roll and pitch from the mean specific force, heading from the mean rate of the gyros
 (gyrocompassing). With db the accelerometer and dw the gyro error, resolved in n,
@@ -12,10 +12,10 @@ with F the mean specific force in n and e the error of the gain over its time,
 
     phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D
 
-The covariances hold the datasheet's biases, noise and misalignments, ``bias_cov`` what an attitude has in
-common with the biases that made it: a filter told of both as strangers would halve the variance of the tilt
-as soon as it sees the aircraft stand, and the tilt would not have moved. Where the heading is unknown the two
-stay strangers all the same: what they have in common along n would not turn with the heading that is found.
+The covariances hold the biases, noise and misalignments of the datasheet; ``bias_cov`` is the covariance of
+attitude and biases. Without it the filter treats tilt and accelerometer bias as independent, and halves the
+tilt variance at the first zero-velocity update, which observed nothing new. Where the heading is unknown it
+is zero all the same: a covariance along n would not turn with the heading that is found later.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the 
 
 
 def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
-    """Return a start that says all of position, velocity and attitude, and what was done to get it.
+    """Return a complete initial state, and the events that say how it was found.
 
     Parameters
     ----------
     sensors : SensorData
-        The record; only what has arrived by the end of the alignment is used. That a standstill is over shows
-        in the window or the fix that follows: the first second is that of a filter that waits for them.
+        The record; only data that has arrived by the end of the alignment is used. The end of a standstill
+        shows only in the next window or fix, so the filter starts up to a second late.
     initial : InitialState
-        ``alignment`` says what is to be found; "given" is returned as it is.
+        ``alignment`` says what has to be found; "given" is returned unchanged.
 
     Returns
     -------
     initial : InitialState
         At the end of the alignment.
     events : list of (t, t_end, kind, text)
-        One "alignment" event, none when all was given.
+        One "alignment" event; none if the whole state is given.
 
     Raises
     ------
     EstimatorError
-        When the record does not allow it, in one line.
+        If the record does not allow the alignment.
     """
     if initial.alignment == "given":
         return initial, []

@@ -164,7 +164,7 @@ def _followed(
     dtheta: FloatArray,
     dvel: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what :func:`_matched` does, of four fixes without velocity.
+    """Return what :func:`_matched` returns, from four fixes without velocity.
 
     The strapdown gains the velocity by which the mean between the last two exceeds that between the first.
     """

@@ -33,14 +33,14 @@ class Estimator(Protocol):
     Settings go to ``__init__`` as keywords and are checked there; ``run`` takes
     data only, keeps nothing between calls and never sees the truth. A method
     ``unmodelled(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
-    errors of the units that the state has no room for. An attribute ``needs: tuple[str, ...]`` is
-    optional too: the records of `SensorData` without which it has nothing to work on, of :data:`RECORDS`.
+    the errors of the sensors that the estimator has no state for. An attribute ``needs: tuple[str, ...]`` is
+    optional too: the records of `SensorData` it cannot work without, of :data:`RECORDS`.
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
 
-        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds what is NaN.
+        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds the rest.
         """
         ...
 
@@ -181,14 +181,14 @@ def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str,
 
 
 def check_needs(estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]") -> None:
-    """Check, before anything is flown, that an estimator will get what it needs.
+    """Check before the flight that an estimator will get the records it needs.
 
-    ``records`` of `SensorData` are those there will be; messages say where they come from by ``place``.
+    ``records`` are the names of those there will be; ``place`` is where messages say they come from.
 
     Raises
     ------
     EstimatorError
-        When one of its ``needs`` is not among them, or is no record.
+        If one of its ``needs`` is missing, or is not the name of a record.
     """
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
@@ -198,18 +198,18 @@ def check_needs(estimator: Estimator, name: str, records: Collection[str], place
 
 
 def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:
-    """Return what an estimator says, as long as it is a solution at every instant asked for.
+    """Return the solution of an estimator, checked to be one at every instant of ``sensors.output_t``.
 
     Raises
     ------
     EstimatorError
-        When it is not, in one line.
+        If it is not, or the record does not allow the alignment asked for.
     EstimatorFailedError
-        When ``run`` raises.
+        If ``run`` raises.
     """
     try:
         solution = estimator.run(sensors, initial)
-    except EstimatorError as error:  # of an alignment that the record does not allow
+    except EstimatorError as error:  # from the initial alignment
         raise EstimatorError(f"estimator {name!r}: {error}") from error
     except Exception as error:
         raise EstimatorFailedError(f"estimator {name!r}: run() raised {error!r}") from error
@@ -228,11 +228,11 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:
     """Raise AssertionError where an estimator breaks the contract of the bench.
 
-    It must pickle, be repeatable, leave its input as it was, answer at every ``output_t`` and give values
-    that are finite and a covariance that is symmetric and positive definite over the blocks it estimates.
-    A block it does not estimate is NaN at every instant, and a solution that begins with an alignment is NaN
-    throughout before its end. With a start that is given it stands a record without output times, aiding
-    records without rows, and rows that are not finite, flagged or not.
+    It must pickle, be repeatable, leave its input unchanged, answer at every ``output_t``, and give finite
+    values and a covariance that is symmetric and positive definite over the blocks it estimates. A block it
+    does not estimate is NaN at every instant; before the end of an initial alignment every block is NaN. With
+    a given initial state it must also cope with a record without output times, aiding records without rows,
+    and rows that are not finite, flagged or not.
     """
     before = pickle.dumps((sensors, initial))
     try:
@@ -257,7 +257,7 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
 
 
 def _hardships(sensors: SensorData) -> dict[str, SensorData]:
-    """Return records an estimator has to stand, by what is the matter with them."""
+    """Return damaged records that an estimator has to cope with, by the kind of damage."""
     aiding = ({} if sensors.fixes is None else {"fixes": sensors.fixes}) | sensors.instruments
     columns = {
         name: {f.name: np.array(getattr(record, f.name)) for f in fields(record)}
@@ -280,12 +280,12 @@ def _hardships(sensors: SensorData) -> dict[str, SensorData]:
 
 
 def _sound(first: NavSolution, sensors: SensorData, initial: InitialState) -> None:
-    """Raise AssertionError where a solution is none."""
+    """Raise AssertionError if values or covariance of a solution are not sound."""
     np.testing.assert_array_equal(first.t, sensors.output_t, err_msg="t is not sensors.output_t")
     begun = 0
-    if initial.alignment != "given":  # what it has to find first it may say nothing about before
-        said = ~np.isnan(first.cov.reshape(len(first), -1)).all(axis=1)
-        begun = int(np.argmax(said)) if said.any() else 0
+    if initial.alignment != "given":  # NaN until the alignment is done
+        answered = ~np.isnan(first.cov.reshape(len(first), -1)).all(axis=1)
+        begun = int(np.argmax(answered)) if answered.any() else 0
     variance = np.einsum("kii->ki", first.cov)[begun:]
     given = ~np.isnan(variance).all(axis=0)
     assert given.any() or not len(first), "no block of the solution has a covariance"

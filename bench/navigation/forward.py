@@ -1,4 +1,4 @@
-"""One forward run of the compiled filter: the kernel, what it stores, and what is made of it."""
+"""One forward run of the compiled filter: the kernel, its stores, and the solution made of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bench.navigation.schedule import MEASURE, OUTPUT, USE, Schedule
 
 
 class Stores(NamedTuple):
-    """What a run leaves behind."""
+    """What a run stores."""
 
     state: FloatArray  # (M, n + 1) at each output
     P: FloatArray  # (M, n, n)
@@ -221,8 +221,8 @@ def forward_run(
         answered = entries[entries[:, 1] == OUTPUT, 0]
         node[schedule.outputs] = np.searchsorted(at, answered)
     nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
-    told = timeline.as_events(events)
-    return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), told), nodes
+    table = timeline.as_events(events)
+    return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), table), nodes
 
 
 def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[timeline.Event]:
@@ -258,7 +258,7 @@ def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
 def solution(
     t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
 ) -> NavSolution:
-    """Return states (M, n + 1) and covariances (M, n, n) at instants t as a solution; NaN is no answer."""
+    """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
     variance = np.einsum("kii->ki", P)[:, 9:]
     return NavSolution(
         t=t,

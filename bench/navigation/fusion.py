@@ -66,7 +66,7 @@ class Fusion:
         Raises
         ------
         ValueError
-            When a sensor in use has no assumed spec.
+            If no datasheet of a sensor in use is assumed.
         """
         return self.forward(sensors, initial, keep=False)[0]
 
@@ -151,11 +151,11 @@ class Fusion:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
+        """The records it cannot work without; a barometer beside GNSS is used if there is one."""
         return records_needed(self.aiding())
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Name the errors of these units that the state has no room for, in words."""
+        """Return the errors of these sensors that the estimator has no state for, in words."""
         taken = {words for block in self.blocks() for words in block.takes}
         if self.options.compensate_latency:
             taken.add(LATENCY)

@@ -6,8 +6,8 @@ in the long run. Errors of nine states, position, velocity and acceleration:
 
     p'' = a      a' = -a / tau + w,   density of w 2 sd^2 / tau
 
-Attitude is not estimated: a course is not a heading in wind. The filter runs at the instants the fixes are
-valid at, so that latency costs nothing but a longer way to the output.
+Attitude is not estimated: in wind the course is not the heading. The filter runs at the times of validity of
+the fixes, so latency only lengthens the prediction to the output.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ class GnssOnly:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity and their covariance; attitude and sensor errors are NaN.
 
-        Without a given start it begins with the first fix; a start without velocity may have any.
+        Without a given initial state it begins with the first fix.
 
         Raises
         ------
         ValueError
-            When the receiver has no assumed spec.
+            If no datasheet of the receiver is assumed.
         """
-        fixes, told = sensors.fixes, initial.alignment == "given"
-        track = _Track(self.options, initial) if told else None
+        fixes, given = sensors.fixes, initial.alignment == "given"
+        track = _Track(self.options, initial) if given else None
         used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[tuple[float, float, str, str]]()
         r = np.zeros(6)
         if fixes is not None:
@@ -76,10 +76,10 @@ class GnssOnly:
                         self.options, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row]))
                     )
                     moving = np.isfinite(fixes.vel_n[row]).all()
-                    told_by = "position and velocity" if moving else "position"
-                    text = f"{told_by} of the first fix; attitude is not estimated"
+                    origin = "position and velocity" if moving else "position"
+                    text = f"{origin} of the first fix; attitude is not estimated"
                     events.append((initial.t, float(now), "alignment", text))
-                elif fixes.t[row] > track.t:  # one from before the start tells nothing
+                elif fixes.t[row] > track.t:  # not before the start
                     track.go_to(float(fixes.t[row]))
                     track.use(fixes.lla[row], fixes.vel_n[row], r)
                 next_fix += 1
@@ -105,12 +105,12 @@ class GnssOnly:
         )
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Name the errors of the receiver that the state has no room for, in words."""
+        """Return the errors of the receiver that the estimator has no state for, in words."""
         return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
 
 
 def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:
-    """Return a fix as a start; without velocity it may have any."""
+    """Return a fix as initial state; without a velocity its covariance is wide."""
     cov = np.diag(np.concatenate([r, np.zeros(3)]))
     if not np.isfinite(vel_n).all():
         vel_n, cov[3:6, 3:6] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
@@ -173,7 +173,7 @@ class _Track:
         self.lla, self.vel, self.acc, self.t = state[:3], state[3:6], state[6:], t
 
     def use(self, lla: FloatArray, vel_n: FloatArray, r: FloatArray) -> None:
-        """Use a fix that is valid now, position and velocity gated each by itself; it may have none."""
+        """Use a fix that is valid now, position and velocity (if it has one) each gated by itself."""
         for code in (0, 1) if np.isfinite(vel_n).all() else (0,):
             rows = slice(3 * code, 3 * code + 3)
             y = (

@@ -65,10 +65,10 @@ def open_kernel(
 ) -> None:
     """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
 
-    It has two explanations, and P grows by both: an error that grew the way P says errors do, which is the
-    refused correction x = P H' S^-1 e, and a step of the measured states ``own`` (m,) alone. The measurements
-    that follow tell which. ``before`` (n, n), the P a smoother goes back by, grows alike. ``work`` (m, m + 1)
-    is as :func:`nis_kernel` left it.
+    It has two explanations, and P grows by both: an error along the covariance, which is the refused
+    correction x = P H' S^-1 e, and a step of the measured states ``own`` (m,) alone. The next measurements
+    tell them apart. ``before`` (n, n), the P that a smoother uses, grows alike. ``work`` (m, m + 1) is as
+    :func:`nis_kernel` left it.
     """
     m, n = H.shape
     for a in range(m - 1, -1, -1):  # S^-1 e

@@ -61,7 +61,7 @@ class AidingSensor:
     kind: int  # of its rows
     read: Reader | None  # None: satellites
     errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
-    on_request: bool = True  # without its record a filter that asks for it has nothing to work on
+    on_request: bool = True  # a filter that asks for it cannot work without its record
 
 
 # --- GNSS -------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, BARO)
 
 
 def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
-    """Return the records a filter has nothing to work on without: GNSS, else the barometer, and requests."""
+    """Return the records a filter cannot work without: GNSS, else the barometer, and those asked for."""
     usual = [sensor.record for sensor in aiding if not sensor.on_request]
     return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
 

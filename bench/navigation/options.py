@@ -48,7 +48,7 @@ Spread = Annotated[tuple[NotNegative, NotNegative, NotNegative], _LIST]
 
 
 class Options(BaseModel):
-    """What an estimator can be told: no unknown name, no guessed type, no NaN, no infinity."""
+    """The options of an estimator: no unknown name, no guessed type, no NaN, no infinity."""
 
     model_config = ConfigDict(
         extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True

@@ -15,7 +15,7 @@ from bench.navigation.timeline import TIME_TOLERANCE, Steps
 from bench.specs import GnssSpec
 
 AT_ONCE, MEASURE, USE, OUTPUT = range(4)
-"""What is done: measured and used, measured, used, answered."""
+"""Actions: measure and update at once, measure, update with what was measured, output."""
 
 
 class Schedule:
@@ -43,7 +43,7 @@ class Schedule:
         wanted = sensors.output_t
         inside = (wanted >= start - TIME_TOLERANCE) & (wanted <= self._end + TIME_TOLERANCE)
         self.outputs: IntArray = np.flatnonzero(inside)
-        """Rows of ``output_t`` that are answered."""
+        """Rows of ``output_t`` within the record."""
         self._output_t = wanted[self.outputs]
 
     def add(
@@ -61,20 +61,20 @@ class Schedule:
         values, white = sensor.read(record, spec, sensors, initial, layout)
         variance = np.broadcast_to(white, values.shape)
         if isinstance(record, GnssFixes):
-            rows, _, told = timeline.fix_rows(record, self.imu_t, self._start)
+            rows, _, events = timeline.fix_rows(record, self.imu_t, self._start)
         else:
-            rows, _, told = timeline.aiding_rows(record, values, sensor.spec, self.imu_t, self._start)
-        self.events += told
+            rows, _, events = timeline.aiding_rows(record, values, sensor.spec, self.imu_t, self._start)
+        self.events += events
         t, arrival = record.t[rows], record.t_arrival[rows]
         self._plan(sensor.kind, sensor.spec, t, arrival, values[rows], variance[rows])
 
     def add_samples(self, kind: int, last: IntArray, values: FloatArray, variance: FloatArray) -> None:
-        """Take what follows from the IMU itself at the samples ``last``: values (M, m), variance (6,)."""
+        """Take measurements made from the IMU at the samples ``last``: values (M, m), variance (6,)."""
         t = self.imu_t[last]
         self._plan(kind, "imu", t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
     def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float) -> ranging.Sky:
-        """Take the epochs of satellites, each with those that can be used; return them."""
+        """Take the usable satellites of each epoch, and return them."""
         assert gnss.sky is not None
         values, variance = ranging.usable(o, gnss)
         sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
@@ -88,8 +88,8 @@ class Schedule:
         first_row = o.epoch_start[filled]
         t, arrival = o.t[first_row], o.t_arrival[first_row]
         usable = np.isfinite(t) & np.isfinite(arrival)
-        epochs, _, told = timeline.ordered_rows(t, arrival, usable, "satellites", self.imu_t, self._start)
-        self.events += told
+        epochs, _, events = timeline.ordered_rows(t, arrival, usable, "satellites", self.imu_t, self._start)
+        self.events += events
         first = self._plan(SATELLITE_ROWS, "satellites", t[epochs], arrival[epochs], None, None)
         epochs = filled[epochs[first:]]
         number = np.full(len(o.epoch_start) - 1, -1)
@@ -108,7 +108,7 @@ class Schedule:
         values: FloatArray | None,
         variance: FloatArray | None,
     ) -> int:
-        """Enter measurements; return how many at the beginning are left out as valid before the start."""
+        """Enter measurements; return how many of the first are dropped as valid before the start."""
         if not self._compensate:
             t = arrival
         early = t < self._start - TIME_TOLERANCE
@@ -132,7 +132,7 @@ class Schedule:
         return first
 
     def table(self) -> tuple[FloatArray, FloatArray]:
-        """Return values and variances (R, 6) of all that were taken but satellites."""
+        """Return values and variances (R, 6) of all measurements but satellites."""
         if not self._values:
             return np.zeros((0, 6)), np.zeros((0, 6))
         return np.concatenate(self._values), np.concatenate(self._variance)
@@ -181,7 +181,7 @@ def _entries(
 
 
 def _slots(measure: IntArray, use: IntArray) -> IntArray:
-    """Return a slot for each measurement: 0 when used at once, else one that is free while it waits."""
+    """Return the slot of each measurement: 0 if it is used at once, else one that is free while it waits."""
     slot = np.zeros(len(use), np.int64)
     busy: list[int] = []  # until which step each slot is taken
     for k in np.argsort(measure, kind="stable"):

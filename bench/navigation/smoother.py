@@ -41,12 +41,12 @@ class Smoother:
         self.filter = forward(**self.options.model_dump(exclude={"over"}))
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate with all measurements of the record, those after an instant too.
+        """Estimate each instant from all measurements of the record, earlier and later.
 
         Raises
         ------
         ValueError
-            When a sensor in use has no assumed spec.
+            If no datasheet of a sensor in use is assumed.
         """
         forward, nodes = self.filter.forward(sensors, initial, keep=True)
         state, P = smooth(nodes)
@@ -62,7 +62,7 @@ class Smoother:
         return self.filter.needs
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Name the errors of these units that the state has no room for, in words."""
+        """Return the errors of these sensors that the estimator has no state for, in words."""
         return self.filter.unmodelled(specs)
 
 

@@ -1,8 +1,8 @@
-"""Standstill, seen by the IMU alone.
+"""Standstill, detected from the IMU alone.
 
-Over windows of a second the gyros and accelerometers say nothing but their noise, and their means are what
-the turning Earth and gravity give. Steady flight in calm air looks the same: the filter's gate, which knows
-its own velocity, has the last word.
+Over windows of a second the gyros and accelerometers show only their noise, and their means are the rate of
+the Earth and gravity. Steady flight in calm air looks the same: the gate of the filter, which knows the
+velocity, decides.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""Which rows of a sensor record are used and when, and the count of the rest.
+"""Which rows of a sensor record are used and when; the others are counted.
 
-A row is used at the first step of the filter at or after its arrival. What is left out
-is never repaired: it becomes a "timeline" event of the solution. :func:`steps` bridges a gap in the IMU
-record by the rates of the last sample before it (nothing later has arrived), and tells the filter how
-little these say of the motion (:func:`bridge_variance`). A filter that goes by :func:`imu_rows` alone has
-the first sample after a gap to cover all of it.
+A row is used at the first step of the filter at or after its arrival. Rows that are left out are never
+repaired: they become a "timeline" event of the solution. :func:`steps` bridges a gap in the IMU record with
+the rates of the last sample before it (nothing later has arrived) and gives the variance of the unknown
+motion (:func:`bridge_variance`). With :func:`imu_rows` alone the first sample after a gap covers all of it.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ AidingRecord = GnssFixes | InstrumentData
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """What a filter integrates, one step after the other."""
+    """The steps of a strapdown integration."""
 
     t: FloatArray  # (K,) end of each step [s]
     span: FloatArray  # (K,) its length [s]
-    row: IntArray  # (K,) IMU row whose rates it goes by
+    row: IntArray  # (K,) IMU row whose rates it takes
     share: FloatArray  # (K,) the step over the length of that row [1]
     unknown: FloatArray  # (K, 2) variance of velocity [m^2/s^2] and attitude [rad^2] that a gap adds
     sample: IntArray  # (K,) IMU sample in use that the step ends at or before
@@ -46,8 +45,8 @@ class Steps:
 def bridge_variance(elapsed: FloatArray) -> FloatArray:
     """Return the variance (K, 2) of velocity and attitude after rates were held for a time (K,) [s].
 
-    What the rates differ by from the held ones is a Gauss-Markov process less its value at the start of the
-    gap; this is the variance of its integral: ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for
+    The true rates differ from the held ones by a Gauss-Markov process less its value at the start of the gap.
+    This is the variance of its integral: ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for
     long ones.
     """
     tau = _BRIDGE_CORRELATION
@@ -231,7 +230,7 @@ def ordered_rows(
 
 
 def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[Event]:
-    """Return the event that counts the epochs without a row, none when there are none.
+    """Return the event that counts the epochs without a row; none if there is no such epoch.
 
     They have no time of their own: it spans the rows ``t`` (K,) next to them, within the run.
     """
@@ -251,7 +250,7 @@ def as_events(rows: list[Event]) -> Events:
 
 
 def left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[Event]:
-    """Return the event that counts the rows ``out`` (M,) of a record, none when there are none."""
+    """Return the event that counts the rows ``out`` (M,) of a record; none if there is no such row."""
     if not out.any():
         return []
     times = t[out]

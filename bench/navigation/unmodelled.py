@@ -1,4 +1,4 @@
-"""Which errors of its units an estimator has no room for, in words.
+"""The errors of sensors that an estimator has no state for, in words.
 
 The errors of an instrument are pairs of words and a size, which is zero or false where the unit has no such
 error; those of the aiding instruments are in `bench.navigation.measurements`.

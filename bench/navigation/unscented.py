@@ -1,9 +1,10 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
-States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`, but each row is compared with
-the state at its arrival, however late. Sigma points and their weights are filterpy's (R. van der Merwe, PhD
-thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x (estimate minus
-truth) stands for the truth "estimate less x". Each step draws sigma points of the error about zero, carries
+States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`, but each measurement is
+compared with the state at its arrival, however late.
+Sigma points and their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J.
+Uhlmann, Proc. IEEE 92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less
+x". Each step draws sigma points of the error about zero, carries
 the truth each one stands for through the strapdown with the same increments less its own biases, and takes
 the spread of what they became about the carried estimate; the mean is fed back at once. A measurement is
 predicted from each of the truths the points stand for.
@@ -75,9 +76,9 @@ class Unscented:
         Raises
         ------
         ValueError
-            When a sensor in use has no assumed spec.
+            If no datasheet of a sensor in use is assumed.
         bench.errors.EstimatorError
-            When the record does not allow the alignment that is asked for.
+            If the record does not allow the alignment asked for.
         """
         initial, aligned = alignment.complete(sensors, initial)
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
@@ -134,11 +135,11 @@ class Unscented:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What it has nothing to work on without; a barometer beside GNSS is used where there is one."""
+        """The records it cannot work without; a barometer beside GNSS is used if there is one."""
         return records_needed(self._aiding())
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Name the errors of these units that the state has no room for, in words."""
+        """Return the errors of these sensors that the estimator has no state for, in words."""
         return unmodelled(specs, self._aiding(), ())
 
     def _aiding(self) -> list[AidingSensor]:
@@ -185,7 +186,7 @@ class _Flight:
 
     @property
     def lost(self) -> bool:
-        """Whether there is no estimate any more: a diverged filter says NaN from here on."""
+        """Whether there is no estimate any more: a diverged filter gives NaN from here on."""
         return not np.isfinite(self.P).all()
 
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:

@@ -60,7 +60,7 @@ class Classic22:
         Raises
         ------
         ValueError
-            When a sensor with data has no assumed spec.
+            If no datasheet of a sensor with data is assumed.
         """
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
@@ -112,7 +112,7 @@ class Classic22:
         return _solution(sensors, served, answers, flight, events)
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Name the errors of these units that the state has no room for, in words."""
+        """Return the errors of these sensors that the estimator has no state for, in words."""
         found = unmodelled(specs, (FIXES, BARO), GNSS_MARKOV.takes)
         for name, triad in (("gyro", specs.imu.gyro), ("accelerometer", specs.imu.accel)):
             if triad.bias_instability > 0 and triad.turn_on_bias_sd == 0 and triad.bias_model != "flicker":
