@@ -121,7 +121,7 @@ def run(
 
 def fly(profile: str | Path | Profile) -> Trajectory:
     """Return the truth of a profile; it is flown once and cached."""
-    return pipeline.fly(_read(profile))
+    return pipeline.fly(_read_profile(profile))
 
 
 def describe_flight(
@@ -133,12 +133,12 @@ def describe_flight(
     error-free strapdown strays from it. Names end in their unit, SI and radians. Memory does not grow with
     the length of the flight. Errors as for :func:`run`.
     """
-    return pipeline.fly_over(_read(profile), progress)
+    return pipeline.fly_over(_read_profile(profile), progress)
 
 
 def sense(profile: str | Path | Profile, truth: Trajectory, run: int = 0) -> Sensed:
     """Return what the sensors of a profile report on a truth, in one noise draw."""
-    return pipeline.sense(_read(profile), truth, run)
+    return pipeline.sense(_read_profile(profile), truth, run)
 
 
 def navigate(
@@ -152,7 +152,7 @@ def judge(
     profile: str | Path | Profile, truth: Trajectory, solution: NavSolution
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics."""
-    return pipeline.judge(_read(profile), truth, solution)
+    return pipeline.judge(_read_profile(profile), truth, solution)
 
 
 def save(
@@ -191,7 +191,7 @@ def save(
     if recording and "spec" not in result.records:
         raise ConfigError("bench.save: a result that was read back makes no recording; use recording=False")
     store.check_folder(folder, force=force)
-    with store.new_folder(folder, force=force) as partial:
+    with store.make_folder(folder, force=force) as partial:
         store.save(partial, result)
         if recording:
             from bench import recording as viewer
@@ -299,13 +299,13 @@ def measure_allan(
     """
     from bench import report
     from bench.config.datasheets import read_imu
-    from bench.config.library import sensor_file
+    from bench.config.library import find_datasheet
     from bench.evaluation import noise_curves
     from bench.exchange.resting_log import read_resting_log
 
     if picture is not None:
         report.check_picture(Path(picture))
-    spec = None if unit is None else read_imu(*sensor_file("imu", unit, Path()))
+    spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)
         name = Path(log).stem + (f" and {spec.name}" if spec else "")
@@ -364,10 +364,10 @@ def solve_rinex(
     from bench.exchange import rinex_fixes
     from bench.signals import delays, receiver
 
-    _one_of("systems", [systems], get_args(receiver.Systems))
-    _one_of("ionosphere", [ionosphere], get_args(receiver.Ionosphere))
-    _one_of("troposphere", [troposphere], get_args(delays.Troposphere))
-    _one_of("without", without, receiver.CORRECTIONS)
+    _check_choice("systems", [systems], get_args(receiver.Systems))
+    _check_choice("ionosphere", [ionosphere], get_args(receiver.Ionosphere))
+    _check_choice("troposphere", [troposphere], get_args(delays.Troposphere))
+    _check_choice("without", without, receiver.CORRECTIONS)
     files = [navigation] if isinstance(navigation, str | Path) else navigation
     processing = receiver.Processing(
         systems=systems,
@@ -414,14 +414,14 @@ def export_run(
     """
     from bench.exchange import exports
 
-    _one_of("kind", [kind], list(exports.FORMATS))
+    _check_choice("kind", [kind], list(exports.FORMATS))
     folder = Path(folder)
     # "." and ".." have no name of their own
     beside = folder.resolve() if folder.name in ("", "..") else folder
     out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
     exports.check_export_folder(out, force=force)
     outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
-    with store.new_folder(out, force=force) as partial:
+    with store.make_folder(out, force=force) as partial:
         exports.write(partial, kind, outgoing, folder.resolve().name)
     return out
 
@@ -513,7 +513,7 @@ def score_solution(
         store.check_folder(Path(out), force=force)
     score = scoring.score(Path(solution), folder, label, t_0, longest)
     if out is not None:
-        with store.new_folder(Path(out), force=force) as partial:
+        with store.make_folder(Path(out), force=force) as partial:
             without = shutil.ignore_patterns(store.RECORDING)
             shutil.copytree(folder, partial, dirs_exist_ok=True, ignore=without)
             store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
@@ -585,12 +585,12 @@ def record_limits(
     ]
 
 
-def _one_of(name: str, values: Sequence[str], known: Sequence[str]) -> None:
+def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> None:
     """Raise ConfigError if a value is none of those there are."""
     for value in values:
         if value not in known:
             raise ConfigError(f"{name} = {value!r} must be one of {', '.join(known)}")
 
 
-def _read(profile: str | Path | Profile) -> Profile:
+def _read_profile(profile: str | Path | Profile) -> Profile:
     return profile if isinstance(profile, Profile) else load_profile(str(profile))

@@ -22,7 +22,7 @@ from pydantic import Field
 
 from bench import pipeline, store
 from bench.config import load_profile
-from bench.config.tables import NOT_NEGATIVE, Table, checked, noting
+from bench.config.tables import NOT_NEGATIVE, Table, check_table, collect_errors
 from bench.data import RunResult
 from bench.errors import ConfigError
 from bench.evaluation.metrics import find_metric
@@ -111,13 +111,13 @@ def measure(results: Sequence[RunResult]) -> dict[str, dict[str, Statistic]]:
         columns = {
             name: [float(run[name]) for run in runs if run.get(name) is not None]
             for name in names
-            if _direction(name)
+            if _find_direction(name)
         }
-        measured[label] = {name: _statistic(values) for name, values in columns.items() if values}
+        measured[label] = {name: _make_statistic(values) for name, values in columns.items() if values}
     return measured
 
 
-def _direction(name: str) -> Direction | None:
+def _find_direction(name: str) -> Direction | None:
     """Return which way a metric gets worse, or None for one that baselines do not hold."""
     if name == CONVERGED:
         return "higher"
@@ -125,7 +125,7 @@ def _direction(name: str) -> Direction | None:
     return (row.direction or None) if row else None
 
 
-def _statistic(values: Sequence[float]) -> Statistic:
+def _make_statistic(values: Sequence[float]) -> Statistic:
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
     return Statistic(float(np.mean(values)), spread / len(values) ** 0.5, len(values))
 
@@ -153,20 +153,20 @@ def record(
     """
     if runs < 2:
         raise ConfigError(f"runs = {runs} must be at least 2: the standard error comes from the spread")
-    results = _fly(profile, runs, progress)
+    results = _fly_runs(profile, runs, progress)
     return {
         "profile": source or profile.name,
         "seed": profile.seed,
         "runs": runs,
         "versions": dict(results[0].provenance["versions"]),
         "estimators": {
-            label: {name: _limit(name, found) for name, found in metrics.items()}
+            label: {name: _make_limit(name, found) for name, found in metrics.items()}
             for label, metrics in measure(results).items()
         },
     }
 
 
-def _limit(name: str, found: Statistic) -> dict[str, Any]:
+def _make_limit(name: str, found: Statistic) -> dict[str, Any]:
     """Return the limit of a metric over the same draws."""
     row = find_metric(name)
     if row is None:  # the fraction of runs that converged
@@ -176,10 +176,10 @@ def _limit(name: str, found: Statistic) -> dict[str, Any]:
     else:
         tolerance = RELATIVE_TOLERANCE * abs(found.mean)
         reason = f"{RELATIVE_TOLERANCE:.0%} of the mean: same draws, another processor"
-    return {**asdict(found), "tolerance": tolerance, "direction": _direction(name), "reason": reason}
+    return {**asdict(found), "tolerance": tolerance, "direction": _find_direction(name), "reason": reason}
 
 
-def _fewer_draws(limit: Mapping[str, Any], m: int) -> float:
+def _allow_for_fewer_draws(limit: Mapping[str, Any], m: int) -> float:
     """Return how far the mean of m of the n draws may lie from the mean of all, by their spread.
 
     Student's t with n - 1 degrees of freedom times the standard error of a mean of m of n.
@@ -193,7 +193,7 @@ def _fewer_draws(limit: Mapping[str, Any], m: int) -> float:
     return float(quantile * limit["standard_error"] * abs(n / m - 1.0) ** 0.5)
 
 
-def _fly(profile: Profile, runs: int, progress: Progress | None) -> list[RunResult]:
+def _fly_runs(profile: Profile, runs: int, progress: Progress | None) -> list[RunResult]:
     truth = pipeline.fly(profile)
     results = []
     for k in range(runs):
@@ -234,12 +234,12 @@ def read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not valid JSON: {error}") from None
     if not isinstance(document, dict):
         raise ConfigError(f"{path}: must hold one JSON object")
-    baseline = checked(_File, document, str(path)).model_dump()
+    baseline = check_table(_File, document, str(path)).model_dump()
     wrong: list[str] = []
     for label, metrics in baseline["estimators"].items():
         for name, limit in metrics.items():
-            with noting(wrong):
-                checked(Limit, limit, f"{path}: [estimators.{label}.{name}]")
+            with collect_errors(wrong):
+                check_table(Limit, limit, f"{path}: [estimators.{label}.{name}]")
     if not any(baseline["estimators"].values()):
         wrong.append(f"{path}: [estimators] holds no limit; 'bench check --record' writes some")
     if wrong:
@@ -264,7 +264,7 @@ def compare(baseline: Mapping[str, Any], measured: Measured) -> list[Verdict]:
             expected, tolerance, direction = limit["mean"], limit["tolerance"], limit["direction"]
             above = below = False
             if found is not None:
-                tolerance += _fewer_draws(limit, found.n)
+                tolerance += _allow_for_fewer_draws(limit, found.n)
                 above = found.mean > expected + tolerance
                 below = found.mean < expected - tolerance
             worse = {"lower": above, "higher": below, "both": above or below}[direction]
@@ -330,6 +330,6 @@ def check(
         raise ConfigError(*moved)
     verdicts = []
     for baseline, profile in zip(baselines, profiles, strict=True):
-        results = _fly(profile, runs or baseline["runs"], progress)
+        results = _fly_runs(profile, runs or baseline["runs"], progress)
         verdicts += compare(baseline, measure(results))
     return verdicts

@@ -40,9 +40,9 @@ def inner(function: _Function) -> _Function:
     return cast(_Function, numba.njit(**_OPTIONS | {"no_cpython_wrapper": True})(function))
 
 
-def _fingerprint() -> str:
+def _hash_sources() -> str:
     digest = hashlib.sha256()
-    for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _cpu()):
+    for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _name_cpu()):
         digest.update(part.encode())
     for source in sorted(PACKAGE.rglob("*.py")):
         text = source.read_bytes()
@@ -51,7 +51,7 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:24]
 
 
-def _cpu() -> str:
+def _name_cpu() -> str:
     from llvmlite import binding
 
     return f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
@@ -64,7 +64,7 @@ def _choose_cache() -> None:
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    folder = cache_folder("kernels") / _fingerprint()
+    folder = cache_folder("kernels") / _hash_sources()
     setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba types its settings as constants
     if folder.exists():
         try:

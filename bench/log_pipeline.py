@@ -16,8 +16,8 @@ from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row
-from bench.exchange.log_records import LogRecords, divided, read_records
-from bench.exchange.log_start import start
+from bench.exchange.log_records import LogRecords, divide_intervals, read_records
+from bench.exchange.log_start import find_start
 from bench.navigation import estimator
 from bench.units import SAME_INSTANT
 
@@ -35,7 +35,7 @@ class RecordedLog:
 def read_log(name: str, estimators: Sequence[str] | None = None, allow_commands: bool = False) -> RecordedLog:
     """Read a log and check its records; parameters and errors as `bench.api.read_log`."""
     spec = load_log(name, estimators, allow_commands)
-    built = {c.label: pipeline.build(c) for c in spec.estimators}
+    built = {c.label: pipeline.build_estimator(c) for c in spec.estimators}
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     records = read_records(spec)
@@ -47,7 +47,7 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
     """Run estimators on a recording and judge them; parameters and errors as `bench.api.navigate_log`."""
     clock = time.process_time()
     spec = log.spec
-    session = Session(spec, log.records, start(log.records, spec))
+    session = Session(spec, log.records, find_start(log.records, spec))
     for duration in durations:
         session.check_room(duration)
     keep, withheld = session.withheld()
@@ -98,7 +98,7 @@ class Session:
         begun = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
         good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
-        self.fixes = _select(fixes, good)
+        self.fixes = _select_fixes(fixes, good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         last = float(imu.t.max())
@@ -119,15 +119,15 @@ class Session:
         keep = np.ones(len(self.fixes), np.bool_)
         if self.spec.withhold:
             keep[self.spec.withhold - 1 :: self.spec.withhold] = False
-        return keep, _select(self.fixes, ~keep)
+        return keep, _select_fixes(self.fixes, ~keep)
 
     def data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
         """Return what an estimator gets: fixes to keep, IMU intervals that end at them and at outputs."""
-        fixes, output_t = _select(self.fixes, keep), np.unique(output_t)
+        fixes, output_t = _select_fixes(self.fixes, keep), np.unique(output_t)
         baro = self.recorded.baro
         cuts = [output_t, fixes.t] + ([baro.t] if baro is not None else [])
         return SensorData(
-            imu=divided(self.recorded.imu, np.concatenate(cuts)),
+            imu=divide_intervals(self.recorded.imu, np.concatenate(cuts)),
             fixes=fixes,
             baro=baro,
             antenna_b=np.asarray(self.spec.antenna_b),
@@ -154,7 +154,8 @@ class Session:
             keep = (t <= t[before]) | (t > t[end])
             data = self.data(keep, t[end : end + 1])
             solution = estimator.answer(one, label, data, self.initial)
-            error = antenna_errors(solution, _select(self.fixes, np.arange(len(t)) == end), data).pos_n[0]
+            last = _select_fixes(self.fixes, np.arange(len(t)) == end)
+            error = antenna_errors(solution, last, data).pos_n[0]
             variance = np.diag(solution.cov[0])
             found.append(
                 OutageDrift(
@@ -168,6 +169,6 @@ class Session:
         return found
 
 
-def _select(fixes: GnssFixes, rows: BoolArray) -> GnssFixes:
+def _select_fixes(fixes: GnssFixes, rows: BoolArray) -> GnssFixes:
     """Return some of the fixes."""
     return GnssFixes(**{f.name: getattr(fixes, f.name)[rows] for f in fields(fixes)})

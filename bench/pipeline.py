@@ -29,7 +29,7 @@ def fly(
         When a trajectory table cannot be used.
     """
     if cache:
-        return store.truth_cached(profile.flight, lambda: _fly_pieces(profile, progress))
+        return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress))
     return store.join_pieces(_fly_pieces(profile, progress))
 
 
@@ -40,10 +40,10 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     for :func:`fly`.
     """
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
-    return store.truth_said(profile.flight, lambda: _fly_pieces(profile, progress), _summary, sources)
+    return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), _summarize, sources)
 
 
-def _summary(pieces: Iterable[Trajectory]) -> dict[str, Any]:
+def _summarize(pieces: Iterable[Trajectory]) -> dict[str, Any]:
     from bench.evaluation.replay import Replay
     from bench.flight.summary import Summary
 
@@ -81,10 +81,10 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
     bench.errors.EstimatorFailedError
         When its ``run`` raises.
     """
-    return estimator.answer(build(choice), choice.label, data, initial)
+    return estimator.answer(build_estimator(choice), choice.label, data, initial)
 
 
-def build(choice: EstimatorChoice) -> estimator.Estimator:
+def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
     """Return the estimator of a choice: built in, a class, a solution in a file, or a program.
 
     Raises
@@ -132,9 +132,9 @@ def run(
     progress : callable or None
         Called with the seconds flown so far.
     """
-    built = {c.label: build(c) for c in profile.estimators}  # fails before the flight
+    built = {c.label: build_estimator(c) for c in profile.estimators}  # fails before the flight
     for label, one in built.items():
-        estimator.check_needs(one, label, _records(profile))
+        estimator.check_needs(one, label, _list_records(profile))
     clock = {"fly": time.process_time()}
     given = truth is not None
     if truth is None:
@@ -151,7 +151,7 @@ def run(
     clock["end"] = time.process_time()
     steps = list(clock)
     hashes = {"truth": None if given else store.truth_key(profile.flight)}
-    hashes["sensors"] = store.spec_hash(profile.sensors)
+    hashes["sensors"] = store.hash_spec(profile.sensors)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
     return RunResult(
         profile=profile.document,
@@ -160,8 +160,8 @@ def run(
         metrics={
             label: {
                 **judged[label][1],
-                "unmodelled": _unmodelled(profile, one),
-                **_ended(solutions[label]),
+                "unmodelled": _list_unmodelled(profile, one),
+                **_describe_program(solutions[label]),
             }
             for label, one in built.items()
         },
@@ -194,7 +194,7 @@ def _check_times(profile: Profile, end: float) -> None:
         raise ConfigError(*wrong)
 
 
-def _records(profile: Profile) -> set[str]:
+def _list_records(profile: Profile) -> set[str]:
     """Return the records of `SensorData` that the sensors of a profile give."""
     on_board = profile.sensors
     found = {name for name in INSTRUMENTS if getattr(on_board, name) is not None}
@@ -203,13 +203,13 @@ def _records(profile: Profile) -> set[str]:
     return found
 
 
-def _ended(solution: NavSolution) -> dict[str, Any]:
+def _describe_program(solution: NavSolution) -> dict[str, Any]:
     """Return how a program that stands for an estimator ended, and the end of what it wrote to stderr."""
     said = {kind: [text for _, _, text in solution.events.of(kind)] for kind in ("program", "stderr")}
     return {"program": {kind: " ".join(texts) for kind, texts in said.items()}} if said["program"] else {}
 
 
-def _unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:
+def _list_unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:
     """Return the errors of the true units that an estimator says it has no state for."""
     asked = getattr(built, "unmodelled", None)
     if asked is None:

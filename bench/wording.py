@@ -13,11 +13,11 @@ def quantity(key: str, value: object) -> str:
     """Return ``key = value unit`` as it stands in the file."""
     text = f"{key} = {as_toml(value)}"
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    unit = unit_of(_name(key)) if is_number else ""
+    unit = unit_of(_strip_index(key)) if is_number else ""
     return f"{text} {unit}" if unit else text
 
 
-def _name(key: str) -> str:
+def _strip_index(key: str) -> str:
     return key.partition("[")[0]  # pos_m[1] is an entry of pos_m
 
 
@@ -29,16 +29,16 @@ def suggest(wrong: str, known: Iterable[str], what: str) -> str:
     return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
 
 
-def complaint(key: str, value: object, kind: str, message: str, context: Mapping[str, Any]) -> str:
+def describe_error(key: str, value: object, kind: str, message: str, context: Mapping[str, Any]) -> str:
     """Return ``key = value unit`` and what it must be, from what pydantic says of an error."""
     if kind == "range":
-        unit = unit_of(_name(key))
+        unit = unit_of(_strip_index(key))
         limits = f"{context['low']:g} to {context['high']:g}{' ' + unit if unit else ''}"
         return f"{quantity(key, value)} is outside {limits}"
-    return f"{quantity(key, value)} {_wanted(kind, message, context)}"
+    return f"{quantity(key, value)} {_describe_wanted(kind, message, context)}"
 
 
-def _wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
+def _describe_wanted(kind: str, message: str, context: Mapping[str, Any]) -> str:
     if kind == "message":
         return message
     if kind == "literal_error":

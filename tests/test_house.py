@@ -23,10 +23,6 @@ LONG_FILES = {
     "specs.py": "all that a profile asks for, in SI",
 }
 
-SAME_NAMES = {
-    "navego": "the format, written by exports and read by imports",
-}
-
 
 def modules() -> dict[str, Path]:
     """Return every module and package of bench by its dotted name."""
@@ -80,9 +76,7 @@ def test_a_module_name_is_used_once():
     for name in modules():
         names.setdefault(name.rpartition(".")[2], []).append(name)
     twice = {short: full for short, full in names.items() if len(full) > 1 and short != "__main__"}
-    new = {short: full for short, full in twice.items() if short not in SAME_NAMES}
-    assert new == {}, "rename one of them"
-    assert sorted(SAME_NAMES.keys() - twice.keys()) == [], "unique now: take it out of SAME_NAMES"
+    assert twice == {}, "rename one of them"
 
 
 def test_imports_are_not_circular():

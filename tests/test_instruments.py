@@ -69,7 +69,9 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     column_files.write(tmp_path, out, "csv")
     header = (tmp_path / f"{name}.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.split(",") == [n for told in columns_of(row.record).values() for n in told.names]
-    bodies = [body for _, body in frames.messages(out) if body[:2] == frames.SYNC and body[2] == row.frame]
+    bodies = [
+        body for _, body in frames.make_messages(out) if body[:2] == frames.SYNC and body[2] == row.frame
+    ]
     assert len(bodies) == len(record)
     payload = struct.unpack(f"<{row.width + 2}dB", bodies[0][8:-2])
     assert payload == (record.t[0], *row.values(record)[0], record.sd[0], record.valid[0])
@@ -87,7 +89,7 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
 def test_every_fault_of_a_sensor_strikes_it_alone(sensed, truth, on_board, name, kind):
     table = {"kind": kind, "sensor": name, "start_s": 5.0, "duration_s": 4.0}
     table |= {"noise-burst": {"times": 20.0}, "latency": {"added_s": 0.3}}.get(kind, {})
-    (fault,) = fault_tables.flown([table])
+    (fault,) = fault_tables.read_faults([table])
     assert isinstance(fault, Fault)
     struck = sense(truth, replace(on_board, faults=(fault,)), 1, 0)
     for other, row in INSTRUMENTS.items():
@@ -105,7 +107,7 @@ def test_a_step_strikes_the_instruments_that_have_one(sensed, truth, on_board):
     for name in stepped:
         row = INSTRUMENTS[name]
         table = {"kind": f"{name}-step", "start_s": 5.0, "duration_s": 4.0, f"step_{row.step}": 7.0}
-        (fault,) = fault_tables.flown([table])
+        (fault,) = fault_tables.read_faults([table])
         struck = sense(truth, replace(on_board, faults=(fault,)), 1, 0)
         before, after = getattr(sensed.data, name), getattr(struck.data, name)
         added = row.values(after) - row.values(before)

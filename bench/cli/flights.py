@@ -131,13 +131,13 @@ def list_all(kind: str | None, as_json: bool) -> int:
     bench list legs the keys of each, what they may be, and their defaults.
     """
     from bench.store import to_json
-    from bench.workbench.show import catalog, choices
+    from bench.workbench.show import list_catalog, print_catalog
 
     if as_json:
-        rows = {name: [entry.as_dict() for entry in entries] for name, entries in catalog(kind).items()}
+        rows = {name: [entry.as_dict() for entry in entries] for name, entries in list_catalog(kind).items()}
         click.echo(to_json(rows), nl=False)
     else:
-        choices(new_console(), kind)
+        print_catalog(new_console(), kind)
     return DONE
 
 

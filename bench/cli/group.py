@@ -27,7 +27,7 @@ full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
 _HELP = {"max_content_width": 100}
 
 
-def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
     """Read KEY=VALUE, the value as in a TOML file; what is not TOML is a text."""
     values: dict[str, Any] = {}
     for item in given:
@@ -43,7 +43,7 @@ def _overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...
     return values
 
 
-def durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
+def parse_durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
     """Read durations in seconds, with commas between."""
     try:
         values = tuple(float(text) for text in given.split(",")) if given else ()
@@ -57,7 +57,7 @@ def durations(ctx: click.Context, param: click.Parameter, given: str | None) -> 
 set_option = click.option(
     "--set",
     "overrides",
-    callback=_overrides,
+    callback=_parse_overrides,
     multiple=True,
     metavar="KEY=VALUE",
     help="override one value of the profile; wins over the file",

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bench.cli.group import STATUS, commands, durations, estimator_option, new_console, out_option
+from bench.cli.group import STATUS, commands, estimator_option, new_console, out_option, parse_durations
 from bench.errors import DONE, NEGATIVE, ConfigError
 
 
@@ -27,7 +27,7 @@ class _LogCommand(click.Command):
 @estimator_option("use only this one, of the file, built in")
 @click.option(
     "--outages",
-    callback=durations,
+    callback=parse_durations,
     metavar="S,S,...",
     help="cut GNSS for so many seconds and judge by the fixes that were cut out",
 )

@@ -18,7 +18,7 @@ from bench.wording import quantity, suggest
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
 
-def rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
+def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
     """Check that fixes and outputs fall on instants of the truth."""
     asked = {
         f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
@@ -33,7 +33,7 @@ def rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def outages(table: ExperimentTable) -> list[str]:
+def check_outages(table: ExperimentTable) -> list[str]:
     """Check that outages do not overlap and, like the alignment window, lie inside the flight."""
     wrong = []
     rows = sorted(
@@ -56,7 +56,7 @@ def outages(table: ExperimentTable) -> list[str]:
     return wrong
 
 
-def alignment(table: ExperimentTable) -> list[str]:
+def check_alignment(table: ExperimentTable) -> list[str]:
     """Check that an alignment has what it needs, and ends before the judgement begins."""
     asked = table.alignment
     wrong = []
@@ -67,21 +67,22 @@ def alignment(table: ExperimentTable) -> list[str]:
         wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
     if asked.kind == "course" and table.sensors.gnss is None:
         wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
-    if asked.kind != "given" and align_for(table) > table.evaluation.from_s:
+    duration = choose_alignment_time(table)
+    if asked.kind != "given" and duration > table.evaluation.from_s:
         wrong.append(
-            f"[alignment] {quantity('duration_s', align_for(table))} must not go beyond [evaluation] "
+            f"[alignment] {quantity('duration_s', duration)} must not go beyond [evaluation] "
             f"{quantity('from_s', table.evaluation.from_s)}"
         )
     return wrong
 
 
-def align_for(table: ExperimentTable) -> float:
+def choose_alignment_time(table: ExperimentTable) -> float:
     """Return how long an alignment may take: a minute at rest, 10 s of a course."""
     given = table.alignment.duration_s
     return float((10.0 if table.alignment.kind == "course" else 60.0) if given is None else given)
 
 
-def units(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> list[str]:
+def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> list[str]:
     """Check that what is said of a sensor has one to work on.
 
     Parameters
@@ -130,7 +131,7 @@ def units(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> lis
 _BROUGHT = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # what stands for an estimator, too
 
 
-def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
+def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
     """Check that the estimators exist, and that labels can name files and are unique."""
     wrong = []
     labels: list[str] = []
@@ -150,7 +151,7 @@ def estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
     return wrong
 
 
-def options(document: Mapping[str, Any]) -> list[str]:
+def check_options(document: Mapping[str, Any]) -> list[str]:
     """Check the options of the built-in estimators of a file; what is no table is left to its own check."""
     wrong = []
     rows = document.get("estimator")
@@ -162,7 +163,7 @@ def options(document: Mapping[str, Any]) -> list[str]:
     return wrong
 
 
-def commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
+def check_commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
     """Refuse programs that a profile would start: one from somebody else must not do so silently."""
     return [
         f"[[estimator]] {number}: {choice.use[:60]!r} starts a program on this machine; "
@@ -172,7 +173,7 @@ def commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice])
     ]
 
 
-def asked(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
+def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
     """Check that every estimator asked for is in the profile, built in, or a ``module:Class``."""
     known = {choice.label for choice in choices} | set(BUILT_IN)
     return [

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.sheet import Figure, Sheet, figures, problems, table_of, unsourced
+from bench.config.sheet import Figure, Sheet, check_figures, check_sources, convert_figures, make_table_type
 from bench.config.sky_sheet import SkyTable, read_sky
-from bench.config.tables import ROWS, Table, between, checked, noting, read
+from bench.config.tables import ROWS, Table, between, check_table, collect_errors, read_toml
 from bench.errors import ConfigError
 from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
@@ -24,7 +24,7 @@ _CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
 """What a triad chooses instead of measuring, and what it chooses when it does not say."""
 
 
-def _triad(name: str) -> type[Table]:
+def _make_triad_table(name: str) -> type[Table]:
     """Build the table of "gyro" or "accel": every figure may be absent."""
     keys = [key for field, told in triad_figures_of(TriadSpec).items() for key in told.keys(field, name)]
     rows: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
@@ -46,14 +46,14 @@ class LayoutTable(Table):
     accel_z_m: Place = (0.0, 0.0, 0.0)
 
 
-_Thermal, _Vibration = table_of(ThermalSpec), table_of(VibrationSpec)
+_Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSpec)
 
 
 class ImuSheet(Sheet):
     """An IMU; a figure the datasheet does not give is absent."""
 
-    gyro: _triad("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
-    accel: _triad("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
+    gyro: _make_triad_table("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
+    accel: _make_triad_table("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
     thermal: _Thermal = _Thermal()  # type: ignore[valid-type]
     vibration: _Vibration = _Vibration()  # type: ignore[valid-type]
     layout: LayoutTable = LayoutTable()
@@ -66,7 +66,7 @@ _JUMPS = [name for name in figures_of(GnssSpec) if "_jump_" in name]
 class GnssSheet(Sheet):
     """A GNSS receiver: what it puts out and, with [sky], what it measures."""
 
-    gnss: table_of(GnssSpec)  # type: ignore[valid-type]
+    gnss: make_table_type(GnssSpec)  # type: ignore[valid-type]
     sky: SkyTable | None = None
 
 
@@ -78,9 +78,9 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
     ConfigError
         One message per thing that is wrong with the file ``shown``.
     """
-    document = read(path, shown)
-    sheet = checked(ImuSheet, document, shown)
-    wrong = unsourced(sheet, document)
+    document = read_toml(path, shown)
+    sheet = check_table(ImuSheet, document, shown)
+    wrong = check_sources(sheet, document)
     triads = {}
     for name in _TRIADS:
         given = document.get(name, {})  # checked above
@@ -97,8 +97,8 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
             wrong.append(f"[{name}] nonlinearity_sd needs {unit} above 0: it is a share of the range")
         if triads[name].bias_instability > 0 and triads[name].bias_correlation <= 0:
             wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
-    vibration = VibrationSpec(**figures(VibrationSpec, sheet.vibration))
-    wrong += _incomplete(vibration)
+    vibration = VibrationSpec(**convert_figures(VibrationSpec, sheet.vibration))
+    wrong += _check_vibration(vibration)
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
@@ -106,14 +106,14 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
         path.stem,
         triads["gyro"],
         triads["accel"],
-        thermal=ThermalSpec(**figures(ThermalSpec, sheet.thermal)),
+        thermal=ThermalSpec(**convert_figures(ThermalSpec, sheet.thermal)),
         vibration=vibration,
         accel_cone=to_si("accel_cone_deg", sheet.layout.accel_cone_deg),
         accel_arms=arms if any(map(any, arms)) else (),
     )
 
 
-def _incomplete(shaking: VibrationSpec) -> list[str]:
+def _check_vibration(shaking: VibrationSpec) -> list[str]:
     """Say which vibration lacks the figures it needs."""
     wrong = []
     engine = shaking.engine_gyro or shaking.engine_accel
@@ -129,10 +129,10 @@ def _incomplete(shaking: VibrationSpec) -> list[str]:
 
 def read_gnss(path: Path, shown: str) -> GnssSpec:
     """Return the GNSS receiver of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
-    document = read(path, shown)
-    sheet = checked(GnssSheet, document, shown)
-    spec = GnssSpec(name=path.stem, **figures(GnssSpec, sheet.gnss))
-    wrong = unsourced(sheet, document) + problems(GnssSpec, sheet.gnss, "gnss")
+    document = read_toml(path, shown)
+    sheet = check_table(GnssSheet, document, shown)
+    spec = GnssSpec(name=path.stem, **convert_figures(GnssSpec, sheet.gnss))
+    wrong = check_sources(sheet, document) + check_figures(GnssSpec, sheet.gnss, "gnss")
     decays = spec.pos_decay_distance or spec.pos_decay_time
     for kind in ("markov", "jump_markov"):
         if (getattr(spec, f"pos_h_{kind}_sd") or getattr(spec, f"pos_v_{kind}_sd")) and not decays:
@@ -142,7 +142,7 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
     if sheet.sky is not None and any(getattr(spec, name) for name in _JUMPS):
         wrong.append("[gnss] jumps follow from the satellites of [sky]; leave their figures out")
     if sheet.sky is not None:
-        with noting(wrong):
+        with collect_errors(wrong):
             spec = replace(spec, sky=read_sky(sheet.sky, path.parent))
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
@@ -151,31 +151,31 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
 
 def read_instrument(kind: str, path: Path, shown: str) -> Any:
     """Return an instrument of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
-    row, document = INSTRUMENTS[kind], read(path, shown)
-    sheet = checked(_sheet_of(kind), document, shown)
+    row, document = INSTRUMENTS[kind], read_toml(path, shown)
+    sheet = check_table(_make_sheet_type(kind), document, shown)
     table = getattr(sheet, kind)
     parts = {
-        name: part(**figures(part, getattr(sheet, name)))
+        name: part(**convert_figures(part, getattr(sheet, name)))
         for name, part in row.parts.items()
         if getattr(sheet, name) is not None
     }
-    spec = row.spec(name=path.stem, **figures(row.spec, table), **parts)
-    wrong = unsourced(sheet, document) + problems(row.spec, table, kind) + row.problems(spec)
+    spec = row.spec(name=path.stem, **convert_figures(row.spec, table), **parts)
+    wrong = check_sources(sheet, document) + check_figures(row.spec, table, kind) + row.problems(spec)
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return spec
 
 
 @cache
-def _sheet_of(kind: str) -> type[Sheet]:
+def _make_sheet_type(kind: str) -> type[Sheet]:
     """Return the model of the datasheet of an instrument: its table, and those of its parts."""
     row = INSTRUMENTS[kind]
-    parts: dict[str, Any] = {name: (table_of(spec) | None, None) for name, spec in row.parts.items()}
-    rows: dict[str, Any] = {kind: (table_of(row.spec), ...), **parts}
+    parts: dict[str, Any] = {name: (make_table_type(spec) | None, None) for name, spec in row.parts.items()}
+    rows: dict[str, Any] = {kind: (make_table_type(row.spec), ...), **parts}
     return create_model(f"{kind}Sheet", __base__=Sheet, **rows)
 
 
-def absent(kind: str, document: Mapping[str, Any]) -> list[str]:
+def list_missing_figures(kind: str, document: Mapping[str, Any]) -> list[str]:
     """Name, in words, what a datasheet does not say: errors that the unit then does not have.
 
     Parameters

@@ -19,7 +19,7 @@ from bench.wording import suggest
 _TABLES = (".csv", ".parquet")
 
 
-def jsbsim_root(given: str | None, beside: Path) -> Path:
+def find_jsbsim_root(given: str | None, beside: Path) -> Path:
     """Return a JSBSim root: a folder relative to the profile, or the jsbsim wheel.
 
     Raises
@@ -71,7 +71,7 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         if not path.is_file():
             raise ConfigError(f"script = {name!r}: no such file beside the profile")
     else:
-        root = jsbsim_root(table.jsbsim_root, beside)
+        root = find_jsbsim_root(table.jsbsim_root, beside)
         known = sorted(path.stem for path in root.glob("scripts/*.xml"))
         if name not in known:
             raise ConfigError(
@@ -82,7 +82,7 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         aircraft = script_facts(path).aircraft
     except FlightError as error:
         raise ConfigError(str(error)) from None
-    roots = [jsbsim_root(table.jsbsim_root, beside)]
+    roots = [find_jsbsim_root(table.jsbsim_root, beside)]
     if table.jsbsim_root is None and name.endswith(".xml"):
         roots.insert(0, path.parent.parent)  # a script lies in <root>/scripts
     needed = Path("aircraft") / aircraft / f"{aircraft}.xml"

@@ -22,7 +22,7 @@ _SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
 """Letter of a system -> its code, and the number of its last satellite."""
 
 
-def satellite(name: str) -> tuple[int, int]:
+def parse_satellite(name: str) -> tuple[int, int]:
     """Return system and number of a satellite by its RINEX name.
 
     Raises
@@ -32,7 +32,7 @@ def satellite(name: str) -> tuple[int, int]:
 
     Examples
     --------
-    >>> satellite("R12")
+    >>> parse_satellite("R12")
     (1, 12)
     """
     system, last = _SYSTEMS.get(name[:1], (0, 0))
@@ -41,10 +41,10 @@ def satellite(name: str) -> tuple[int, int]:
     return system, int(name[1:])
 
 
-def _named(names: tuple[str, ...]) -> tuple[str, ...]:
+def _check_satellites(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         try:
-            satellite(name)
+            parse_satellite(name)
         except ValueError as error:
             raise PydanticCustomError("message", "is wrong: {why}", {"why": str(error)}) from None
     if len(set(names)) < len(names):
@@ -52,7 +52,7 @@ def _named(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-Satellites = Annotated[tuple[str, ...], ROWS, AfterValidator(_named), Field(min_length=1)]
+Satellites = Annotated[tuple[str, ...], ROWS, AfterValidator(_check_satellites), Field(min_length=1)]
 Metres = Annotated[float, between(-1e7, 1e7)]
 Speed = Annotated[float, between(-1e4, 1e4)]
 Share = Annotated[float, between(0.001, 1)]
@@ -237,13 +237,13 @@ _STEPS = dict.fromkeys(
 """Keys of a step, whatever its unit."""
 
 
-def sensor_of(table: _FaultTable) -> str:
+def find_sensor(table: _FaultTable) -> str:
     """Return the sensor a fault strikes."""
     named: str | None = getattr(table, "sensor", None)
     return named or _SENSOR.get(table.kind, "gnss")  # type: ignore[attr-defined]
 
 
-def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
+def read_faults(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
     """Return the faults of a profile as flown, as a ``result.json`` holds it.
 
     Raises
@@ -252,28 +252,28 @@ def flown(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
         When they are none.
     """
     one = TypeAdapter[Any](Annotated[FaultTable, Field(discriminator="kind")])
-    return tuple(to_fault(one.validate_python(row)) for row in rows)
+    return tuple(make_fault(one.validate_python(row)) for row in rows)
 
 
-def to_fault(table: FaultTable) -> Fault:
+def make_fault(table: FaultTable) -> Fault:
     """Return a fault in SI."""
     given = {key: value for key, value in table if value is not None}
-    step = next((_vector(key, given[key]) for key in _STEPS if key in given), ())
-    ramp = _vector("ramp_mps", given["ramp_mps"]) if "ramp_mps" in given else (0.0,) * len(step)
+    step = next((_to_si(key, given[key]) for key in _STEPS if key in given), ())
+    ramp = _to_si("ramp_mps", given["ramp_mps"]) if "ramp_mps" in given else (0.0,) * len(step)
     said = [
         quantity(key, value)
         for key, value in given.items()
         if key not in ("kind", "sensor", "start_s", "duration_s")
         and value != type(table).model_fields[key].default
     ]
-    sensor = sensor_of(table)
+    sensor = find_sensor(table)
     return Fault(
         kind=table.kind,
         sensor=sensor,
         start=float(table.start_s),
         end=float(table.start_s + table.duration_s),
         text=f"{table.kind} of {sensor}" + (f": {', '.join(said)}" if said else ""),
-        satellites=tuple(satellite(name) for name in given.get("satellites", ())),
+        satellites=tuple(parse_satellite(name) for name in given.get("satellites", ())),
         step=step or (0.0,) * len(ramp),
         ramp=ramp,
         loss=float(given.get("cn0_loss_db", 0.0)),
@@ -285,12 +285,14 @@ def to_fault(table: FaultTable) -> Fault:
     )
 
 
-def _vector(key: str, value: float | Sequence[float]) -> tuple[float, ...]:
+def _to_si(key: str, value: float | Sequence[float]) -> tuple[float, ...]:
     values = value if isinstance(value, Sequence) else (value,)
     return tuple(to_si(key, float(part)) for part in values)
 
 
-def wrong(tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: float | None) -> list[str]:
+def check_faults(
+    tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: float | None
+) -> list[str]:
     """Say which faults are not possible with these units, last beyond the flight, or stand there twice.
 
     Parameters
@@ -308,9 +310,9 @@ def wrong(tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: flo
         end = table.start_s + table.duration_s
         if length is not None and end > length:
             found.append(f"{place}its end at {end:g} s is outside the flight, 0 to {length:g} s")
-        found += [f"{place}{line}" for line in _impossible(table, on_board)]
+        found += [f"{place}{line}" for line in _check_fault(table, on_board)]
         for other, earlier in enumerate(tables[: number - 1], 1):
-            same = earlier.kind == table.kind and sensor_of(earlier) == sensor_of(table)
+            same = earlier.kind == table.kind and find_sensor(earlier) == find_sensor(table)
             overlap = earlier.start_s < end and table.start_s < earlier.start_s + earlier.duration_s
             if same and overlap and not hasattr(table, "satellites"):
                 found.append(
@@ -319,13 +321,13 @@ def wrong(tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: flo
     return found
 
 
-def _impossible(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
-    sensor = sensor_of(table)
+def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
+    sensor = find_sensor(table)
     unit = on_board.get("imu" if sensor in ("gyro", "accel") else sensor)
     if unit is None:
         return [f"there is no {sensor} in [sensors]"] if sensor not in ("imu", "gyro", "accel") else []
     steps = [key for key in (*_STEPS, "ramp_mps") if hasattr(table, key)]
-    if steps and not any(any(_vector(key, getattr(table, key))) for key in steps):
+    if steps and not any(any(_to_si(key, getattr(table, key))) for key in steps):
         return [f"{' and '.join(steps)}: nothing happens; give one of them a value other than 0"]
     if isinstance(table, FrozenTable) and table.axes is not None and sensor not in ("gyro", "accel"):
         return [f"axes are those of sensor = 'gyro' or 'accel'; the {sensor} is frozen as a whole"]
@@ -344,7 +346,7 @@ def _impossible(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
         glonass = orbits.nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
         flown = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
         for name in names:
-            system, number = satellite(name)
+            system, number = parse_satellite(name)
             if number not in flown[system]:
                 return [f"satellites: {name} is not among the satellites of gnss = {unit.name!r}"]
     return []

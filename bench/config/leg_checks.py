@@ -61,7 +61,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     return []
 
 
-def with_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
+def fill_in_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
     """Return the profile with the airspeed of its start: what it says, or the trim nearest in altitude."""
     start = table.start
     if start.on_ground or start.speed_mps is not None or not aircraft.trims:
@@ -70,7 +70,7 @@ def with_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
     return table.model_copy(update={"start": start.model_copy(update={"speed_mps": speed})})
 
 
-def first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
+def choose_first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
     """Return the airspeed the flight begins with; on the ground that of the first climb [m/s]."""
     if table.start.speed_mps is not None:
         return float(table.start.speed_mps)

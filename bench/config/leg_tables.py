@@ -26,10 +26,10 @@ class DeclaredTable(Table):
     def build(self) -> Any:
         """Return it in SI."""
         keys = {entry.field: entry.key.name for entry in keys_of(self.made)}
-        return self.made(**{field: _in_si(key, getattr(self, key)) for field, key in keys.items()})
+        return self.made(**{field: _to_si(key, getattr(self, key)) for field, key in keys.items()})
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_whole(self) -> Self:
         try:
             self.build()
         except ValueError as error:
@@ -39,34 +39,37 @@ class DeclaredTable(Table):
 
 def build_leg_type(legs: Iterable[type[Leg]]) -> Any:
     """Return the type of ``[[leg]]``, an array of tables that are each of one of these kinds."""
-    tables = [_table(leg, kind=(Literal[leg.kind], ...)) for leg in legs]
-    return _array(_annotated(functools.reduce(operator.or_, tables), Field(discriminator="kind")))
+    tables = [_make_table_type(leg, kind=(Literal[leg.kind], ...)) for leg in legs]
+    return _make_array_type(_annotate(functools.reduce(operator.or_, tables), Field(discriminator="kind")))
 
 
-def _table(made: type[Any], **others: Any) -> type[DeclaredTable]:
+def _make_table_type(made: type[Any], **others: Any) -> type[DeclaredTable]:
     for entry in keys_of(made):
         default = ... if entry.default is MISSING else entry.default
-        others[entry.key.name] = (_type(entry) | None if entry.optional else _type(entry), default)
+        others[entry.key.name] = (
+            _make_key_type(entry) | None if entry.optional else _make_key_type(entry),
+            default,
+        )
     table = create_model(f"{made.__name__}Table", __base__=DeclaredTable, __doc__=made.__doc__, **others)
     table.made = made
     return table
 
 
-def _type(entry: KeyedField) -> Any:
+def _make_key_type(entry: KeyedField) -> Any:
     if entry.row:
-        return _array(_table(entry.row))
+        return _make_array_type(_make_table_type(entry.row))
     if entry.choices:
         return entry.type
-    return _annotated(entry.type, between(entry.key.low, entry.key.high))
+    return _annotate(entry.type, between(entry.key.low, entry.key.high))
 
 
-def _array(row: Any) -> Any:
-    return _annotated(GenericAlias(tuple, (row, ...)), ROWS, Field(min_length=1))
+def _make_array_type(row: Any) -> Any:
+    return _annotate(GenericAlias(tuple, (row, ...)), ROWS, Field(min_length=1))
 
 
-def _annotated(kind: Any, *checks: Any) -> Any:
+def _annotate(kind: Any, *checks: Any) -> Any:
     return Annotated[kind, *checks]
 
 
-def _in_si(key: str, value: Any) -> Any:
+def _to_si(key: str, value: Any) -> Any:
     return tuple(row.build() for row in value) if isinstance(value, tuple) else to_si(key, value)

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from bench.config import external_truth
-from bench.config.datasheets import SENSORS, absent
+from bench.config.datasheets import SENSORS, list_missing_figures
 from bench.config.profile_tables import Altitude, Category, Speed
-from bench.config.tables import ROWS, Table, between, checked, read
+from bench.config.tables import ROWS, Table, between, check_table, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
@@ -80,7 +80,7 @@ class _AircraftTable(Table):
     guidance: dict[str, float] = Field(default_factory=dict)
 
 
-def profile_file(name: str) -> tuple[Path, str]:
+def find_profile(name: str) -> tuple[Path, str]:
     """Return the file of a profile, given by its path or shipped name, and what messages call it.
 
     Raises
@@ -103,7 +103,7 @@ class _ForeignTable(_AircraftTable):
     properties: dict[str, float] = Field(default_factory=dict)
 
 
-def aircraft_folder(name: str, beside: Path) -> Path:
+def find_aircraft(name: str, beside: Path) -> Path:
     """Return the folder of an aircraft: beside the profile, in the repository or in the installed copy.
 
     Raises
@@ -113,7 +113,7 @@ def aircraft_folder(name: str, beside: Path) -> Path:
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_'")
-    places = _aircraft_places(beside)
+    places = _list_aircraft_folders(beside)
     folder = next((place / name for place in places if (place / name).is_dir()), None)
     if folder is None:
         searched = ", ".join(str(place) for place in places)
@@ -135,17 +135,17 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
     name = folder.name
     shown = f"{name}/aircraft.toml"
     model = folder / f"{name}.xml"
-    if folder.parent in _aircraft_places():
-        table = checked(_AircraftTable, read(folder / "aircraft.toml", shown), shown)
+    if folder.parent in _list_aircraft_folders():
+        table = check_table(_AircraftTable, read_toml(folder / "aircraft.toml", shown), shown)
         foreign = None
     else:
         guided = external_truth.has_guidance(model)
         kind = _AircraftTable if guided else _ForeignTable
-        table = checked(kind, read(folder / "aircraft.toml", shown), shown)
-        foreign = _foreign(table, external_truth.jsbsim_root(None, beside))
+        table = check_table(kind, read_toml(folder / "aircraft.toml", shown), shown)
+        foreign = _make_foreign(table, external_truth.find_jsbsim_root(None, beside))
     if not model.is_file():
         raise ConfigError(f"{name}/{name}.xml: no such file")
-    return _aircraft(table, shown, folder, beside, foreign)
+    return _make_aircraft(table, shown, folder, beside, foreign)
 
 
 def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftSpec:
@@ -159,13 +159,13 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
         One message per thing that is missing or wrong.
     """
     name = name.removeprefix(JSBSIM)
-    folder = external_truth.jsbsim_root(root, beside)
+    folder = external_truth.find_jsbsim_root(root, beside)
     known = external_truth.list_root_aircraft(folder)
     if name not in known:
         raise ConfigError(
             f"aircraft = {JSBSIM + name!r} is not in {folder / 'aircraft'}{suggest(name, known, 'aircraft')}"
         )
-    places = [place / "jsbsim" for place in _aircraft_places(beside)]
+    places = [place / "jsbsim" for place in _list_aircraft_folders(beside)]
     file = next((place / f"{name}.toml" for place in places if (place / f"{name}.toml").is_file()), None)
     if file is None:
         shipped = sorted({path.stem for place in places for path in place.glob("*.toml")})
@@ -174,17 +174,17 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
             f"profile, with limits, antenna and guidance as those of {', '.join(shipped)}"
         )
     shown = f"jsbsim/{name}.toml"
-    table = checked(_ForeignTable, read(file, shown), shown)
-    return _aircraft(table, shown, folder / "aircraft" / name, beside, _foreign(table, folder))
+    table = check_table(_ForeignTable, read_toml(file, shown), shown)
+    return _make_aircraft(table, shown, folder / "aircraft" / name, beside, _make_foreign(table, folder))
 
 
-def _foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
+def _make_foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
     if isinstance(table, _ForeignTable):
         return ForeignSpec(root, table.properties)
     return ForeignSpec(root, {}, guided=True)
 
 
-def _aircraft(
+def _make_aircraft(
     table: _AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
 ) -> AircraftSpec:
     limits, imu = table.limits, table.imu
@@ -198,7 +198,7 @@ def _aircraft(
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is no table of it")
-    systems = [place / "systems" for place in (folder.parent, *_aircraft_places(beside))]
+    systems = [place / "systems" for place in (folder.parent, *_list_aircraft_folders(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:
         raise ConfigError(f"guidance.xml: no such file in {', '.join(str(place) for place in systems)}")
@@ -218,7 +218,7 @@ def _aircraft(
         imu_b=_from_imu(imu, _AT_CG),
         static_port_b=_from_imu(table.static_port, imu),
         trims=tuple((float(row.alt_m), float(row.speed_mps)) for row in table.trim),
-        runway=_runway(table.runway) if table.runway else None,
+        runway=_make_runway(table.runway) if table.runway else None,
         configuration=table.configuration,
     )
 
@@ -228,7 +228,7 @@ def _from_imu(place: _Position, imu: _Position) -> tuple[float, float, float]:
     return (place.forward_m - imu.forward_m, place.right_m - imu.right_m, place.down_m - imu.down_m)
 
 
-def _runway(table: _Runway) -> RunwaySpec:
+def _make_runway(table: _Runway) -> RunwaySpec:
     return RunwaySpec(
         height=table.height_m,
         rotate_speed=table.rotate_mps,
@@ -239,7 +239,7 @@ def _runway(table: _Runway) -> RunwaySpec:
     )
 
 
-def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
+def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     """Return the datasheet of a sensor, and what messages call it.
 
     Parameters
@@ -266,7 +266,7 @@ def sensor_file(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     return _CATALOG / kind / f"{name}.toml", f"{name}.toml"
 
 
-def _aircraft_places(beside: Path | None = None) -> list[Path]:
+def _list_aircraft_folders(beside: Path | None = None) -> list[Path]:
     beside_profile = [beside / "aircraft"] if beside else []
     tree = [PACKAGE.parent / "aircraft"] if (PACKAGE.parent / "pyproject.toml").is_file() else []
     return [*beside_profile, *tree, PACKAGE / "aircraft"]
@@ -302,7 +302,7 @@ class CatalogEntry(NamedTuple):
 def list_profiles() -> list[CatalogEntry]:
     """Return every shipped profile."""
     return [
-        CatalogEntry(path.stem, str(read(path, path.name).get("title", "")), "profile")
+        CatalogEntry(path.stem, str(read_toml(path, path.name).get("title", "")), "profile")
         for path in sorted(_PROFILES.glob("*.toml"))
     ]
 
@@ -310,18 +310,18 @@ def list_profiles() -> list[CatalogEntry]:
 def list_aircraft(beside: Path | None = None) -> list[CatalogEntry]:
     """Return every aircraft that a profile can ask for, sorted by name."""
     found = {}
-    for place in reversed(_aircraft_places(beside)):
+    for place in reversed(_list_aircraft_folders(beside)):
         for path in place.glob("*/aircraft.toml"):
-            found[path.parent.name] = read(path, f"{path.parent.name}/aircraft.toml")
+            found[path.parent.name] = read_toml(path, f"{path.parent.name}/aircraft.toml")
         for path in place.glob("jsbsim/*.toml"):
-            found[f"{JSBSIM}{path.stem}"] = read(path, f"jsbsim/{path.name}")
+            found[f"{JSBSIM}{path.stem}"] = read_toml(path, f"jsbsim/{path.name}")
     return [
-        CatalogEntry(name, str(sheet.get("title", "")), "aircraft", _figures(sheet))
+        CatalogEntry(name, str(sheet.get("title", "")), "aircraft", _describe_aircraft(sheet))
         for name, sheet in sorted(found.items())
     ]
 
 
-def _figures(sheet: Mapping[str, Any]) -> str:
+def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
     """Say in a line what an aircraft can do, where it is from, and what of it is assumed."""
     limits = sheet.get("limits", {})
     said = [f"class {sheet.get('class')}"]
@@ -337,29 +337,29 @@ def _figures(sheet: Mapping[str, Any]) -> str:
 def list_sensors() -> list[CatalogEntry]:
     """Return every sensor of the catalog."""
     return [
-        CatalogEntry(path.stem, str(sheet.get("title", "")), kind, _provenance(kind, sheet))
+        CatalogEntry(path.stem, str(sheet.get("title", "")), kind, _describe_datasheet(kind, sheet))
         for kind in SENSORS
         for path in sorted((_CATALOG / kind).glob("*.toml"))
-        for sheet in [read(path, path.name)]
+        for sheet in [read_toml(path, path.name)]
     ]
 
 
 def list_legs() -> list[CatalogEntry]:
     """Return every leg that a profile can ask for, sorted by name."""
     return [
-        CatalogEntry(leg.kind, str(leg.__doc__).partition("\n")[0], "leg", keys=tuple(_keys(leg)))
+        CatalogEntry(leg.kind, str(leg.__doc__).partition("\n")[0], "leg", keys=tuple(_list_keys(leg)))
         for leg in sorted(legs.LEGS, key=lambda leg: leg.kind)
     ]
 
 
-def _keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
+def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
     for entry in keys_of(made):
         key, required = entry.key, entry.default is MISSING
         low, high = (None if math.isinf(end) else float(end) for end in (key.low, key.high))
         default = None if required else entry.default
         yield KeyEntry(place + key.name, key.words, key.unit, low, high, entry.choices, default, required)
         if entry.row:
-            yield from _keys(entry.row, f"{key.name}.")
+            yield from _list_keys(entry.row, f"{key.name}.")
 
 
 def list_estimators() -> list[CatalogEntry]:
@@ -372,9 +372,9 @@ def list_estimators() -> list[CatalogEntry]:
     ]
 
 
-def _provenance(kind: str, sheet: Mapping[str, Any]) -> str:
+def _describe_datasheet(kind: str, sheet: Mapping[str, Any]) -> str:
     """Say in a line how far the figures of a datasheet can be trusted."""
     known = ", ".join(str(sheet[key]) for key in ("class", "confidence") if key in sheet)
     assumed = [str(name) for name in sheet.get("assumed", [])]
-    said = {"assumed": assumed, "absent": absent(kind, sheet)}
+    said = {"assumed": assumed, "absent": list_missing_figures(kind, sheet)}
     return "; ".join([known, *(f"{what}: {', '.join(names)}" for what, names in said.items() if names)])

@@ -14,10 +14,10 @@ from pydantic_core import PydanticCustomError
 
 from bench.config import checks
 from bench.config.datasheets import SENSORS
-from bench.config.library import sensor_file
-from bench.config.profile import asked_for, choice_of
+from bench.config.library import find_datasheet
+from bench.config.profile import choose_estimators, make_choice
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
-from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, checked, noting, read
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors, read_toml
 from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
 
@@ -42,14 +42,14 @@ _Shift = Annotated[float, between(-10, 10)]
 _Clock = Annotated[float, between(-1e10, 1e10)]
 
 
-def _names(value: dict[str, str]) -> dict[str, str]:
+def _check_column_names(value: dict[str, str]) -> dict[str, str]:
     twice = [name for name, count in Counter(value.values()).items() if count > 1]
     if twice:
         raise PydanticCustomError("message", f"must not name the column '{twice[0]}' twice")
     return value
 
 
-_Columns = Annotated[dict[str, str], AfterValidator(_names)]
+_Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
 
 
 class _FileTable(Table):
@@ -82,7 +82,7 @@ class BaroTable(_FileTable):
     """The barometer."""
 
 
-class AssumedTable(Table):
+class LogAssumedTable(Table):
     """The datasheets the filters believe."""
 
     imu: str
@@ -90,10 +90,10 @@ class AssumedTable(Table):
     baro: str | None = None
 
 
-class SensorsTable(Table):
+class LogSensorsTable(Table):
     """What is told of the sensors."""
 
-    assumed: AssumedTable
+    assumed: LogAssumedTable
 
 
 class LogAlignmentTable(AlignmentTable):
@@ -125,7 +125,7 @@ class LogTable(Table):
     imu: ImuTable
     gnss: GnssTable | None = None
     baro: BaroTable | None = None
-    sensors: SensorsTable
+    sensors: LogSensorsTable
     alignment: LogAlignmentTable = LogAlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
     evaluation: LogEvaluationTable = LogEvaluationTable()
@@ -194,15 +194,15 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
         All that is wrong with the file and the files it names, one message each.
     """
     path = Path(name)
-    document = read(path, name)
-    wrong = [f"{name}: {line}" for line in checks.options(document)]
+    document = read_toml(path, name)
+    wrong = [f"{name}: {line}" for line in checks.check_options(document)]
     try:
-        table = checked(LogTable, document, name)
+        table = check_table(LogTable, document, name)
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     beside, place = path.parent, f"{name}: "
     given = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
-    sources = {kind: _source(row, kind, beside, place, wrong) for kind, row in given.items()}
+    sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in given.items()}
     assumed: dict[str, Any] = {}
     for kind in given:
         asked = getattr(table.sensors.assumed, kind)
@@ -210,16 +210,20 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
             wrong.append(
                 f"{place}[sensors.assumed] {kind} is missing: which datasheet do the filters believe?"
             )
-        with noting(wrong, f"{place}[sensors.assumed] "):
-            sheet = None if asked is None else sensor_file(kind, asked, beside)
-            with noting(wrong):
+        with collect_errors(wrong, f"{place}[sensors.assumed] "):
+            sheet = None if asked is None else find_datasheet(kind, asked, beside)
+            with collect_errors(wrong):
                 assumed[kind] = None if sheet is None else SENSORS[kind](*sheet)
-    choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
-    across = checks.estimators(choices) + checks.asked(choices, estimators or ()) + _starts(table)
+    choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
+    across = (
+        checks.check_estimators(choices)
+        + checks.check_requested(choices, estimators or ())
+        + _check_start(table)
+    )
     wrong += [f"{place}{line}" for line in across]
     if wrong:
         raise ConfigError(*wrong)
-    choices = asked_for(name, choices, estimators, allow_commands)
+    choices = choose_estimators(name, choices, estimators, allow_commands)
     imu = sources["imu"]
     assert imu is not None
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
@@ -229,22 +233,22 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
         imu=imu,
         gnss=sources["gnss"],
         baro=sources["baro"],
-        mounting=_radians(table.imu.mounting_deg),
-        misalignment=_radians(table.imu.misalignment_deg),
+        mounting=_to_radians(table.imu.mounting_deg),
+        misalignment=_to_radians(table.imu.misalignment_deg),
         antenna_b=tuple(a - b for a, b in zip(gnss_at, table.imu.position_m, strict=True)),  # type: ignore[arg-type]
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
         assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
-        start=_start(table.alignment),
+        start=_make_start(table.alignment),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
         output_rate=float(table.evaluation.output_hz),
         withhold=table.evaluation.withhold,
-        document=_document(table, path.stem, choices),
+        document=_make_document(table, path.stem, choices),
     )
 
 
-def _source(
+def _find_source(
     row: _FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
 ) -> SourceSpec | None:
     if row is None:
@@ -272,7 +276,7 @@ def _source(
 _OF_A_GIVEN = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
 
 
-def _starts(table: LogTable) -> list[str]:
+def _check_start(table: LogTable) -> list[str]:
     """Check that the start is neither told too little nor what would not be read."""
     asked = table.alignment
     kind = f"kind = {asked.kind!r}"
@@ -292,7 +296,7 @@ def _starts(table: LogTable) -> list[str]:
     return wrong
 
 
-def _start(row: LogAlignmentTable) -> StartSpec:
+def _make_start(row: LogAlignmentTable) -> StartSpec:
     told = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
     usual = 10.0 if row.kind == "course" else 60.0  # as in a profile
     return StartSpec(
@@ -300,17 +304,17 @@ def _start(row: LogAlignmentTable) -> StartSpec:
         at=float(row.at_s),
         align_for=float(usual if row.duration_s is None else row.duration_s),
         drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
-        attitude=_radians(told),
+        attitude=_to_radians(told),
         tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
         heading_sd=math.radians(2.0 if row.heading_sd_deg is None else row.heading_sd_deg),
     )
 
 
-def _radians(angles: tuple[float, float, float]) -> tuple[float, float, float]:
+def _to_radians(angles: tuple[float, float, float]) -> tuple[float, float, float]:
     return (math.radians(angles[0]), math.radians(angles[1]), math.radians(angles[2]))
 
 
-def _document(table: LogTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
+def _make_document(table: LogTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
     document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
     document["estimator"] = [
         {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices

@@ -16,20 +16,20 @@ from bench.config import checks, external_truth, fault_tables, leg_checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import (
     JSBSIM,
-    aircraft_folder,
-    profile_file,
+    find_aircraft,
+    find_datasheet,
+    find_profile,
     read_aircraft,
     read_jsbsim_aircraft,
-    sensor_file,
 )
 from bench.config.profile_tables import (
     SEVERITY,
     ExperimentTable,
     ProfileTable,
     TrajectoryTable,
-    profile_table,
+    make_profile_table,
 )
-from bench.config.tables import checked, noting, read
+from bench.config.tables import check_table, collect_errors, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE
@@ -81,15 +81,15 @@ def load_profile(
     ConfigError
         All that is wrong with the file, the overrides and the files it names, one message each.
     """
-    path, shown = profile_file(str(name))
-    document = read(path, shown)
+    path, shown = find_profile(str(name))
+    document = read_toml(path, shown)
     overrides = dict(overrides or {})
     if seed is not None:
         both = overrides.pop("seed", seed)  # an override wins, of both
         document |= {"seed": both} | ({} if "trajectory" in document else {"turbulence_seed": both})
     for key, value in overrides.items():
         document = _override(document, key, value)
-    beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.options(document)]
+    beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.check_options(document)]
     flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(flown_by) > 1:
         raise ConfigError(f"{shown}: {' and '.join(flown_by)}: a profile has only one of them")
@@ -104,41 +104,43 @@ def load_profile(
     assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
-        table: ExperimentTable = checked(
-            external[0] if external else profile_table(legs.LEGS), document, shown
+        table: ExperimentTable = check_table(
+            external[0] if external else make_profile_table(legs.LEGS), document, shown
         )
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
-    choices = tuple(choice_of(row.use, row.label, row.options, beside) for row in table.estimator)
+    choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
-        table = leg_checks.with_speed(table, aircraft)
+        table = leg_checks.fill_in_speed(table, aircraft)
         across = leg_checks.check_legs(table, aircraft) + leg_checks.check_air(table)
         if not across:
-            flight = _flight(table, aircraft)
+            flight = _make_flight(table, aircraft)
     elif external is not None:
-        with noting(wrong, f"{shown}: "):
+        with collect_errors(wrong, f"{shown}: "):
             flight = external[1](table, beside)
-    across += checks.rates(table, on_board) + checks.outages(table) + checks.alignment(table)
-    across += checks.units(table, on_board, felt="trajectory" not in document)
-    across += fault_tables.wrong(
+    across += (
+        checks.check_rates(table, on_board) + checks.check_outages(table) + checks.check_alignment(table)
+    )
+    across += checks.check_sensors(table, on_board, felt="trajectory" not in document)
+    across += fault_tables.check_faults(
         table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
     )
-    across += checks.estimators(choices) + checks.asked(choices, estimators or ())
+    across += checks.check_estimators(choices) + checks.check_requested(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
-    choices = asked_for(shown, choices, estimators, allow_commands)
+    choices = choose_estimators(shown, choices, estimators, allow_commands)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
         seed=table.seed,
         flight=flight,
-        sensors=_sensors(table, aircraft, on_board, assumed),
+        sensors=_make_sensors(table, aircraft, on_board, assumed),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
-        document=_document(table, path.stem, choices, _day(table, on_board)),
+        document=_make_document(table, path.stem, choices, _choose_day(table, on_board)),
     )
 
 
@@ -148,12 +150,12 @@ def _override(document: Mapping[str, Any], key: str, value: object) -> dict[str,
     here: Any = copied
     *path, last = key.split(".")
     for part in path:
-        here = here.setdefault(part, {}) if isinstance(here, dict) else here[_index(here, part, key)]
-    here[last if isinstance(here, dict) else _index(here, last, key)] = value
+        here = here.setdefault(part, {}) if isinstance(here, dict) else here[_parse_index(here, part, key)]
+    here[last if isinstance(here, dict) else _parse_index(here, last, key)] = value
     return copied
 
 
-def _index(rows: object, part: str, key: str) -> int:
+def _parse_index(rows: object, part: str, key: str) -> int:
     if not isinstance(rows, list):
         raise ConfigError(f"--set {key}: {part!r} is not a key of a table")
     if not part.isdecimal() or int(part) >= len(rows):
@@ -167,13 +169,13 @@ def _find_aircraft(
     """Read an aircraft, or add to ``wrong`` why not; what is no text is left to the check of its table."""
     name, root = document.get("aircraft"), document.get("jsbsim_root")
     if isinstance(name, str):
-        with noting(wrong, place):
+        with collect_errors(wrong, place):
             if name.startswith(JSBSIM):
                 return read_jsbsim_aircraft(name, root if isinstance(root, str) else None, beside)
             if root is not None:
                 raise ConfigError(f"jsbsim_root is for aircraft = '{JSBSIM}NAME'; aircraft = {name!r} is not")
-            folder = aircraft_folder(name, beside)
-            with noting(wrong):
+            folder = find_aircraft(name, beside)
+            with collect_errors(wrong):
                 return read_aircraft(folder, beside)
     return None
 
@@ -184,14 +186,14 @@ def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> 
     for kind in SENSORS:
         name = names.get(kind) if isinstance(names, Mapping) else None
         if isinstance(name, str):
-            with noting(wrong, place):
-                path, shown = sensor_file(kind, name, beside)
-                with noting(wrong):
+            with collect_errors(wrong, place):
+                path, shown = find_datasheet(kind, name, beside)
+                with collect_errors(wrong):
                     found[kind] = SENSORS[kind](path, shown)
     return found
 
 
-def asked_for(
+def choose_estimators(
     shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_commands: bool
 ) -> tuple[EstimatorChoice, ...]:
     """Return the estimators to run: those of a file, or those asked for instead.
@@ -204,26 +206,26 @@ def asked_for(
     choices = tuple(own)
     if estimators is not None:
         by_label = {choice.label: choice for choice in choices}
-        choices = _numbered([by_label.get(name) or choice_of(name) for name in estimators])
+        choices = _number_labels([by_label.get(name) or make_choice(name) for name in estimators])
         twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
         if twice:
             raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
         if not choices:
             raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
-    if not allow_commands and (wrong := checks.commands(own, choices)):
+    if not allow_commands and (wrong := checks.check_commands(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return choices
 
 
-def choice_of(
+def make_choice(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
     """Return an estimator by its use, under its own name when no label is given."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
-    return EstimatorChoice(use, label or _label(use), dict(options or {}), beside)
+    return EstimatorChoice(use, label or _make_label(use), dict(options or {}), beside)
 
 
-def _label(use: str) -> str:
+def _make_label(use: str) -> str:
     """Return what an estimator is called when nobody says: a class, file or program by its own name."""
     kind, _, rest = use.rpartition(":")
     if use.startswith(_OUTSIDE):
@@ -233,7 +235,7 @@ def _label(use: str) -> str:
     return rest
 
 
-def _numbered(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
+def _number_labels(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
     """Return the choices with a number behind the label of a file or program that is taken."""
     taken: Counter[str] = Counter()
     found = []
@@ -246,7 +248,7 @@ def _numbered(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]
     return tuple(found)
 
 
-def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
+def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
     wind, start = table.wind, table.start
     return FlightSpec(
         aircraft=aircraft,
@@ -255,7 +257,7 @@ def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
         lon=math.radians(start.lon_deg),
         alt=float(start.alt_m),
         heading=math.radians(start.heading_deg),
-        speed=leg_checks.first_speed(table, aircraft),
+        speed=leg_checks.choose_first_speed(table, aircraft),
         wind_from=math.radians(wind.from_deg),
         wind_speed=float(wind.speed_mps),
         severity=SEVERITY.get(wind.turbulence, wind.turbulence),
@@ -282,7 +284,7 @@ def _flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
     )
 
 
-def _sensors(
+def _make_sensors(
     table: ExperimentTable,
     aircraft: AircraftSpec | None,
     on_board: Mapping[str, Any],
@@ -293,10 +295,10 @@ def _sensors(
     return SensorsSpec(
         **on_board,
         assumed=AssumedSpecs(**assumed),
-        date=decimal_year(_day(table, on_board)),
+        date=decimal_year(_choose_day(table, on_board)),
         qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,
-        static_port_b=_static_port(aircraft),
-        **_ground(table, aircraft),
+        static_port_b=_place_static_port(aircraft),
+        **_find_ground(table, aircraft),
         antenna_b=external_truth.place_antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple((float(start), float(end)) for start, end in outages),
         initial_pos_sd=initial.pos_m,
@@ -305,13 +307,13 @@ def _sensors(
         initial_heading_sd=math.radians(initial.heading_deg),
         output_rate=float(table.evaluation.output_hz),
         alignment=table.alignment.kind,
-        align_for=checks.align_for(table),
+        align_for=checks.choose_alignment_time(table),
         drift_sd=math.radians(_DRIFT_DEG if table.alignment.drift_deg is None else table.alignment.drift_deg),
-        faults=tuple(fault_tables.to_fault(row) for row in table.fault),
+        faults=tuple(fault_tables.make_fault(row) for row in table.fault),
     )
 
 
-def _ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, Any]:
+def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, Any]:
     """Return the height of the ground, and that of the IMU above it at rest [m].
 
     A trajectory table is that of a vehicle that stays on the ground; of an aircraft without runway figures
@@ -324,7 +326,7 @@ def _ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, 
     return {"ground_alt": float(runway.alt_m) if runway else 0.0, "rest_height": rest}
 
 
-def _day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
+def _choose_day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
     """Return the day of the flight: that of the profile, else of the receiver's sky, else the usual one."""
     gnss = on_board["gnss"]
     if table.date is None and gnss is not None and gnss.sky is not None:
@@ -332,7 +334,7 @@ def _day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
     return table.date or DEFAULT_DAY
 
 
-def _static_port(aircraft: AircraftSpec | None) -> tuple[float, float, float]:
+def _place_static_port(aircraft: AircraftSpec | None) -> tuple[float, float, float]:
     """Return the static port relative to the centre of gravity [m], b."""
     if aircraft is None:
         return (0.0, 0.0, 0.0)
@@ -340,7 +342,7 @@ def _static_port(aircraft: AircraftSpec | None) -> tuple[float, float, float]:
     return (imu_b[0] + port_b[0], imu_b[1] + port_b[1], imu_b[2] + port_b[2])
 
 
-def _document(
+def _make_document(
     table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice], day: date
 ) -> dict[str, Any]:
     """Return the profile as flown: the file with the overrides and every default filled in."""

@@ -27,7 +27,7 @@ SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
 """Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
 
 
-def _turbulence(value: object) -> object:
+def _check_turbulence(value: object) -> object:
     named = isinstance(value, str) and value in SEVERITY
     numbered = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 7
     if not (named or numbered):
@@ -36,7 +36,7 @@ def _turbulence(value: object) -> object:
     return value
 
 
-def _plain(value: dict[str, Any]) -> dict[str, Any]:
+def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
     """Refuse what an option cannot be: a date, NaN or infinity."""
 
     def check(item: object) -> None:
@@ -66,7 +66,7 @@ Category = Literal["uav", "light", "transport", "fighter"]
 """Class of an aircraft."""
 
 
-def _modelled(value: date) -> date:
+def _check_year(value: date) -> date:
     if not FIRST_YEAR <= value.year < LAST_YEAR:
         wanted = (
             f"must be from {FIRST_YEAR:g}-01-01 to {LAST_YEAR - 1:g}-12-31: the magnetic field is known then"
@@ -75,7 +75,7 @@ def _modelled(value: date) -> date:
     return value
 
 
-def _written(value: object) -> object:
+def _parse_date(value: object) -> object:
     """Take the text of a profile as flown, which is JSON, for a date; leave what is none to its check."""
     if isinstance(value, str):
         with suppress(ValueError):
@@ -83,7 +83,7 @@ def _written(value: object) -> object:
     return value
 
 
-Date = Annotated[date, BeforeValidator(_written), AfterValidator(_modelled)]
+Date = Annotated[date, BeforeValidator(_parse_date), AfterValidator(_check_year)]
 
 
 class StartTable(Table):
@@ -114,7 +114,7 @@ class WindTable(Table):
     from_deg: Annotated[float, between(0, 360)] = 0.0
     speed_mps: Annotated[float, between(0, 40)] = 0.0
     layers: Annotated[tuple[LayerTable, ...], ROWS] = ()
-    turbulence: Annotated[Any, AfterValidator(_turbulence)] = "none"
+    turbulence: Annotated[Any, AfterValidator(_check_turbulence)] = "none"
     turbulence_model: Literal["milspec", "tustin"] = "milspec"
 
 
@@ -192,7 +192,7 @@ class EstimatorTable(Table):
 
     use: str
     label: str | None = None
-    options: Annotated[dict[str, Any], AfterValidator(_plain)] = Field(default_factory=dict)
+    options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
 
 
 class EvaluationTable(Table):
@@ -241,7 +241,7 @@ class ProfileTable(ExperimentTable):
 
 
 @functools.cache
-def profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
+def make_profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
     """Return the model of a profile with legs of these kinds."""
     return create_model("ProfileTable", __base__=ProfileTable, leg=(build_leg_type(legs), ...))
 

@@ -30,7 +30,7 @@ class Sheet(Table):
     assumed: list[str] = Field(default_factory=list)  # figures that no source states
 
 
-def table_of(spec: type, *names: str) -> type[Table]:
+def make_table_type(spec: type, *names: str) -> type[Table]:
     """Build the table of a file that a spec is made of: its figures under their keys, with their limits.
 
     ``names`` are the figures that go into it; all when none is given.
@@ -49,7 +49,7 @@ def table_of(spec: type, *names: str) -> type[Table]:
     return create_model(f"{spec.__name__}Table", __base__=Table, __doc__=spec.__doc__, **rows)
 
 
-def figures(spec: type, table: Table) -> dict[str, Any]:
+def convert_figures(spec: type, table: Table) -> dict[str, Any]:
     """Return the figures of a spec, in SI, from the table of a file."""
     found = {}
     for name, told in figures_of(spec).items():
@@ -60,7 +60,7 @@ def figures(spec: type, table: Table) -> dict[str, Any]:
     return found
 
 
-def problems(spec: type, table: Table, name: str) -> list[str]:
+def check_figures(spec: type, table: Table, name: str) -> list[str]:
     """Say which figures of a table may not be 0: noise that the unit reports, and decays."""
     wrong = []
     for field, told in figures_of(spec).items():
@@ -74,7 +74,7 @@ def problems(spec: type, table: Table, name: str) -> list[str]:
     return wrong
 
 
-def unsourced(sheet: Sheet, document: Mapping[str, Any]) -> list[str]:
+def check_sources(sheet: Sheet, document: Mapping[str, Any]) -> list[str]:
     """Say which of the figures named in ``sources`` and ``assumed`` the file does not give."""
     tables = [key for key in document if key not in Sheet.model_fields and isinstance(document[key], dict)]
     figures = {f"{table}.{key}" for table in tables for key in document[table]}

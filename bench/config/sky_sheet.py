@@ -7,7 +7,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from bench.config.tables import ROWS, Table, between, noting
+from bench.config.tables import ROWS, Table, between, collect_errors
 from bench.errors import ConfigError
 from bench.specs import SkySpec
 from bench.units import STANDARD_GRAVITY, si_fields
@@ -102,8 +102,8 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     gps = glonass = None
     broadcast: Sequence[float] | None = None
     if not wrong:
-        with noting(wrong):
-            gps, glonass, broadcast = _satellites(table, beside, midnight, of_day)
+        with collect_errors(wrong):
+            gps, glonass, broadcast = _read_satellites(table, beside, midnight, of_day)
     if wrong:
         raise ConfigError(*wrong)
     klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
@@ -121,7 +121,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     )
 
 
-def _satellites(
+def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
 ) -> tuple[KeplerSets | None, KeplerSets | GlonassSets | None, Sequence[float] | None]:
     """Read the satellites of GPS and GLONASS and the ionosphere; None stands for the nominal ones."""
@@ -135,7 +135,7 @@ def _satellites(
         return sets, None, None
     if not table.navigation:
         return None, None, None
-    files = rinex.merged([rinex.read_navigation(beside / f, f) for f in table.navigation])
+    files = rinex.merge_navigation([rinex.read_navigation(beside / f, f) for f in table.navigation])
     gps, glonass = files.kepler.since(midnight), files.glonass.since(midnight)
     for system, name, t, oldest in (
         ("gps", "GPS", gps.t, _GPS_STALE),

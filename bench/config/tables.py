@@ -12,13 +12,13 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from bench.errors import ConfigError
-from bench.wording import as_toml, complaint, suggest
+from bench.wording import as_toml, describe_error, suggest
 
 _T = TypeVar("_T", bound=BaseModel)
 
 
 @contextmanager
-def noting(wrong: list[str], place: str = "") -> Iterator[None]:
+def collect_errors(wrong: list[str], place: str = "") -> Iterator[None]:
     """Add the messages of a ConfigError to a list, after the place they belong to, and go on."""
     try:
         yield
@@ -59,7 +59,7 @@ MOST_BYTES = 10_000_000
 """Of a TOML file."""
 
 
-def read(path: Path, shown: str) -> dict[str, Any]:
+def read_toml(path: Path, shown: str) -> dict[str, Any]:
     """Return the content of a TOML file.
 
     Raises
@@ -87,7 +87,7 @@ def read(path: Path, shown: str) -> dict[str, Any]:
         raise ConfigError(f"{shown}: not valid TOML: too many brackets within brackets") from None
 
 
-def checked(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
+def check_table(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
     """Return the document as a checked model.
 
     Raises
@@ -108,32 +108,32 @@ def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
     if kind == "union_tag_invalid":
         tag = str(context["tag"])
         known = [name.strip("'") for name in str(context["expected_tags"]).split(", ")]
-        return f"{_table(loc)}: kind = {as_toml(tag)} is unknown{suggest(tag, known, 'kinds')}"
+        return f"{_name_table(loc)}: kind = {as_toml(tag)} is unknown{suggest(tag, known, 'kinds')}"
     if kind == "union_tag_not_found":
-        return f"{_table(loc)}: kind is missing"
-    place, key = _place(loc)
+        return f"{_name_table(loc)}: kind is missing"
+    place, key = _split_location(loc)
     if kind == "whole":
-        return f"{_table(loc)}: {detail['msg']}"
+        return f"{_name_table(loc)}: {detail['msg']}"
     if kind == "extra_forbidden":
         place = f"{place}: " if place else ""
-        return f"{place}unknown key {key!r}{suggest(key, _known_keys(model, loc[:-1]), 'keys')}"
+        return f"{place}unknown key {key!r}{suggest(key, _list_keys(model, loc[:-1]), 'keys')}"
     joint = ": " if place.startswith("[[") else " "
     place = f"{place}{joint}" if place else ""
     if kind == "missing":
         return f"{place}{key} is missing"
-    return f"{place}{complaint(key, value, kind, detail['msg'], context)}"
+    return f"{place}{describe_error(key, value, kind, detail['msg'], context)}"
 
 
-def _place(loc: Sequence[int | str]) -> tuple[str, str]:
+def _split_location(loc: Sequence[int | str]) -> tuple[str, str]:
     """Split a location into its table, as it stands in the file, and the key in it."""
     if len(loc) == 2 and isinstance(loc[1], int):  # the row of a list of tables is no table
-        return "", _table(loc)
+        return "", _name_table(loc)
     if isinstance(loc[-1], int):
-        return _table(loc[:-2]), f"{loc[-2]}[{loc[-1]}]"
-    return _table(loc[:-1]), str(loc[-1])
+        return _name_table(loc[:-2]), f"{loc[-2]}[{loc[-1]}]"
+    return _name_table(loc[:-1]), str(loc[-1])
 
 
-def _table(loc: Sequence[int | str]) -> str:
+def _name_table(loc: Sequence[int | str]) -> str:
     """Name a table: ``[start]``, ``[sensors.assumed]``, ``[[leg]] 1 (climb)``, ``... points[0]``."""
     if len(loc) > 1 and isinstance(loc[1], int):
         inner = "".join(f"[{part}]" if isinstance(part, int) else f" {part}" for part in loc[3:])
@@ -141,13 +141,13 @@ def _table(loc: Sequence[int | str]) -> str:
     return f"[{'.'.join(str(part) for part in loc)}]" if loc else ""
 
 
-def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
+def _list_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
     """Return the keys of the table at a location of a model."""
     for part in loc:
         if isinstance(part, int):
             continue
         if part in model.model_fields:
-            below = _models(model.model_fields[str(part)].annotation)
+            below = _list_models(model.model_fields[str(part)].annotation)
             if len(below) == 1:
                 model = below[0]
             else:
@@ -157,9 +157,9 @@ def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def _list_models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     if get_origin(annotation) is Literal:
         return []
-    return [m for inner in get_args(annotation) for m in _models(inner)]
+    return [m for inner in get_args(annotation) for m in _list_models(inner)]

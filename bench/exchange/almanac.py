@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.errors import ConfigError
-from bench.exchange.rinex import Lines, opened
+from bench.exchange.rinex import Lines, open_lines
 from bench.signals.orbits import KEPLER, WEEK, KeplerSets
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac counts modulo this [s]
@@ -56,18 +56,18 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
     """
     shown = path.name if shown is None else shown
     rows: list[dict[str, float]] = []
-    with opened(path, shown) as lines:
+    with open_lines(path, shown) as lines:
         begun, entries = 0, dict[str, float]()
-        while (line := lines.next()) is not None:
+        while (line := lines.read_line()) is not None:
             if line.startswith("*"):
                 if entries:
-                    raise lines.wrong(_unfinished(entries, begun))
+                    raise lines.error(_describe_unfinished(entries, begun))
                 continue
             if not line.strip():
                 continue
-            name, value = _entry(lines, line)
+            name, value = _parse_entry(lines, line)
             if name in entries:
-                raise lines.wrong(
+                raise lines.error(
                     f"gives {line.partition(':')[0].strip()!r} twice; the almanac from line {begun}"
                 )
             begun = begun if entries else lines.number
@@ -76,7 +76,7 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
                 rows.append(entries)
                 entries = {}
         if entries:
-            raise lines.wrong(_unfinished(entries, begun))
+            raise lines.error(_describe_unfinished(entries, begun))
     if not rows:
         raise ConfigError(f"{shown}: holds no almanac")
     elements = np.zeros((len(rows), len(KEPLER)))
@@ -89,20 +89,20 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
     return KeplerSets(sat, np.array([row["health"] == 0 for row in rows]), elements)
 
 
-def _entry(lines: Lines, line: str) -> tuple[str, float]:
+def _parse_entry(lines: Lines, line: str) -> tuple[str, float]:
     """Return what a line gives, by the name of the column."""
     label, colon, text = line.partition(":")
     name = next((n for begin, n in _ENTRIES.items() if label.strip().lower().startswith(begin)), None)
     if not colon or name is None:
-        raise lines.wrong(f"{line.strip()[:30]!r} is no entry of a YUMA almanac")
+        raise lines.error(f"{line.strip()[:30]!r} is no entry of a YUMA almanac")
     if not re.fullmatch(r"\s*[+-]?\d+(\.\d*)?([EeDd][+-]?\d+)?\s*", text):
-        raise lines.wrong(f"{label.strip()} must be a number; got {text.strip()[:30]!r}")
+        raise lines.error(f"{label.strip()} must be a number; got {text.strip()[:30]!r}")
     value = float(text.upper().replace("D", "E"))
     low, high = _LIMITS.get(name, (-np.inf, np.inf))
     if not low <= value <= high or not np.isfinite(value):
-        raise lines.wrong(f"{label.strip()} = {value:g} is outside {low:g} to {high:g}")
+        raise lines.error(f"{label.strip()} = {value:g} is outside {low:g} to {high:g}")
     return name, value
 
 
-def _unfinished(entries: dict[str, float], begun: int) -> str:
+def _describe_unfinished(entries: dict[str, float], begun: int) -> str:
     return f"the almanac from line {begun} has {len(entries)} of {len(_ENTRIES)} entries"

@@ -27,8 +27,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
-from bench.exchange.exports.nmea import of_fix
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.nmea import make_fix_sentences
+from bench.exchange.exports.outgoing import ExportData
 from bench.instruments import INSTRUMENTS
 
 SYNC = b"\xaa\x55"
@@ -38,57 +38,57 @@ Message = tuple[float, bytes]
 """When it reaches the filter [s], and its bytes: one sentence or one frame."""
 
 
-def messages(run: Outgoing) -> Iterator[Message]:
+def make_messages(run: ExportData) -> Iterator[Message]:
     """Yield every message of a run in the order of arrival; the rows of one sensor stay in their order."""
     imu = run.imu
-    streams = [_rows(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
+    streams = [_make_payloads(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
     if run.fixes is not None:
-        streams.append(_sentences(run))
+        streams.append(_make_sentences(run))
     for name, record in run.instruments.items():
         row = INSTRUMENTS[name]
         columns = [record.t, *row.values(record).T, record.sd]
-        streams.append(_rows(row.frame, record.t_arrival, columns, record.valid))
+        streams.append(_make_payloads(row.frame, record.t_arrival, columns, record.valid))
     number = 0
     for arrival, kind, body in heapq.merge(*streams, key=lambda row: row[0]):
         if kind:
-            yield arrival, frame(kind, number, body)
+            yield arrival, make_frame(kind, number, body)
             number += 1
         else:
             yield arrival, body
 
 
-def frame(kind: int, number: int, payload: bytes) -> bytes:
+def make_frame(kind: int, number: int, payload: bytes) -> bytes:
     """Return a frame.
 
     Examples
     --------
-    >>> frame(2, 7, b"123456789")[:8].hex(), crc_hqx(b"123456789", 0xFFFF) == 0x29B1
+    >>> make_frame(2, 7, b"123456789")[:8].hex(), crc_hqx(b"123456789", 0xFFFF) == 0x29B1
     ('aa55020907000000', True)
     """
     checked = struct.pack("<BBI", kind, len(payload), number & 0xFFFFFFFF) + payload
     return SYNC + checked + struct.pack("<H", crc_hqx(checked, 0xFFFF))
 
 
-def _rows(
+def _make_payloads(
     kind: int, arrival: FloatArray, columns: Sequence[FloatArray], valid: BoolArray
 ) -> Iterator[tuple[float, int, bytes]]:
-    values, when = np.column_stack(columns), _in_order(arrival)
+    values, when = np.column_stack(columns), _order_arrivals(arrival)
     layout = struct.Struct(f"<{values.shape[1]}dB")
     for k in range(len(values)):
         yield when[k], kind, layout.pack(*values[k], int(valid[k]))
 
 
-def _sentences(run: Outgoing) -> Iterator[tuple[float, int, bytes]]:
+def _make_sentences(run: ExportData) -> Iterator[tuple[float, int, bytes]]:
     fixes = run.fixes
     assert fixes is not None  # or there is no such stream
-    when, calendar = _in_order(fixes.t_arrival), run.calendar
+    when, calendar = _order_arrivals(fixes.t_arrival), run.calendar
     for k in range(len(fixes)):
         if np.isfinite(fixes.t[k]):
-            for sentence in of_fix(calendar, fixes, k):
+            for sentence in make_fix_sentences(calendar, fixes, k):
                 yield when[k], 0, sentence.encode("ascii")
 
 
-def _in_order(arrival: FloatArray) -> list[float]:
+def _order_arrivals(arrival: FloatArray) -> list[float]:
     """Return times that never go back: a row that is late, or has no time, comes with the one before it."""
     known = np.where(np.isfinite(arrival), arrival, -np.inf)
     running: list[float] = np.maximum(np.maximum.accumulate(known), 0.0).tolist()

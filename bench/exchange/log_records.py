@@ -1,6 +1,6 @@
 """A recording of somebody's IMU, GNSS receiver and barometer as the records estimators get.
 
-Each file is read by the adapter of its format into the same few columns (`Rows`); from there on all
+Each file is read by the adapter of its format into the same few columns (`LogRows`); from there on all
 formats are one. t = 0 is the first row of the IMU. A rate is what held over the interval that ends at its
 time; an interval much longer than usual is a gap, and its row stands for one usual interval.
 """
@@ -16,7 +16,7 @@ from bench.config.log import LogSpec, SourceSpec
 from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
-from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, Rows
+from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import read_table
 from bench.instruments import BaroData
 from bench.rotation import from_euler, multiply, rotate
@@ -47,11 +47,11 @@ def read_records(spec: LogSpec) -> LogRecords:
         When a file cannot be read, has no such columns or holds what cannot be: one line with file and row.
     """
     assert spec.gnss is not None
-    imu_rows, gnss_rows = _read(spec.imu, "imu"), _read(spec.gnss, "gnss")
-    baro_rows = None if spec.baro is None else _read(spec.baro, "baro")
+    imu_rows, gnss_rows = _read_rows(spec.imu, "imu"), _read_rows(spec.gnss, "gnss")
+    baro_rows = None if spec.baro is None else _read_rows(spec.baro, "baro")
     origin = float(imu_rows.t[0])
-    imu = _imu(imu_rows, spec, origin)
-    fixes = _fixes(gnss_rows, spec, origin)
+    imu = _make_imu(imu_rows, spec, origin)
+    fixes = _make_fixes(gnss_rows, spec, origin)
     last = float(np.nanmax(imu.t))
     if not ((fixes.t >= 0) & (fixes.t <= last)).any():
         there = f"{fixes.t.min() + origin:.9g} to {fixes.t.max() + origin:.9g} s"
@@ -62,7 +62,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     return LogRecords(
         imu=imu,
         fixes=fixes,
-        baro=None if baro_rows is None else _baro(baro_rows, spec.assumed, origin),
+        baro=None if baro_rows is None else _make_baro(baro_rows, spec.assumed, origin),
         origin=origin,
         notes=tuple(
             note for rows in (imu_rows, gnss_rows, baro_rows) if rows is not None for note in rows.notes
@@ -70,11 +70,11 @@ def read_records(spec: LogSpec) -> LogRecords:
     )
 
 
-def _read(source: SourceSpec, kind: str) -> Rows:
+def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     if source.format == "table":
         kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
         table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
-        rows = Rows.of(table, source.path.name)
+        rows = LogRows.of(table, source.path.name)
     else:
         rows = imports.read(source.format, source.path, kind, source.topic)
     bad = ~np.isfinite(rows.t)
@@ -87,7 +87,7 @@ def _read(source: SourceSpec, kind: str) -> Rows:
     return replace(rows, t=rows.t + source.time_offset)
 
 
-def _imu(rows: Rows, spec: LogSpec, origin: float) -> ImuData:
+def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     t = rows.t - origin
     steps = np.diff(t)
     forward = steps[steps > 0]
@@ -108,7 +108,7 @@ def _imu(rows: Rows, spec: LogSpec, origin: float) -> ImuData:
 _LIMITS = (("latitude", 90.0, -90.0), ("longitude", 360.0, -180.0))
 
 
-def _fixes(rows: Rows, spec: LogSpec, origin: float) -> GnssFixes:
+def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
     assert spec.gnss is not None
     shown, values = spec.gnss.path.name, rows.values
     lla = values["lla"]
@@ -126,7 +126,7 @@ def _fixes(rows: Rows, spec: LogSpec, origin: float) -> GnssFixes:
         said = f"height {lla[row, 2]:.9g} m is outside -1000 to 100000 m"
         raise ConfigError(f"{shown}: row {row + 1}: {said}")
     t = rows.t - origin
-    vel_n = _velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
+    vel_n = _shift_velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
     valid = np.asarray(np.isfinite(lla).all(axis=1))
     if spec.quality:
         if "quality" not in values:
@@ -143,13 +143,13 @@ def _fixes(rows: Rows, spec: LogSpec, origin: float) -> GnssFixes:
         valid=valid,
         lla=lla,
         vel_n=vel_n,
-        cov_pos_n=_covariance(values.get("sd_pos"), pos_sd, len(t)),
-        cov_vel_n=_covariance(values.get("sd_vel"), vel_sd, len(t)),
+        cov_pos_n=_make_covariance(values.get("sd_pos"), pos_sd, len(t)),
+        cov_vel_n=_make_covariance(values.get("sd_vel"), vel_sd, len(t)),
         satellites=np.nan_to_num(values.get("satellites", np.zeros(len(t)))).astype(np.int64),
     )
 
 
-def _velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, shown: str) -> FloatArray:
+def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, shown: str) -> FloatArray:
     """Return velocities at the times of the fixes, from those valid an offset away; NaN without any."""
     if vel_n is None:
         return np.full((len(t), 3), np.nan)
@@ -166,7 +166,7 @@ def _velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, shown: s
     return moved
 
 
-def _covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArray:
+def _make_covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArray:
     """Return diagonal covariances (N, 3, 3); what is not reported is as assumed."""
     spread = np.tile(assumed, (n, 1)) if sd is None else sd
     cov = np.zeros((n, 3, 3))
@@ -174,7 +174,7 @@ def _covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArr
     return cov
 
 
-def _baro(rows: Rows, assumed: AssumedSpecs, origin: float) -> BaroData:
+def _make_baro(rows: LogRows, assumed: AssumedSpecs, origin: float) -> BaroData:
     assert assumed.baro is not None
     t, alt = rows.t - origin, rows.values["alt_baro"][:, 0]
     return BaroData(
@@ -182,7 +182,7 @@ def _baro(rows: Rows, assumed: AssumedSpecs, origin: float) -> BaroData:
     )
 
 
-def divided(imu: ImuData, cuts: FloatArray) -> ImuData:
+def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
     """Return an IMU record whose intervals end at every cut, too: an interval is divided in proportion.
 
     A fix between two samples is then used at its own time. At 16 m/s a fix used half a sample late, 5 ms,

@@ -13,7 +13,7 @@ from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.rotation import from_euler, matrix
 
 
-def start(recording: LogRecords, spec: LogSpec) -> InitialState:
+def find_start(recording: LogRecords, spec: LogSpec) -> InitialState:
     """Return the start at or after ``[alignment] at_s``; what is not told is NaN with infinite variance.
 
     "given": position and velocity of the first usable fix, less the lever arm, and the attitude of the log;

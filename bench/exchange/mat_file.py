@@ -50,13 +50,13 @@ def read_mat(path: Path) -> dict[str, Value]:
             left = MOST_BYTES
             while tag := file.read(8):
                 kind, size = (int(x) for x in np.frombuffer(tag, f"{order}u4", 2))
-                body = _unpacked(file, size, left) if kind == _PACKED else tag + _exactly(file, size, left)
+                body = _unpack(file, size, left) if kind == _PACKED else tag + _read_exactly(file, size, left)
                 left -= len(body)
                 if left < 0:
                     raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked")
-                for element, data in _elements(memoryview(body), order):
+                for element, data in _split_elements(memoryview(body), order):
                     if element == _MATRIX:
-                        name, value = _matrix(data, order, 0)
+                        name, value = _read_array(data, order, 0)
                         found[name] = value
     except (ValueError, OverflowError, MemoryError, zlib.error) as error:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
@@ -65,7 +65,7 @@ def read_mat(path: Path) -> dict[str, Value]:
     return found
 
 
-def vector(value: Value, name: str, shown: str) -> FloatArray:
+def get_vector(value: Value, name: str, shown: str) -> FloatArray:
     """Return a variable as a column of numbers."""
     if not isinstance(value, np.ndarray) or value.ndim > 1:
         what = "no numbers"
@@ -75,14 +75,14 @@ def vector(value: Value, name: str, shown: str) -> FloatArray:
     return np.atleast_1d(value)
 
 
-def _exactly(file: Any, size: int, left: int) -> bytes:
+def _read_exactly(file: Any, size: int, left: int) -> bytes:
     data: bytes = file.read(min(size, left + 1))
     if len(data) < size <= left:
         raise ValueError("it ends within a variable")
     return data
 
 
-def _unpacked(file: Any, size: int, left: int) -> bytes:
+def _unpack(file: Any, size: int, left: int) -> bytes:
     """Return a packed element, or a little more than may be when it is longer."""
     unpack, parts, count = zlib.decompressobj(), [], 0
     while size > 0 and count <= left:
@@ -98,7 +98,7 @@ def _unpacked(file: Any, size: int, left: int) -> bytes:
     return b"".join(parts)
 
 
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+def _split_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
     """Give the elements of some bytes: type, data."""
     at = 0
     while at + 8 <= len(data):
@@ -115,23 +115,23 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         at += step
 
 
-def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
+def _read_array(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
     """Return the name and value of an array."""
     if not len(data):
         return "", None
-    parts = _elements(data, order)
-    flags = _take(parts, order)
+    parts = _split_elements(data, order)
+    flags = _take_numbers(parts, order)
     if len(flags) < 1:
         raise ValueError("an array has no flags")
     kind, marks = int(flags[0]) & 0xFF, int(flags[0])
     if kind > 15:  # of a kind this format does not have, such as a function
         return "", None
-    shape = tuple(int(n) for n in _take(parts, order))
+    shape = tuple(int(n) for n in _take_numbers(parts, order))
     if not 2 <= len(shape) <= 32 or min(shape) < 0:
         raise ValueError("an array has no size")
-    name = bytes(_take(parts, order).astype(np.uint8)).decode("utf-8", "replace")
+    name = bytes(_take_numbers(parts, order).astype(np.uint8)).decode("utf-8", "replace")
     if kind in _NUMERIC:
-        numbers = _take(parts, order)
+        numbers = _take_numbers(parts, order)
         if marks & _COMPLEX:
             return name, None
         count = 1
@@ -139,28 +139,28 @@ def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
             count *= n
         if count != len(numbers):
             raise ValueError(f"{name!r} holds {len(numbers)} numbers, not {count}")
-        return name, _squeezed(numbers.astype(np.float64).reshape(shape, order="F"))
+        return name, _squeeze(numbers.astype(np.float64).reshape(shape, order="F"))
     if kind == _STRUCTURE and shape == (1, 1) and depth < _DEEPEST:
-        return name, _structure(parts, order, depth)
+        return name, _read_structure(parts, order, depth)
     return name, None
 
 
-def _structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
-    width = _take(parts, order)
+def _read_structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
+    width = _take_numbers(parts, order)
     if len(width) != 1 or not 1 <= int(width[0]) <= 64:
         raise ValueError("a structure has no field names")
-    letters, length = bytes(_take(parts, order).astype(np.uint8)), int(width[0])
+    letters, length = bytes(_take_numbers(parts, order).astype(np.uint8)), int(width[0])
     names = [
         letters[k : k + length].split(b"\0")[0].decode("utf-8", "replace")
         for k in range(0, len(letters), length)
     ]
-    values = [_matrix(data, order, depth + 1)[1] for kind, data in parts if kind == _MATRIX]
+    values = [_read_array(data, order, depth + 1)[1] for kind, data in parts if kind == _MATRIX]
     if len(names) != len(values):
         raise ValueError("a structure has more names than fields, or fewer")
     return dict(zip(names, values, strict=True))
 
 
-def _take(parts: Iterator[tuple[int, memoryview]], order: str) -> np.ndarray[Any, Any]:
+def _take_numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> np.ndarray[Any, Any]:
     """Return the numbers of the next element."""
     kind, data = next(parts, (0, memoryview(b"")))
     if kind not in _NUMBERS:
@@ -169,5 +169,5 @@ def _take(parts: Iterator[tuple[int, memoryview]], order: str) -> np.ndarray[Any
     return np.frombuffer(data[: len(data) // stored.itemsize * stored.itemsize], stored)
 
 
-def _squeezed(array: FloatArray) -> FloatArray:
+def _squeeze(array: FloatArray) -> FloatArray:
     return array.reshape(-1) if array.ndim == 2 and 1 in array.shape else array

@@ -30,11 +30,11 @@ from bench.data import Events, InitialState, NavSolution, SensorData, no_innovat
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.error_series import FAILED
 from bench.exchange.exports.column_files import write as write_tables
-from bench.exchange.exports.outgoing import Outgoing
-from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resampled
+from bench.exchange.exports.outgoing import ExportData
+from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
 from bench.specs import EstimatorChoice
-from bench.store import start_document
+from bench.store import make_start_document
 
 TIMEOUT = 600.0
 """How long a program may take unless told otherwise [s]."""
@@ -80,7 +80,7 @@ class CommandEstimator:
     timeout_s : float
         How long it may take.
     max_gap_s : float or None
-        As `bench.exchange.solutions.resampled` takes it.
+        As `bench.exchange.solutions.resample` takes it.
 
     Raises
     ------
@@ -96,17 +96,17 @@ class CommandEstimator:
             if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < np.inf:
                 raise EstimatorError(f"{name} = {value!r} must be a number above 0 [s]")
         self._timeout, self._longest = float(timeout_s), max_gap_s
-        self._arguments = _split(command)
+        self._arguments = _split_command(command)
         self._beside = beside.resolve()
-        self._arguments[0] = _program(self._arguments[0], self._beside)
+        self._arguments[0] = _find_program(self._arguments[0], self._beside)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Return what the program says at ``sensors.output_t``; NaN and an event "failed" when it fails."""
         with tempfile.TemporaryDirectory(prefix="bench-outside-", ignore_cleanup_errors=True) as scratch:
             folder = Path(scratch) / "sensors"
             folder.mkdir()
-            document = start_document(sensors, initial)
-            out = Outgoing(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
+            document = make_start_document(sensors, initial)
+            out = ExportData(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
             write_tables(folder, out, "csv")
             np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
             solution = Path(scratch) / "solution.csv"
@@ -116,15 +116,15 @@ class CommandEstimator:
             events = [(0.0, 0.0, PROGRAM, ended), *([(0.0, 0.0, STDERR, stderr)] if stderr else [])]
             if status != 0:
                 last = stderr.strip().splitlines()[-1:]
-                return _failed(sensors.output_t, ": ".join([ended, *last]), events)
+                return _make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
             try:
                 given = read_solution(solution)
                 check_unit(given, initial.t, initial.lla)
             except ConfigError as error:
-                return _failed(sensors.output_t, f"{ended}: {error}", events)
-            found = resampled(given, sensors.output_t, self._longest)
+                return _make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
+            found = resample(given, sensors.output_t, self._longest)
         rows = [*zip(found.events.t, found.events.t_end, found.events.kind, found.events.text, strict=True)]
-        return _with_events(found, [*rows, *events])
+        return _replace_events(found, [*rows, *events])
 
     def _watched(self, arguments: list[str], cwd: Path, solution: Path) -> tuple[str, str, int]:
         """Run the program to its end or to its limit; return how it ended, the end of stderr, its status."""
@@ -158,7 +158,7 @@ class CommandEstimator:
                     child.wait(_LOOK)
                 if time.monotonic() > end:
                     stopped = f"stopped after {self._timeout:g} s (timeout_s)"
-                elif _size(solution) > _MOST_WRITTEN:
+                elif _measure_size(solution) > _MOST_WRITTEN:
                     stopped = f"stopped: its solution is larger than {_MOST_WRITTEN // 1_000_000} MB"
         finally:
             _end_group(child)
@@ -193,7 +193,7 @@ class _Tail:
         return "".join(c for c in text if c == "\n" or c.isprintable())
 
 
-def _split(command: str) -> list[str]:
+def _split_command(command: str) -> list[str]:
     try:
         arguments = shlex.split(command)
         names = [name for argument in arguments for _, name, _, _ in string.Formatter().parse(argument)]
@@ -211,7 +211,7 @@ def _split(command: str) -> list[str]:
     return arguments
 
 
-def _program(name: str, beside: Path) -> str:
+def _find_program(name: str, beside: Path) -> str:
     """Return the program a command names: with a slash a path from ``beside``, without one of the PATH."""
     if "{" in name.replace("{here}", ""):
         raise EstimatorError(f"command: the program is {name!r}; it must stand there itself")
@@ -228,7 +228,7 @@ def _program(name: str, beside: Path) -> str:
     return str(path).replace("{", "{{").replace("}", "}}")
 
 
-def _size(path: Path) -> int:
+def _measure_size(path: Path) -> int:
     try:
         found = path.lstat()
     except OSError:
@@ -245,7 +245,9 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
             child.wait(_PATIENCE)
 
 
-def _failed(t: FloatArray, why: str, events: list[tuple[float, float, str, str]]) -> NavSolution:
+def _make_failed_solution(
+    t: FloatArray, why: str, events: list[tuple[float, float, str, str]]
+) -> NavSolution:
     m = len(t)
     return NavSolution(
         t=t,
@@ -263,5 +265,5 @@ def _failed(t: FloatArray, why: str, events: list[tuple[float, float, str, str]]
     )
 
 
-def _with_events(solution: NavSolution, rows: list[tuple[float, float, str, str]]) -> NavSolution:
+def _replace_events(solution: NavSolution, rows: list[tuple[float, float, str, str]]) -> NavSolution:
     return replace(solution, events=Events.from_rows(rows))

@@ -40,7 +40,7 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
         with path.open(newline="", encoding="utf-8") as file:
             rows = csv.reader(file)
             header = [name.strip() for name in next(rows, [])]
-            wanted = _wanted(path, header)
+            wanted = _choose_columns(path, header)
             table = []
             for number, row in enumerate(rows, 2):
                 try:
@@ -71,7 +71,7 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
     return t, {name: values[:, 1 + 3 * k : 4 + 3 * k] for k, name in enumerate(names)}
 
 
-def _wanted(path: Path, header: list[str]) -> list[tuple[int, float]]:
+def _choose_columns(path: Path, header: list[str]) -> list[tuple[int, float]]:
     """Return position and factor to SI of the columns to read: time, then three per triad there is."""
     if "t_s" not in header:
         raise ConfigError(f"{path}: line 1: no column 't_s'; the header is {', '.join(header)[:80]!r}")

@@ -15,7 +15,13 @@ from bench import earth
 from bench.arrays import FloatArray
 from bench.data import GnssFixes
 from bench.errors import ConfigError
-from bench.exchange.rinex import NavigationFile, ObservationFile, merged, read_navigation, read_observations
+from bench.exchange.rinex import (
+    NavigationFile,
+    ObservationFile,
+    merge_navigation,
+    read_navigation,
+    read_observations,
+)
 from bench.signals import least_squares, receiver
 from bench.signals.orbits import DAY
 
@@ -47,7 +53,7 @@ class RinexFixes:
     @property
     def day(self) -> str:
         """Date of the first epoch, ISO 8601, GPS time."""
-        return _day(self.observations.origin + self.observations.t[0])
+        return _format_day(self.observations.origin + self.observations.t[0])
 
     def errors(self) -> FloatArray:
         """Return fix minus header position plus antenna offset (M, 3) [m], n.
@@ -129,7 +135,7 @@ def solve_rinex(
         If a file is wrong, or the ephemerides do not serve the observations.
     """
     raw = read_observations(observations, str(observations))
-    nav = merged([read_navigation(path, str(path)) for path in navigation])
+    nav = merge_navigation([read_navigation(path, str(path)) for path in navigation])
     model = nav.klobuchar
     if model is None and processing.ionosphere == "klobuchar" and "ionosphere" not in processing.without:
         raise ConfigError(
@@ -150,18 +156,18 @@ def solve_rinex(
     )
     if not np.isfinite(seen.sat_clock).any():
         raise ConfigError(
-            f"{nav.shown}: its ephemerides, {_days(nav)}, serve no satellite of {raw.shown}, "
-            f"{_day(raw.origin + raw.t[0])} to {_day(raw.origin + raw.t[-1])}"
+            f"{nav.shown}: its ephemerides, {_format_days(nav)}, serve no satellite of {raw.shown}, "
+            f"{_format_day(raw.origin + raw.t[0])} to {_format_day(raw.origin + raw.t[-1])}"
         )
     solution = receiver.solve(seen, processing)
     dop = least_squares.dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     return RinexFixes(raw, solution, dop)
 
 
-def _days(nav: NavigationFile) -> str:
+def _format_days(nav: NavigationFile) -> str:
     t = np.concatenate([nav.kepler.t, nav.glonass.t])
-    return f"{_day(float(t.min()))} to {_day(float(t.max()))}"
+    return f"{_format_day(float(t.min()))} to {_format_day(float(t.max()))}"
 
 
-def _day(seconds: float) -> str:
+def _format_day(seconds: float) -> str:
     return str((_EPOCH + timedelta(days=seconds // DAY)).date())

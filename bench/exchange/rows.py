@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.earth import matrix_en, to_geodetic
-from bench.exchange.table_files import Columns, Group, described, group
+from bench.exchange.table_files import Group, TableColumns, group, list_names
 from bench.signals.air import pressure_altitude
 
 MOST_ROWS = 5_000_000
@@ -18,15 +18,15 @@ MOST_ROWS = 5_000_000
 _TIMES = (group("clock", "t"), group("clock", "time"))
 
 
-def _axes(dimension: str, stem: str) -> dict[str, str]:
+def _name_axes(dimension: str, stem: str) -> dict[str, str]:
     return group(dimension, *(f"{stem}_{axis}" for axis in "xyz"))
 
 
 IMU: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
     "motion": (
-        {**_axes("rate", "gyro"), **_axes("acceleration", "accel")},
-        {**_axes("angle", "dtheta"), **_axes("speed", "dvel")},
+        {**_name_axes("rate", "gyro"), **_name_axes("acceleration", "accel")},
+        {**_name_axes("angle", "dtheta"), **_name_axes("speed", "dvel")},
     ),
 }
 """Rates and specific forces, or increments of angle and velocity, along the axes of the IMU."""
@@ -60,14 +60,14 @@ OPTIONAL = ("velocity", "position sd", "velocity sd", "quality", "satellites")
 """Kinds that may be missing."""
 
 COLUMNS = {
-    what: "; ".join(f"{kind}: {described(groups)}" for kind, groups in kinds.items())
+    what: "; ".join(f"{kind}: {list_names(groups)}" for kind, groups in kinds.items())
     for what, kinds in {"imu": IMU, "gnss": GNSS, "baro": BARO}.items()
 }
 """What the tables of a log may hold, for people."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class LogRows:
     """The rows of one file in SI, along the axes of the IMU or in n.
 
     ``values`` holds, of an IMU, ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel``
@@ -80,7 +80,7 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, table: Columns, shown: str) -> Rows:
+    def of(cls, table: TableColumns, shown: str) -> LogRows:
         """Build from the columns of a table."""
         found, stems = table.columns, table.stems
         values: dict[str, FloatArray] = {}
@@ -93,12 +93,12 @@ class Rows:
             lla = found["position"] if geodetic else to_lla(found["position"])
             values["lla"] = lla
             if "velocity" in found:
-                values["vel_n"] = _velocity(found["velocity"], stems["velocity"], lla)
+                values["vel_n"] = _to_vel_n(found["velocity"], stems["velocity"], lla)
             values |= {new: found[old] for old, new in _SPREADS.items() if old in found}
             values |= {name: found[name][:, 0] for name in ("quality", "satellites") if name in found}
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
-            values["alt_baro"] = _altitude(found["altitude"]) if pressure else found["altitude"]
+            values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
         unused = f"{shown}: columns not used: {', '.join(table.unused[:20])[:300]}"
         return cls(found["time"][:, 0], values, (unused,) if table.unused else ())
 
@@ -106,7 +106,7 @@ class Rows:
 _SPREADS = {"position sd": "sd_pos", "velocity sd": "sd_vel"}
 
 
-def _velocity(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:
+def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:
     if stems[0] == "ecef_vel_x":
         return np.asarray(np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel))
     return vel * [1.0, 1.0, -1.0] if stems[2] == "vel_u" else vel
@@ -120,7 +120,7 @@ def to_lla(pos_e: FloatArray) -> FloatArray:
     return lla
 
 
-def _altitude(pressure: FloatArray) -> FloatArray:
+def _to_altitude(pressure: FloatArray) -> FloatArray:
     """Return pressure altitudes [m]; what is no pressure is NaN."""
     altitude = np.full_like(pressure, np.nan)
     good = np.isfinite(pressure) & (pressure > 0)

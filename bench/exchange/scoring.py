@@ -16,8 +16,8 @@ from bench.config import fault_tables
 from bench.data import ErrorSeries, NavSolution, RunResult
 from bench.errors import ConfigError
 from bench.evaluation import metrics
-from bench.exchange.exports import reading
-from bench.exchange.solutions import check_unit, read_solution, resampled
+from bench.exchange.exports import report_damage
+from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.sensors.timing import output_times
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
@@ -46,20 +46,20 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
-    with reading(folder):
+    with report_damage(folder):
         run, truth = store.load(folder), store.load_truth(folder)
         profile = run.profile
         rows = [
             (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
         ]
         outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
-        faults = fault_tables.flown(profile.get("fault", []))
+        faults = fault_tables.read_faults(profile.get("fault", []))
         asked = output_times(truth.t, evaluation["output_hz"], outages)
     if label in run.metrics:
         raise ConfigError(f"{label!r} is in {folder} already; --label names the solution")
     given = read_solution(path, t_0=t_0)
     check_unit(given, float(truth.t[0]), truth.lla[0])
-    solution = resampled(given, asked, longest)
+    solution = resample(given, asked, longest)
     errors, measured = metrics.judge(
         truth, solution, evaluation_from=evaluation["from_s"], outages=outages, faults=faults
     )

@@ -21,7 +21,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.error_series import FAILED, NOT_COVERED
-from bench.exchange.table_files import Columns, described, group, read_table
+from bench.exchange.table_files import TableColumns, group, list_names, read_table
 from bench.exchange.trajectory import KINDS
 from bench.units import SAME_INSTANT
 
@@ -45,7 +45,7 @@ _COVARIANCES = {f"cov_{a}_{b}": (group("", f"cov_{a}_{b}"),) for a in _STATES fo
 _ALL = {**KINDS, **_DEVIATIONS, **_BIASES, **_COVARIANCES}
 _OPTIONAL = tuple(kind for kind in _ALL if kind != "time")
 
-COLUMNS = {kind: described(groups) for kind, groups in {**KINDS, **_DEVIATIONS, **_BIASES}.items()}
+COLUMNS = {kind: list_names(groups) for kind, groups in {**KINDS, **_DEVIATIONS, **_BIASES}.items()}
 """What a solution may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
 As `bench.exchange.trajectory.COLUMNS`, and the standard deviations of the errors along n; phi is the attitude
@@ -109,7 +109,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         raise ConfigError(f"{shown}: no row has a finite number in each of its columns")
     given = {kind: values[rows] for kind, values in given.items()}
     n = len(rows)
-    lla = _positions(table, given, rows, shown)
+    lla = _read_positions(table, given, rows, shown)
     q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
     remarks = (
         [f"{len(t) - n} of {len(t)} rows left out: not a finite number in each column"] if n < len(t) else []
@@ -122,11 +122,11 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         rows=rows + 1,
         t=t[rows] - t_0,
         lla=lla,
-        vel_n=_velocities(table, given, q_en, shown),
-        q_nb=_attitudes(table, given, q_en, rows, shown),
+        vel_n=_read_velocities(table, given, q_en, shown),
+        q_nb=_read_attitudes(table, given, q_en, rows, shown),
         gyro_bias_b=given.get("gyro_bias", np.full((n, 3), np.nan)),
         accel_bias_b=given.get("accel_bias", np.full((n, 3), np.nan)),
-        cov=_covariance(given, blocks, rows, shown),
+        cov=_read_covariance(given, blocks, rows, shown),
         remarks=tuple(remarks),
     )
 
@@ -134,7 +134,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
 # --- checking -----------------------------------------------------------------------------------------
 
 
-def _check_groups(table: Columns, shown: str) -> None:
+def _check_groups(table: TableColumns, shown: str) -> None:
     """Refuse a kind of which some columns are there and some are not."""
     from bench.units import split_unit
 
@@ -164,7 +164,9 @@ def _check_times(t: FloatArray, name: str, shown: str) -> None:
         raise ConfigError(f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}")
 
 
-def _positions(table: Columns, given: Mapping[str, FloatArray], rows: IntArray, shown: str) -> FloatArray:
+def _read_positions(
+    table: TableColumns, given: Mapping[str, FloatArray], rows: IntArray, shown: str
+) -> FloatArray:
     """Return lla (N, 3), NaN without a position."""
     if "position" not in given:
         return np.full((len(rows), 3), np.nan)
@@ -190,7 +192,9 @@ def _positions(table: Columns, given: Mapping[str, FloatArray], rows: IntArray, 
     return earth.to_geodetic(position)
 
 
-def _velocities(table: Columns, given: Mapping[str, FloatArray], q_en: FloatArray, shown: str) -> FloatArray:
+def _read_velocities(
+    table: TableColumns, given: Mapping[str, FloatArray], q_en: FloatArray, shown: str
+) -> FloatArray:
     if "velocity" not in given:
         return np.full((len(q_en), 3), np.nan)
     if table.stems["velocity"][0] == "vel_n":
@@ -200,8 +204,8 @@ def _velocities(table: Columns, given: Mapping[str, FloatArray], q_en: FloatArra
     return rotation.rotate(rotation.conjugate(q_en), given["velocity"])
 
 
-def _attitudes(
-    table: Columns, given: Mapping[str, FloatArray], q_en: FloatArray, rows: IntArray, shown: str
+def _read_attitudes(
+    table: TableColumns, given: Mapping[str, FloatArray], q_en: FloatArray, rows: IntArray, shown: str
 ) -> FloatArray:
     if "attitude" not in given:
         return np.full((len(q_en), 4), np.nan)
@@ -221,7 +225,7 @@ def _attitudes(
     return rotation.multiply(rotation.conjugate(q_en), q)
 
 
-def _covariance(
+def _read_covariance(
     given: Mapping[str, FloatArray], blocks: Sequence[str], rows: IntArray, shown: str
 ) -> FloatArray | None:
     """Return (N, 9, 9), NaN in the blocks that have none; None when there is none at all."""
@@ -250,11 +254,11 @@ def _covariance(
             raise ConfigError(f"{shown}: the accuracy of {block} without its values")
         claimed[list(here)] = True
     for i, j in combinations(np.flatnonzero(claimed).tolist(), 2):
-        _cross(cov, i, j, given, rows, shown)
+        _fill_covariance(cov, i, j, given, rows, shown)
     return cov if claimed.any() else None
 
 
-def _cross(
+def _fill_covariance(
     cov: FloatArray, i: int, j: int, given: Mapping[str, FloatArray], rows: IntArray, shown: str
 ) -> None:
     """Fill in one element off the diagonal and its mirror image; 0 where none is given."""
@@ -285,7 +289,7 @@ def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:
 # --- on other times -----------------------------------------------------------------------------------
 
 
-def resampled(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
+def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
     """Return a solution at other times, without extrapolation.
 
     Parameters
@@ -320,7 +324,7 @@ def resampled(solution: ForeignSolution, t: FloatArray, longest: float | None = 
     def straight(values: FloatArray) -> FloatArray:
         weight = s.reshape((-1,) + (1,) * (values.ndim - 1))
         between: FloatArray = values[before] + weight * (values[after] - values[before])
-        return _blank(np.where(weight > 0, between, values[before]), covered)
+        return _blank_uncovered(np.where(weight > 0, between, values[before]), covered)
 
     q_0, q_1 = solution.q_nb[before], solution.q_nb[after]
     turn = rotation.to_rotvec(rotation.multiply(rotation.conjugate(q_0), q_1))
@@ -328,9 +332,9 @@ def resampled(solution: ForeignSolution, t: FloatArray, longest: float | None = 
     cov = np.full((len(t), 9, 9), np.nan) if solution.cov is None else straight(solution.cov)
     return NavSolution(
         t=t,
-        lla=_blank(_position(solution, before, after, s, width), covered),
+        lla=_blank_uncovered(_interpolate_position(solution, before, after, s, width), covered),
         vel_n=straight(solution.vel_n),
-        q_nb=_blank(q_nb, covered),
+        q_nb=_blank_uncovered(q_nb, covered),
         gyro_bias_b=straight(solution.gyro_bias_b),
         accel_bias_b=straight(solution.accel_bias_b),
         cov=cov,
@@ -338,11 +342,11 @@ def resampled(solution: ForeignSolution, t: FloatArray, longest: float | None = 
         extra=np.empty((len(t), 0)),
         extra_sd=np.empty((len(t), 0)),
         innovations=no_innovations(),
-        events=_events(solution, t, covered, np.where(on_row, 0.0, width), most),
+        events=_list_events(solution, t, covered, np.where(on_row, 0.0, width), most),
     )
 
 
-def _position(
+def _interpolate_position(
     solution: ForeignSolution, before: IntArray, after: IntArray, s: FloatArray, width: FloatArray
 ) -> FloatArray:
     lla_0, lla_1 = solution.lla[before], solution.lla[after]
@@ -359,13 +363,13 @@ def _position(
     return found
 
 
-def _blank(values: FloatArray, covered: BoolArray) -> FloatArray:
+def _blank_uncovered(values: FloatArray, covered: BoolArray) -> FloatArray:
     values = np.array(values)
     values[~covered] = np.nan
     return values
 
 
-def _events(
+def _list_events(
     solution: ForeignSolution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float
 ) -> Events:
     found = [(0.0, 0.0, "table", text) for text in solution.remarks]
@@ -404,4 +408,4 @@ class FileEstimator:
             check_unit(self._solution, initial.t, initial.lla)
         except ConfigError as error:
             raise EstimatorError(str(error)) from None
-        return resampled(self._solution, sensors.output_t, self._longest)
+        return resample(self._solution, sensors.output_t, self._longest)

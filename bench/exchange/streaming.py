@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.errors import ConfigError
-from bench.exchange.exports import Outgoing
-from bench.exchange.frames import messages
+from bench.exchange.exports import ExportData
+from bench.exchange.frames import make_messages
 
 _ROUGH = 0.002  # a sleep is this much too long at times; the rest is waited for by looking at the clock [s]
 _HIGHEST = 65535
@@ -29,7 +29,7 @@ class Streamed:
 
 
 def stream(
-    run: Outgoing, kind: str, address: str, *, rate: float, remote: bool, say: Callable[[str], object]
+    run: ExportData, kind: str, address: str, *, rate: float, remote: bool, say: Callable[[str], object]
 ) -> Streamed:
     """Send the sensors of a run as messages.
 
@@ -57,17 +57,17 @@ def stream(
     """
     if math.isnan(rate) or rate < 0:
         raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as it goes")
-    host, port = _address(kind, address, remote)
+    host, port = _parse_address(kind, address, remote)
     paced = 0 < rate < math.inf
     sent, late = 0, 0.0
-    with _open(kind, host, port, say) as send:
+    with _open_socket(kind, host, port, say) as send:
         begun = time.monotonic()
         first: float | None = None
-        for arrival, message in messages(run):
+        for arrival, message in make_messages(run):
             first = arrival if first is None else first
             if paced:
                 due = begun + (arrival - first) / rate
-                _wait(due)
+                _wait_until(due)
                 late = max(late, time.monotonic() - due)
             try:
                 send(message)
@@ -80,7 +80,7 @@ def stream(
         return Streamed(sent, time.monotonic() - begun, late if paced else None)
 
 
-def _address(kind: str, address: str, remote: bool) -> tuple[str, int]:
+def _parse_address(kind: str, address: str, remote: bool) -> tuple[str, int]:
     """Return host and port; loopback only, unless told otherwise."""
     option = f"--{kind} {address}"
     host, colon, text = address.rpartition(":")
@@ -99,7 +99,7 @@ def _address(kind: str, address: str, remote: bool) -> tuple[str, int]:
 
 
 @contextlib.contextmanager
-def _open(
+def _open_socket(
     kind: str, host: str, port: int, say: Callable[[str], object]
 ) -> Iterator[Callable[[bytes], object]]:
     """Give what sends one message."""
@@ -124,7 +124,7 @@ def _open(
             yield client.sendall
 
 
-def _wait(due: float) -> None:
+def _wait_until(due: float) -> None:
     left = due - time.monotonic()
     if left > _ROUGH:
         time.sleep(left - _ROUGH)

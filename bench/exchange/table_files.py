@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.mat_file import read_mat, vector
+from bench.exchange.mat_file import get_vector, read_mat
 from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
@@ -51,13 +51,13 @@ def group(dimension: str, *stems: str) -> dict[str, str]:
     return dict.fromkeys(stems, dimension)
 
 
-def described(groups: Sequence[Group]) -> str:
+def list_names(groups: Sequence[Group]) -> str:
     """Return the names the columns of a kind may have, for people."""
     return " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in one.items()) for one in groups)
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class TableColumns:
     """The columns that are used, in SI, by kind and in the order of their group, and the other names."""
 
     columns: Mapping[str, FloatArray]  # kind -> (N, k)
@@ -73,7 +73,7 @@ def read_table(
     most_rows: int,
     aliases: Mapping[str, str] | None = None,
     most_values: int | None = None,
-) -> Columns:
+) -> TableColumns:
     """Return the columns of a file by kind.
 
     Parameters
@@ -103,7 +103,7 @@ def read_table(
         if path.stat().st_size > MOST_BYTES:
             raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
         names, batches = _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
-        chosen, unused = _choose(_renamed(names, aliases, shown), kinds, optional, shown)
+        chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
         columns: list[list[FloatArray]] = [[] for _ in wanted]
         count = 0
@@ -120,7 +120,7 @@ def read_table(
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
-        row = _first_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
+        row = _find_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
         said = row or " ".join(str(error).split())[:200]
         raise ConfigError(
             f"{shown}: {'' if row else 'cannot be read: '}{said or type(error).__name__}"
@@ -134,7 +134,7 @@ def read_table(
         values: FloatArray = read[aliases.get(name, name)] * FACTORS.get(split_unit(name)[1], 1.0)
         return values
 
-    return Columns(
+    return TableColumns(
         columns={kind: np.stack([si(name) for name in one], axis=-1) for kind, one in chosen.items()},
         stems={kind: tuple(split_unit(n)[0] for n in one) for kind, one in chosen.items()},
         names=chosen,
@@ -166,12 +166,12 @@ def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
         )
         with reader:
             for batch in reader:
-                yield _floats(batch, wanted)
+                yield _to_floats(batch, wanted)
 
     return names, batches
 
 
-def _first_bad_row(path: Path, wanted: Sequence[str]) -> str:
+def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
     """Say which row of a CSV file is the first that is not a number in each wanted column; empty: none."""
     if path.suffix.lower() in (".parquet", ".mat"):
         return ""
@@ -189,12 +189,12 @@ def _first_bad_row(path: Path, wanted: Sequence[str]) -> str:
             if len(cells) != len(names):
                 return f"row {row}: {len(cells)} columns, the header has {len(names)}"
             for name, cell in zip(names, cells, strict=True):
-                if name in wanted and not _number(cell):
+                if name in wanted and not _is_number(cell):
                     return f"row {row}: {name} = {cell[:40]!r} is no number"
     return ""
 
 
-def _number(cell: str) -> bool:
+def _is_number(cell: str) -> bool:
     try:
         float(cell or "nan")
     except ValueError:
@@ -217,13 +217,13 @@ def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
                 if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
                     raise ConfigError(f"{path.name}: column {name!r} holds {kind}, not numbers")
             for batch in file.iter_batches(batch_size=1 << 16, columns=list(wanted), use_threads=False):
-                yield _floats(batch, wanted)
+                yield _to_floats(batch, wanted)
 
     with pq.ParquetFile(path) as file:
         return list(file.schema_arrow.names), batches
 
 
-def _floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
+def _to_floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
     import pyarrow as pa
 
     return {
@@ -236,7 +236,7 @@ def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     variables = read_mat(path)
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
-        columns = {name: vector(variables[name], name, path.name) for name in wanted}
+        columns = {name: get_vector(variables[name], name, path.name) for name in wanted}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             said = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -253,7 +253,7 @@ _OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
 }
 
 
-def _renamed(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:
+def _rename_columns(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:
     """Return the names of a file with those that are told put for what the file calls them."""
     missing = [told for told in aliases.values() if told not in names]
     if missing:
@@ -277,7 +277,7 @@ def _choose(
                 continue
             there = ", ".join(names[:30])[:300]
             raise ConfigError(
-                f"{shown}: no columns for {kind}: {described(groups)}; there are {there or 'none'}"
+                f"{shown}: no columns for {kind}: {list_names(groups)}; there are {there or 'none'}"
             )
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:
@@ -286,14 +286,14 @@ def _choose(
             if unit not in UNITS[dimension]:
                 raise ConfigError(
                     f"{shown}: column {by_stem[stem][0]!r} must be named by its unit: "
-                    f"{' or '.join(_named(stem, u) for u in UNITS[dimension]) or stem}"
+                    f"{' or '.join(_add_unit(stem, u) for u in UNITS[dimension]) or stem}"
                 )
         chosen[kind] = tuple(by_stem[stem][0] for stem in found)
     used = {name for one in chosen.values() for name in one}
     return chosen, tuple(name for name in names if name not in used)
 
 
-def _named(stem: str, unit: str) -> str:
+def _add_unit(stem: str, unit: str) -> str:
     return f"{stem}_{unit.replace('m/s^2', 'm_s2').replace('m/s', 'mps').replace('/', '_').lower()}".rstrip(
         "_"
     )

@@ -24,7 +24,7 @@ from bench.arrays import FloatArray
 from bench.data import Events, Trajectory
 from bench.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
-from bench.exchange.table_files import Columns, described, group, read_table
+from bench.exchange.table_files import TableColumns, group, list_names, read_table
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, EventRow, Stretch, make_truth
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
@@ -65,7 +65,7 @@ VELOCITIES = (
 KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": VELOCITIES}
 """Kind -> groups of columns it may come in, the first complete one is taken."""
 
-COLUMNS = {kind: described(groups) for kind, groups in KINDS.items()}
+COLUMNS = {kind: list_names(groups) for kind, groups in KINDS.items()}
 """What a table may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
 lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed WGS 84. roll, pitch, heading (or
@@ -94,8 +94,8 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
         When the table cannot be read or no truth can be made of it; one line says which row.
     """
     table = read_table(spec.path, KINDS, ("velocity",), MOST_ROWS)
-    rows = _checked(table, spec.path.name)
-    fit = _fit(rows, spec.path.name)
+    rows = _check_rows(table, spec.path.name)
+    fit = _fit_splines(rows, spec.path.name)
     length = float(rows.t[-1])
     if spec.duration is not None:
         if spec.duration > length + 1e-9:
@@ -112,7 +112,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
             f"at most {MOST_ROWS} are made: lower rate_hz, or set duration_s"
         )
     beyond, most, where = np.empty(0), 0.0, 0.0  # times of forces that do not fly, the largest and its time
-    for truth in make_truth(_stretches(fit, spec.rate, samples), spec.rate):
+    for truth in make_truth(_make_stretches(fit, spec.rate, samples), spec.rate):
         force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / STANDARD_GRAVITY
         beyond = np.append(beyond, truth.t[1:][force > _FORCE])
         if force.max() > most:
@@ -120,7 +120,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
         end = float(truth.t[-1])
         if round(end * spec.rate) < samples:
             yield truth
-    events = [*_reports(rows, fit), (0.0, end, "leg", f"trajectory {spec.name}")]
+    events = [*_report_inconsistencies(rows, fit), (0.0, end, "leg", f"trajectory {spec.name}")]
     if len(beyond):
         row = int(np.searchsorted(rows.t, where)) + 1
         words = f"row {row}: a specific force of {most:.3g} g, beyond {_FORCE:g} g: the positions do not fly"
@@ -142,7 +142,7 @@ class _TableMotion:
     notes: list[EventRow]
 
 
-def _checked(table: Columns, shown: str) -> _TableMotion:
+def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
     """Return the rows as a motion.
 
     Raises
@@ -171,17 +171,17 @@ def _checked(table: Columns, shown: str) -> _TableMotion:
     if table.unused:
         more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
         notes.append((0.0, 0.0, "table", f"columns not used: {', '.join(table.unused[:20])[:400]}{more}"))
-    pos_e = _positions(table, shown)
+    pos_e = _read_positions(table, shown)
     lat, lon, _ = to_geodetic(pos_e).T
     q_en = from_matrix(matrix_en(lat, lon))
-    q_eb = _attitudes(table, shown, q_en, t - t[0], notes)
+    q_eb = _read_attitudes(table, shown, q_en, t - t[0], notes)
     vel_e = table.columns.get("velocity")
     if vel_e is not None and table.stems["velocity"][0] == "vel_n":
         vel_e = rotate(q_en, vel_e)
     return _TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
 
 
-def _positions(table: Columns, shown: str) -> FloatArray:
+def _read_positions(table: TableColumns, shown: str) -> FloatArray:
     position, names = table.columns["position"], table.names["position"]
     if table.stems["position"][0] == "lat":
         limits = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))
@@ -206,8 +206,8 @@ def _positions(table: Columns, shown: str) -> FloatArray:
     return position
 
 
-def _attitudes(
-    table: Columns, shown: str, q_en: FloatArray, t: FloatArray, notes: list[EventRow]
+def _read_attitudes(
+    table: TableColumns, shown: str, q_en: FloatArray, t: FloatArray, notes: list[EventRow]
 ) -> FloatArray:
     attitude, stems = table.columns["attitude"], table.stems["attitude"]
     if stems[0] == "roll":
@@ -251,10 +251,10 @@ class _Fit:
         return found
 
 
-def _fit(rows: _TableMotion, shown: str) -> _Fit:
+def _fit_splines(rows: _TableMotion, shown: str) -> _Fit:
     from scipy.interpolate import make_interp_spline
 
-    at = _knots(rows.t)
+    at = _choose_knots(rows.t)
     origin = rows.pos_e[0]
     pos = make_interp_spline(rows.t[at], rows.pos_e[at] - origin, k=5)
     q = make_interp_spline(rows.t[at], rows.q_eb[at], k=5)
@@ -263,7 +263,7 @@ def _fit(rows: _TableMotion, shown: str) -> _Fit:
     return _Fit(at, origin, pos, pos.derivative(), q)
 
 
-def _knots(t: FloatArray) -> Any:
+def _choose_knots(t: FloatArray) -> Any:
     """Return the rows a spline goes through: all, or at most 60 in a second, always the last."""
     least = (1.0 - 1e-6) / _KNOT_RATE
     if len(t) < 2 * _FEWEST or np.diff(t).min() >= least:
@@ -280,7 +280,7 @@ def _knots(t: FloatArray) -> Any:
     return np.array(kept)
 
 
-def _stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
+def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
     """Yield so many samples of the motion in stretches, frame i being frame e at t = 0."""
     substeps = max(1, math.ceil(_FINE_RATE / rate))
     dt = 1.0 / (rate * substeps)
@@ -306,7 +306,7 @@ def _stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
 # --- what is inconsistent -----------------------------------------------------------------------------
 
 
-def _reports(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
+def _report_inconsistencies(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
     """Return what is inconsistent in a table, one event for each kind, with the rows."""
     t, steps = rows.t, np.diff(rows.t)
     found = list(rows.notes)

@@ -19,7 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from bench.wording import as_toml, complaint, suggest
+from bench.wording import as_toml, describe_error, suggest
 
 
 def _limited(holds: Any, words: str) -> AfterValidator:
@@ -272,7 +272,7 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
         elif kind == "whole":
             lines.append(detail["msg"])
         else:
-            lines.append(complaint(key, value, kind, detail["msg"], detail.get("ctx", {})))
+            lines.append(describe_error(key, value, kind, detail["msg"], detail.get("ctx", {})))
     return lines
 
 

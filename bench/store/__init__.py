@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
-from bench.store.folders import check_folder, new_folder
-from bench.store.provenance import provenance, spec_hash
+from bench.store.folders import check_folder, make_folder
+from bench.store.provenance import hash_spec, provenance
 from bench.store.results import (
     RECORDING,
     RESULT,
     TRUTH,
     add_solution,
+    list_solutions,
     load,
     load_observations,
     load_sensed,
@@ -18,12 +19,11 @@ from bench.store.results import (
     load_truth,
     results_folder,
     save,
-    solutions_of,
     to_json,
     write_json,
 )
-from bench.store.start import START, assumed_specs, initial_state, load_start, start_document
-from bench.store.truth_cache import join_pieces, truth_cached, truth_key, truth_pieces, truth_said
+from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
+from bench.store.truth_cache import cached_summary, cached_truth, join_pieces, truth_key, truth_pieces
 
 __all__ = [
     "RECORDING",
@@ -31,10 +31,12 @@ __all__ = [
     "START",
     "TRUTH",
     "add_solution",
-    "assumed_specs",
+    "cached_summary",
+    "cached_truth",
     "check_folder",
-    "initial_state",
+    "hash_spec",
     "join_pieces",
+    "list_solutions",
     "load",
     "load_observations",
     "load_sensed",
@@ -42,19 +44,17 @@ __all__ = [
     "load_solution",
     "load_start",
     "load_truth",
-    "new_folder",
+    "make_folder",
+    "make_start_document",
     "provenance",
+    "read_assumed_specs",
+    "read_initial_state",
     "results_folder",
     "save",
-    "solutions_of",
-    "spec_hash",
-    "start_document",
     "to_arrow",
     "to_json",
     "to_pandas",
-    "truth_cached",
     "truth_key",
     "truth_pieces",
-    "truth_said",
     "write_json",
 ]

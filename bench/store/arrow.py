@@ -9,9 +9,9 @@ import pyarrow as pa
 
 from bench.data import RunResult
 from bench.errors import BenchError
-from bench.store.columns import rows_of
+from bench.store.columns import flatten
 from bench.store.parquet import to_table
-from bench.store.results import aiding
+from bench.store.results import list_aiding
 
 
 def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa.Table:
@@ -44,13 +44,13 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
         "innovations": {label: solution.innovations for label, solution in result.solutions.items()},
     }
     if record not in by_estimator:
-        return _table(_choose(record, _records(result) | by_estimator))
+        return _to_table(_choose(record, _list_records(result) | by_estimator))
     found = by_estimator[record]
     if estimator is not None:
-        return _table(_choose(estimator, found))
+        return _to_table(_choose(estimator, found))
     tables = []
     for label, rows in found.items():
-        table = _table(rows)
+        table = _to_table(rows)
         tables.append(table.add_column(0, "estimator", pa.array([label] * len(table), pa.string())))
     return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
 
@@ -70,17 +70,17 @@ def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> A
     return to_arrow(result, record, estimator).to_pandas()
 
 
-def _table(record: object) -> pa.Table:
-    return to_table(*rows_of(record), {})
+def _to_table(record: object) -> pa.Table:
+    return to_table(*flatten(record), {})
 
 
-def _records(result: RunResult) -> dict[str, object]:
+def _list_records(result: RunResult) -> dict[str, object]:
     """Return the records that are of no estimator, by name."""
     found: dict[str, object] = {"events": result.events}
     if (truth := result.truth) is not None:
         found |= {"truth": truth, "air": truth.air, "controls": truth.controls}
     if (sensed := result.sensed) is not None:
-        found |= {"imu": sensed.data.imu, **aiding(sensed.data), "drawn": sensed.truth}
+        found |= {"imu": sensed.data.imu, **list_aiding(sensed.data), "drawn": sensed.truth}
         found |= {"sky": sensed.sky} if sensed.sky is not None else {}
     return found
 

@@ -25,7 +25,7 @@ MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
 _BANDED = {"frequency": "hz", "pseudorange": "m", "range_rate": "mps", "cn0": "dbhz"}
 
 
-def rows_of(record: object) -> tuple[object, Layout]:
+def flatten(record: object) -> tuple[object, Layout]:
     """Return what holds the rows of a record, a field for each of its columns, and these columns."""
     if isinstance(record, Trajectory):
         no_interval = np.full((1, 3), np.nan)  # the first instant ends no interval
@@ -34,41 +34,43 @@ def rows_of(record: object) -> tuple[object, Layout]:
         return SimpleNamespace(**rows), TRUTH
     if isinstance(record, SensorTruth):
         rows = {name: getattr(record, name) for name in columns_of(SensorTruth)} | dict(record.bias)
-        return SimpleNamespace(**rows), drawn(tuple(record.bias))
+        return SimpleNamespace(**rows), drawn_layout(tuple(record.bias))
     if isinstance(record, Innovations):
         rows = {name: getattr(record, name) for name in INNOVATIONS}
         rows["sensor"] = tuple(record.sensor[code] for code in record.code)
         return SimpleNamespace(**rows), INNOVATIONS
     if isinstance(record, GnssObservations):
-        return record, observations(record.pseudorange.shape[1])
+        return record, observation_layout(record.pseudorange.shape[1])
     if isinstance(record, NavSolution):
-        return record, solution(record.extra_names)
+        return record, solution_layout(record.extra_names)
     return record, columns_of(type(record))
 
 
-def observations(bands: int) -> Layout:
+def observation_layout(bands: int) -> Layout:
     """Return the layout of GNSS observations on one or more carriers."""
     layout = columns_of(GnssObservations)
     for stem, unit in _BANDED.items():
         names = [f"{stem}_{band + 1}_{unit}" for band in range(bands)]
-        layout[stem] = _numbered(layout[stem], names, names)
+        layout[stem] = _rename_columns(layout[stem], names, names)
     return layout
 
 
-def drawn(on_board: Sequence[str]) -> Layout:
+def drawn_layout(on_board: Sequence[str]) -> Layout:
     """Return the layout of what was drawn, the errors of some instruments by their names."""
     return columns_of(SensorTruth) | {name: INSTRUMENTS[name].bias for name in on_board}
 
 
-def solution(extra_names: Sequence[str]) -> Layout:
+def solution_layout(extra_names: Sequence[str]) -> Layout:
     """Return the layout of a solution with the given states beyond position, velocity, attitude."""
     layout = columns_of(NavSolution)
     for field, stem in (("extra", "state"), ("extra_sd", "sd")):
-        layout[field] = _numbered(layout[field], [f"{stem}_{name}" for name in extra_names], extra_names)
+        layout[field] = _rename_columns(
+            layout[field], [f"{stem}_{name}" for name in extra_names], extra_names
+        )
     return layout
 
 
-def _numbered(told: Column, names: Sequence[str], measured: Sequence[str]) -> Column:
+def _rename_columns(told: Column, names: Sequence[str], measured: Sequence[str]) -> Column:
     """Return a column whose names the record gives, with the units that others end in."""
     units = tuple(unit_of(name) or "1" for name in measured)
     return replace(told, names=tuple(names), units=units, shape=(len(names),))

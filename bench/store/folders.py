@@ -42,7 +42,7 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
 
 
 @contextlib.contextmanager
-def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
+def make_folder(folder: Path, *, force: bool) -> Iterator[Path]:
     """Give a folder to write results to; it takes its place when all went well, or nothing does.
 
     Raises

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from bench.store.columns import Layout, rows_of
+from bench.store.columns import Layout, flatten
 
 DAMAGED = (
     pa.ArrowException,
@@ -34,7 +34,7 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
     OSError
         When the disk does not take it.
     """
-    rows, columns = (record, layout) if layout is not None else rows_of(record)
+    rows, columns = (record, layout) if layout is not None else flatten(record)
     pq.write_table(to_table(rows, columns, facts), path, compression="zstd", use_dictionary=False)
 
 
@@ -88,20 +88,20 @@ def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Tab
 def read(path: Path, layout: Layout) -> dict[str, Any]:
     """Return the fields of a layout, by name, in the shapes of their record."""
     table = pq.read_table(path)
-    return {name: _field(table, columns.names, columns.shape) for name, columns in layout.items()}
+    return {name: _get_field(table, columns.names, columns.shape) for name, columns in layout.items()}
 
 
-def names(path: Path) -> Sequence[str]:
+def read_names(path: Path) -> Sequence[str]:
     """Return the names of the columns of a file."""
     return pq.read_schema(path).names  # type: ignore[no-any-return]
 
 
-def facts(path: Path) -> Mapping[str, Any]:
+def read_facts(path: Path) -> Mapping[str, Any]:
     """Return what a file says of itself beside its columns."""
     return json.loads(pq.read_schema(path).metadata[b"bench"])  # type: ignore[no-any-return]
 
 
-def _field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
+def _get_field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
     if names and table.schema.field(names[0]).type == pa.string():
         return tuple(table.column(names[0]).to_pylist())
     columns = [table.column(name).to_numpy() for name in names]

@@ -22,30 +22,30 @@ PACKAGES = ("numpy", "scipy", "numba", "jsbsim")
 def provenance() -> dict[str, object]:
     """Return the versions, the commit of the source tree (None outside one) and the platform."""
     return {
-        "versions": versions(),
-        "commit": _commit(),
+        "versions": list_versions(),
+        "commit": _find_commit(),
         "platform": platform.platform(),
         "machine": platform.machine(),
     }
 
 
-def spec_hash(spec: Any) -> str:
+def hash_spec(spec: Any) -> str:
     """Return the hash of a frozen dataclass of specs and all its figures, whatever file they were read in."""
-    text = json.dumps(dataclasses.asdict(spec), sort_keys=True, default=_plain)
+    text = json.dumps(dataclasses.asdict(spec), sort_keys=True, default=_to_plain)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
-def versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
     """Return the versions of bench, Python and every package whose version can move a number."""
     packages = {name: version(name) for name in PACKAGES}
     return {"bench": bench.__version__, "python": platform.python_version(), **packages}
 
 
-def _commit() -> str | None:
+def _find_commit() -> str | None:
     """Return the commit of the tree bench runs from, with ``-dirty`` when files differ from it."""
     tree = PACKAGE.parent
     if not (tree / ".git").exists():

@@ -36,7 +36,7 @@ from bench.errors import ConfigError
 from bench.fields import columns_of
 from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.store import columns, parquet
-from bench.store.start import START, assumed_specs, initial_state, load_start, start_document
+from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
 
 RESULT = "result.json"
 RECORDING = "flight.rrd"
@@ -107,12 +107,12 @@ def save(folder: Path, result: RunResult) -> None:
         for name in ("air", "controls", "events"):
             parquet.write(folder / f"truth-{name}.parquet", getattr(truth, name))
         parquet.write(folder / DRAWN, sensed.truth)
-    for name, record in aiding(data).items():
-        parquet.write(folder / f"sensors-{name}.parquet", record, **_facts(record, data))
+    for name, record in list_aiding(data).items():
+        parquet.write(folder / f"sensors-{name}.parquet", record, **_describe_record(record, data))
     parquet.write(folder / "sensors-imu.parquet", data.imu)
     if sensed.sky is not None:
         parquet.write(folder / SKY, sensed.sky)
-    write_json(folder / START, start_document(data, sensed.initial))
+    write_json(folder / START, make_start_document(data, sensed.initial))
     parquet.write(folder / EVENTS, sensed.events)
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
@@ -126,13 +126,13 @@ _SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
 """Fields of a result in its ``result.json``; what else is there is `RunResult.more`."""
 
 
-def aiding(data: SensorData) -> dict[str, Any]:
+def list_aiding(data: SensorData) -> dict[str, Any]:
     """Return the records of GNSS and the instruments on board, by the name of their tables."""
     receiver = {"gnss": data.fixes, "observations": data.observations}
     return {name: record for name, record in receiver.items() if record is not None} | data.instruments
 
 
-def _facts(record: object, data: SensorData) -> dict[str, Any]:
+def _describe_record(record: object, data: SensorData) -> dict[str, Any]:
     """Return what the file of a record says beside its columns."""
     if isinstance(record, GnssObservations):
         return {
@@ -191,8 +191,8 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     return RunResult(
         **{name: summary.pop(name) for name in _SUMMARY},
-        errors={label: _load_errors(path) for label, path in _labelled(folder, "errors")},
-        solutions={label: load_solution(folder, label) for label, _ in _labelled(folder, "solution")},
+        errors={label: _load_errors(path) for label, path in _find_files(folder, "errors")},
+        solutions={label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")},
         more=summary,
         records=FolderRecords(folder),
     )
@@ -260,13 +260,15 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     imu, fixes, instruments = load_sensors(folder)
     on_board: dict[str, Any] = dict(instruments)
     start = load_start(folder)
-    asked = [parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for _, path in _labelled(folder, "solution")]
+    asked = [
+        parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for _, path in _find_files(folder, "solution")
+    ]
     data = SensorData(
         imu=imu,
         fixes=fixes,
         **on_board,
         antenna_b=np.array(start["antenna_b_m"]),
-        specs=assumed_specs(start),
+        specs=read_assumed_specs(start),
         output_t=next((t for t in asked if np.isfinite(t).all()), np.empty(0)),
         observations=load_observations(folder),
         ground_alt=start["ground_alt_m"],
@@ -275,7 +277,7 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     drawn, sky = folder / DRAWN, folder / SKY
     return Sensed(
         data,
-        initial_state(start),
+        read_initial_state(start),
         _load_drawn(drawn) if drawn.exists() else nothing_drawn(),
         _load(folder / EVENTS, Events),
         _load(sky, SkyView) if sky.exists() else None,
@@ -283,9 +285,9 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
 
 
 def _load_drawn(path: Path) -> SensorTruth:
-    there = parquet.names(path)
+    there = parquet.read_names(path)
     on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in there]
-    fields = parquet.read(path, columns.drawn(on_board))
+    fields = parquet.read(path, columns.drawn_layout(on_board))
     bias = {name: fields.pop(name).reshape(len(fields["t"]), -1) for name in on_board}
     return SensorTruth(**fields, bias=bias)
 
@@ -306,10 +308,10 @@ def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None
     path = Path(folder) / OBSERVATIONS
     if not path.exists():
         return None
-    facts = parquet.facts(path)
+    facts = parquet.read_facts(path)
     start = np.array(facts["epoch_start"], np.int64)
     return GnssObservations(
-        **parquet.read(path, columns.observations(facts["bands"])),
+        **parquet.read(path, columns.observation_layout(facts["bands"])),
         epoch_start=start,
         klobuchar=np.array(facts["klobuchar"]),
         gps_t0=facts["gps_t0"],
@@ -340,36 +342,36 @@ def to_json(value: object) -> str:
     >>> to_json({"pos_rmse_h_m": np.float64(1.5), "drift_m": float("nan")})
     '{\\n  "pos_rmse_h_m": 1.5,\\n  "drift_m": null\\n}\\n'
     """
-    return json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
+    return json.dumps(_to_plain(value), indent=2, allow_nan=False) + "\n"
 
 
-def _plain(value: object) -> object:
+def _to_plain(value: object) -> object:
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {str(key): _to_plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_to_plain(inner) for inner in value]
     return value
 
 
-def solutions_of(folder: str | os.PathLike[str]) -> list[str]:
+def list_solutions(folder: str | os.PathLike[str]) -> list[str]:
     """Return the labels of the solutions in a results folder."""
-    return [label for label, _ in _labelled(Path(folder), "solution")]
+    return [label for label, _ in _find_files(Path(folder), "solution")]
 
 
 def load_solution(folder: str | os.PathLike[str], label: str) -> NavSolution:
     """Read one solution of a results folder back."""
     folder = Path(folder)
     path, other = folder / f"solution-{label}.parquet", folder / f"innovations-{label}.parquet"
-    extra_names = tuple(parquet.facts(path)["extra_names"])
-    names = tuple(parquet.facts(other)["sensors"])
+    extra_names = tuple(parquet.read_facts(path)["extra_names"])
+    names = tuple(parquet.read_facts(other)["sensors"])
     rows = parquet.read(other, columns.INNOVATIONS)
     code = np.array([names.index(name) for name in rows["sensor"]], dtype=np.int64)
     return NavSolution(
-        **parquet.read(path, columns.solution(extra_names)),
+        **parquet.read(path, columns.solution_layout(extra_names)),
         extra_names=extra_names,
         innovations=Innovations(**{**rows, "sensor": names, "code": code}),
         events=_load(folder / f"events-{label}.parquet", Events),
@@ -377,9 +379,11 @@ def load_solution(folder: str | os.PathLike[str], label: str) -> NavSolution:
 
 
 def _load_errors(path: Path) -> ErrorSeries:
-    return ErrorSeries(**parquet.read(path, columns_of(ErrorSeries)), states=parquet.facts(path)["states"])
+    return ErrorSeries(
+        **parquet.read(path, columns_of(ErrorSeries)), states=parquet.read_facts(path)["states"]
+    )
 
 
-def _labelled(folder: Path, kind: str) -> list[tuple[str, Path]]:
+def _find_files(folder: Path, kind: str) -> list[tuple[str, Path]]:
     """Return label and file of every estimator that has a file of one kind."""
     return [(path.stem.removeprefix(f"{kind}-"), path) for path in sorted(folder.glob(f"{kind}-*.parquet"))]

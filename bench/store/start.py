@@ -20,7 +20,7 @@ START = "sensors-start.json"
 _ORBITS = ("gps", "glonass")  # of a sky: what of them a receiver knows is in its observations
 
 
-def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
+def make_start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
     """Return what an estimator is told, in SI and radians, as an object of JSON.
 
     ``initial``: time, position, velocity, attitude and their covariance (9, 9) of (pos_n m, vel_n m/s,
@@ -55,7 +55,7 @@ def start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
 
 
 def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Read what the estimators of a results folder were told, as `start_document` makes it.
+    """Read what the estimators of a results folder were told, as `make_start_document` makes it.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:
     return document
 
 
-def initial_state(document: Mapping[str, Any]) -> InitialState:
-    """Return the start of a `start_document`; what is not known is NaN with infinite variance."""
+def read_initial_state(document: Mapping[str, Any]) -> InitialState:
+    """Return the start of a `make_start_document`; what is not known is NaN with infinite variance."""
     told = document["initial"]
     cov = np.array(told["cov"], float)
     return InitialState(
@@ -82,13 +82,13 @@ def initial_state(document: Mapping[str, Any]) -> InitialState:
     )
 
 
-def assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
-    """Return the datasheets of a `start_document`; the orbits of a sky are not in it."""
-    specs: AssumedSpecs = _typed(AssumedSpecs, document["assumed"])
+def read_assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
+    """Return the datasheets of a `make_start_document`; the orbits of a sky are not in it."""
+    specs: AssumedSpecs = _convert(AssumedSpecs, document["assumed"])
     return specs
 
 
-def _typed(kind: Any, value: Any) -> Any:
+def _convert(kind: Any, value: Any) -> Any:
     """Return a value of JSON as what a field of a spec is declared to be; a field that is missing is None."""
     if value is None:
         return None
@@ -97,10 +97,10 @@ def _typed(kind: Any, value: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind, localns=_NOT_STORED)
         missing = {f.name: None for f in dataclasses.fields(kind) if f.name not in value}
-        given = {name: _typed(hints[name], inner) for name, inner in value.items()}
+        given = {name: _convert(hints[name], inner) for name, inner in value.items()}
         return kind(**missing, **given)  # type: ignore[operator]
     if get_origin(kind) is tuple:
-        return tuple(_typed(get_args(kind)[0], inner) for inner in value)
+        return tuple(_convert(get_args(kind)[0], inner) for inner in value)
     return date.fromisoformat(value) if kind is date else value
 
 

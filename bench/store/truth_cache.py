@@ -25,7 +25,7 @@ import numpy as np
 from bench.data import AirData, Controls, Events, Trajectory
 from bench.places import PACKAGE, cache_folder
 from bench.specs import Flight, FlightSpec, ScriptSpec
-from bench.store.provenance import versions
+from bench.store.provenance import list_versions
 
 _UNUSED_DAYS = 30
 _BLOCK = 1 << 20  # [byte]
@@ -55,7 +55,7 @@ _SOURCES = (
 """Files of the package that truth depends on."""
 
 
-def truth_cached(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
+def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
     """Return the truth of a flight: from the cache, or flown and kept there.
 
     Parameters
@@ -72,22 +72,22 @@ def truth_cached(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Traje
         Bit-identical to the pieces of ``fly`` put together; its columns are mapped from the cache's files.
     """
     entry = cache_folder("truth") / truth_key(spec)
-    truth = _mapped(entry) if _sound(entry) else None
-    if truth is None and _kept(entry, fly):
-        truth = _mapped(entry)
+    truth = _map_truth(entry) if _is_sound(entry) else None
+    if truth is None and _fly_into(entry, fly):
+        truth = _map_truth(entry)
     return join_pieces(fly()) if truth is None else truth
 
 
 def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
-    """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `truth_cached`.
+    """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `cached_truth`.
 
     What is not in the cache is flown and kept there first.
     """
     entry = cache_folder("truth") / truth_key(spec)
-    yield from _pieces(entry) if _sound(entry) or _kept(entry, fly) else fly()
+    yield from _read_pieces(entry) if _is_sound(entry) or _fly_into(entry, fly) else fly()
 
 
-def truth_said(
+def cached_summary(
     spec: Flight,
     fly: Callable[[], Iterable[Trajectory]],
     say: Callable[[Iterable[Trajectory]], dict[str, Any]],
@@ -98,7 +98,7 @@ def truth_said(
     Parameters
     ----------
     spec, fly
-        As for `truth_cached`; the truth is flown and kept first when the cache does not have it.
+        As for `cached_truth`; the truth is flown and kept first when the cache does not have it.
     say : callable
         Makes an object of JSON from the pieces.
     sources : sequence of str
@@ -108,8 +108,8 @@ def truth_said(
     digest = hashlib.sha256()
     for name in sources:
         digest.update((PACKAGE / name).read_bytes())
-    path = entry / f"said-{digest.hexdigest()[:32]}.json"
-    if _sound(entry):
+    path = entry / f"summary-{digest.hexdigest()[:32]}.json"
+    if _is_sound(entry):
         with contextlib.suppress(OSError, ValueError):  # absent or damaged: it is made anew
             kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             return kept
@@ -124,11 +124,11 @@ def truth_said(
 
 def truth_key(spec: Flight) -> str:
     """Return the hash of everything truth depends on: the flight, the files it names, the software."""
-    values, files = _inputs(spec)
+    values, files = _list_inputs(spec)
     digest = hashlib.sha256()
-    digest.update(json.dumps({**values, "versions": versions()}, sort_keys=True).encode())
+    digest.update(json.dumps({**values, "versions": list_versions()}, sort_keys=True).encode())
     for root in (*files, *(PACKAGE / name for name in _SOURCES)):
-        for path in _files(root):
+        for path in _list_files(root):
             digest.update(f"{root.name}/{path.relative_to(root)}\0{path.stat().st_size}\0".encode())
             with path.open("rb") as file:
                 while block := file.read(_BLOCK):
@@ -136,33 +136,33 @@ def truth_key(spec: Flight) -> str:
     return digest.hexdigest()[:32]
 
 
-def _inputs(spec: Flight) -> tuple[dict[str, Any], list[Path]]:
+def _list_inputs(spec: Flight) -> tuple[dict[str, Any], list[Path]]:
     """Return what a flight says of itself, and the files and folders it is made from."""
     values = {"kind": type(spec).__name__, **dataclasses.asdict(spec)}
     if isinstance(spec, FlightSpec):
         aircraft, foreign = values["aircraft"], values["aircraft"]["foreign"]
         files = [Path(aircraft.pop("folder")), Path(aircraft.pop("systems"))]
-        files += _engines(Path(foreign.pop("root"))) if foreign else []
+        files += _list_engine_folders(Path(foreign.pop("root"))) if foreign else []
         values["legs"] = [[type(leg).__name__, dataclasses.asdict(leg)] for leg in spec.legs]
         return values, files
     files = [Path(values.pop("path"))]
     if isinstance(spec, ScriptSpec):
         root = Path(values.pop("root"))
-        files += [root / "aircraft" / spec.aircraft, *_engines(root)]
+        files += [root / "aircraft" / spec.aircraft, *_list_engine_folders(root)]
     return values, files
 
 
-def _engines(root: Path) -> list[Path]:
+def _list_engine_folders(root: Path) -> list[Path]:
     return [root / "engine", root / "systems"]
 
 
-def _files(root: Path) -> list[Path]:
+def _list_files(root: Path) -> list[Path]:
     if root.is_file():
         return [root]
     return sorted(p for p in root.rglob("*") if p.is_file() and p.suffix not in (".pyc", ".md"))
 
 
-def _arrays(truth: Trajectory) -> dict[str, _Array]:
+def _get_columns(truth: Trajectory) -> dict[str, _Array]:
     """Return every numeric column of a trajectory by its name: ``lla``, ``air.t`` ..."""
     parts: dict[str, Any] = {"": truth} | {part: getattr(truth, part) for part in _PARTS}
     return {
@@ -173,8 +173,8 @@ def _arrays(truth: Trajectory) -> dict[str, _Array]:
     }
 
 
-def _trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]) -> Trajectory:
-    """Return the trajectory of the columns that `_arrays` names."""
+def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]) -> Trajectory:
+    """Return the trajectory of the columns that `_get_columns` names."""
     rows: dict[str, dict[str, Any]] = {part: {} for part in ("", *_PARTS)}
     for label, array in arrays.items():
         part, _, name = label.rpartition(".")
@@ -189,19 +189,19 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
     first, *rest = pieces
     if not rest:
         return first
-    arrays = {name: [array] for name, array in _arrays(first).items()}
+    arrays = {name: [array] for name, array in _get_columns(first).items()}
     for piece in rest:
-        for name, array in _arrays(piece).items():
+        for name, array in _get_columns(piece).items():
             arrays[name].append(array[name in SHARED :])
     events = [piece.events for piece in (first, *rest)]
     texts = {part: [text for e in events for text in getattr(e, part)] for part in ("kind", "text")}
-    return _trajectory({name: np.concatenate(parts) for name, parts in arrays.items()}, texts)
+    return _make_trajectory({name: np.concatenate(parts) for name, parts in arrays.items()}, texts)
 
 
-def _kept(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
+def _fly_into(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
     """Fly a truth into the cache and say whether it could be kept."""
     try:
-        _write(entry, fly)
+        _write_entry(entry, fly)
         _remove_unused(entry.parent)
     except OSError as error:  # no room, no right to write
         _LOG.warning("truth is not cached in %s: %s", entry.parent, error.strerror or error)
@@ -209,7 +209,7 @@ def _kept(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
     return True
 
 
-def _write(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
+def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     entry.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=entry.parent))
     try:
@@ -217,14 +217,14 @@ def _write(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
         texts: dict[str, list[str]] = {"kind": [], "text": []}
         with contextlib.ExitStack() as files:
             for number, piece in enumerate(fly()):
-                for name, array in _arrays(piece).items():
+                for name, array in _get_columns(piece).items():
                     if not number:
                         columns[name] = files.enter_context(_Column(scratch / f"{name}.npy", array))
                     columns[name].append(array[number > 0 and name in SHARED :])
                 texts["kind"] += piece.events.kind
                 texts["text"] += piece.events.text
         (scratch / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
-        hashes = {path.name: _sha256(path) for path in scratch.iterdir()}
+        hashes = {path.name: _hash_file(path) for path in scratch.iterdir()}
         (scratch / _INDEX).write_text(json.dumps(hashes), encoding="utf-8")
         shutil.rmtree(entry, ignore_errors=True)  # damaged, or another process was as fast
         scratch.rename(entry)
@@ -259,14 +259,14 @@ class _Column:
             self._write_header()
 
 
-def _sound(entry: Path) -> bool:
+def _is_sound(entry: Path) -> bool:
     """Say whether an entry is there, its files are those that were written, and none is a pickle."""
     try:
         hashes = json.loads((entry / _INDEX).read_text(encoding="utf-8"))
-        if not hashes or any(_sha256(entry / name) != wanted for name, wanted in hashes.items()):
+        if not hashes or any(_hash_file(entry / name) != wanted for name, wanted in hashes.items()):
             return False
-        for name in _columns(entry):
-            _rows(entry, name)
+        for name in _list_columns(entry):
+            _map_column(entry, name)
     except (OSError, ValueError, AttributeError):
         return False
     with contextlib.suppress(OSError):  # a cache shared read-only still serves
@@ -274,53 +274,57 @@ def _sound(entry: Path) -> bool:
     return True
 
 
-def _columns(entry: Path) -> list[str]:
+def _list_columns(entry: Path) -> list[str]:
     return [path.stem for path in entry.glob("*.npy")]
 
 
-def _rows(entry: Path, name: str) -> _Array:
+def _map_column(entry: Path, name: str) -> _Array:
     """Return a column of an entry, mapped: what is not looked at is not in memory."""
     rows: _Array = np.load(entry / f"{name}.npy", mmap_mode="r", allow_pickle=False)
     return rows
 
 
-def _texts(entry: Path) -> dict[str, list[str]]:
+def _read_texts(entry: Path) -> dict[str, list[str]]:
     texts: dict[str, list[str]] = json.loads((entry / _TEXTS).read_text(encoding="utf-8"))
     return texts
 
 
-def _mapped(entry: Path) -> Trajectory | None:
+def _map_truth(entry: Path) -> Trajectory | None:
     """Return the truth of an entry, mapped from its files, or None when they do not hold one."""
     try:
-        return _trajectory({name: _rows(entry, name) for name in _columns(entry)}, _texts(entry))
+        return _make_trajectory(
+            {name: _map_column(entry, name) for name in _list_columns(entry)}, _read_texts(entry)
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def _pieces(entry: Path) -> Iterator[Trajectory]:
+def _read_pieces(entry: Path) -> Iterator[Trajectory]:
     """Yield the truth of an entry in pieces, the events with the last one.
 
     The files are mapped anew for each piece: a page that was looked at is memory of the
     process for as long as its map lives.
     """
-    names, texts = _columns(entry), _texts(entry)
-    end = len(_rows(entry, "t")) - 1
+    names, texts = _list_columns(entry), _read_texts(entry)
+    end = len(_map_column(entry, "t")) - 1
     taken = dict.fromkeys(_PARTS, 0)
     for start in range(0, max(end, 1), _PIECE):
         stop = min(start + _PIECE, end)
-        until = np.inf if stop == end else _rows(entry, "t")[stop]
-        ready = {part: int(np.searchsorted(_rows(entry, f"{part}.t"), until, "right")) for part in _PARTS}
+        until = np.inf if stop == end else _map_column(entry, "t")[stop]
+        ready = {
+            part: int(np.searchsorted(_map_column(entry, f"{part}.t"), until, "right")) for part in _PARTS
+        }
         ready["events"] = len(texts["kind"]) if stop == end else 0
         arrays = {}
         for name in names:
             part = name.rpartition(".")[0]
             rows = slice(taken[part], ready[part]) if part else slice(start, stop + (name in SHARED))
-            arrays[name] = np.array(_rows(entry, name)[rows])
+            arrays[name] = np.array(_map_column(entry, name)[rows])
         taken = ready
-        yield _trajectory(arrays, texts if stop == end else {"kind": [], "text": []})
+        yield _make_trajectory(arrays, texts if stop == end else {"kind": [], "text": []})
 
 
-def _sha256(path: Path) -> str:
+def _hash_file(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

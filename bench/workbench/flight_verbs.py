@@ -41,11 +41,11 @@ def run(
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
-    with _progress(profile) as progress:
+    with _show_progress(profile) as progress:
         result = api.run(profile, run=draw, progress=progress)
     api.save(result, folder, recording=recording, force=force)
-    show.result(console, profile, result)
-    show.sanity(console, result.events.of("sanity"))
+    show.print_result(console, profile, result)
+    show.print_sanity(console, result.events.of("sanity"))
     print_end(console, folder, begun)
     return result, folder
 
@@ -66,17 +66,17 @@ def find_own_estimators() -> None:
 def fly(name: str, *, console: Console, overrides: Mapping[str, Any], seed: int | None) -> None:
     """Fly the truth of one profile, keep it in the cache, and print what was flown."""
     profile = api.load_profile(name, overrides, seed)
-    with _progress(profile) as progress:
+    with _show_progress(profile) as progress:
         flown = api.describe_flight(profile, progress)
-    show.flight(console, profile, flown)
+    show.print_flight(console, profile, flown)
     console.print(f"Next: bench run {name}")
 
 
 def check_limits(directory: Path, names: Sequence[str], *, console: Console, runs: int | None) -> bool:
     """Fly the profiles that have limits, print the verdicts, and return whether every limit holds."""
-    with _counted() as progress:
+    with _show_runs() as progress:
         verdicts = api.check_limits(names, directory=directory, runs=runs, progress=progress)
-    show.verdicts(console, verdicts)
+    show.print_verdicts(console, verdicts)
     return not any(row.regressed for row in verdicts)
 
 
@@ -84,21 +84,21 @@ def record_limits(
     directory: Path, names: Sequence[str], *, console: Console, runs: int | None = None
 ) -> None:
     """Fly profiles and write what they measure as their limits."""
-    with _counted() as progress:
+    with _show_runs() as progress:
         paths = api.record_limits(names, directory=directory, runs=runs, progress=progress)
     for path in paths:
         console.print(f"Wrote {path}.")
 
 
 @contextlib.contextmanager
-def _counted() -> Iterator[Callable[[str, int, int], None]]:
+def _show_runs() -> Iterator[Callable[[str, int, int], None]]:
     """Give what shows the run of a profile."""
     with Console(stderr=True).status("") as status:
         yield lambda name, k, n: status.update(f"{name}: run {k + 1} of {n}")
 
 
 @contextlib.contextmanager
-def _progress(profile: Profile) -> Iterator[Callable[[float], None]]:
+def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
     """Give what takes the seconds flown so far and shows them; nothing is shown before the first call."""
     screen = Console(stderr=True)
     if not screen.is_interactive:

@@ -24,7 +24,7 @@ _LINK = re.compile(r"\[([^]\n]+)\]\([^)\s]+\.md\)")  # to another page, which a 
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
 
 
-def topics() -> dict[str, str]:
+def read_topics() -> dict[str, str]:
     """Return what each topic is about, in the order of the guide's list."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     return {found["topic"]: found["about"] for found in _ENTRY.finditer(text)}
@@ -35,7 +35,7 @@ def list_topics(console: Console) -> None:
     table = Table(title="Topics (bench guide TOPIC)", title_justify="left", show_header=False, box=None)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for topic, about in topics().items():
+    for topic, about in read_topics().items():
         table.add_row(topic, about)
     console.print(table)
 
@@ -48,7 +48,7 @@ def show_topic(topic: str, console: Console) -> None:
     ConfigError
         If there is no such topic; the message has the nearest name and all of them.
     """
-    known = list(topics())
+    known = list(read_topics())
     if topic not in known:
         near = difflib.get_close_matches(topic, known, n=1)
         hint = f"Did you mean {near[0]!r}? " if near else ""

@@ -48,7 +48,7 @@ def navigate_log(
     result = api.navigate_log(log, outages=durations, places=places)
     withheld, begins = len(result.records["withheld"]), log.spec.evaluation_from
     console.print(f"{log.spec.title}: {withheld} fixes withheld, from {begins:g} s on")
-    show.metrics(console, result.metrics, result.solutions)
+    show.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
         for row in result.more["outages"]:
@@ -94,9 +94,9 @@ def measure_allan(
     picture = out or Path(f"allan-{source}.png")
     measured = api.measure_allan(unit, log=log, seed=seed, picture=picture)
     for curve in measured.curves:
-        console.print(_allan_table(curve))
+        console.print(_make_allan_table(curve))
         if log is not None:
-            console.print(_fitted(curve), soft_wrap=True)
+            console.print(_describe_fit(curve), soft_wrap=True)
     console.print(f"picture: {picture}")
     if measured.simulated:
         console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band.")
@@ -121,7 +121,9 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     run, label = score.run, score.label
     begun = run.profile["evaluation"]["from_s"]
     console.print(f"{run.profile['title']}: seed {run.seed}, run {run.run}, from {begun:g} s on")
-    show.metrics(console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution})
+    show.print_metrics(
+        console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
+    )
     instants = f"{len(score.solution)} instants, {score.rows} rows"
     console.print(f"{label} covers {100 * score.coverage:.4g} % of the {instants}")
     for kind in ("table", "interpolated"):
@@ -139,7 +141,7 @@ def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
-def _allan_table(curve: AllanCurve) -> Table:
+def _make_allan_table(curve: AllanCurve) -> Table:
     unit, factor = SHOWN_UNITS[curve.triad]
     table = Table(title=f"{curve.triad}, Allan deviation in {unit}", title_justify="left")
     known = bool(curve.terms)
@@ -156,7 +158,7 @@ def _allan_table(curve: AllanCurve) -> Table:
     return table
 
 
-def _fitted(curve: AllanCurve) -> str:
+def _describe_fit(curve: AllanCurve) -> str:
     """Say the figures of a measured curve in the units of datasheets."""
     found = fit_noise(curve)
     as_triad = TriadSpec(random_walk=found["N"], bias_instability=found["B"], rate_random_walk=found["K"])

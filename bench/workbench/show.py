@@ -45,20 +45,20 @@ _SUMMARY = (
 _COVERAGE = "output_coverage"  # shown where one is not 1
 
 
-def result(console: Console, profile: Profile, run: RunResult) -> None:
+def print_result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, a column for each estimator, and what they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
-    metrics(console, run.metrics, run.solutions)
+    print_metrics(console, run.metrics, run.solutions)
 
 
-def metrics(
+def print_metrics(
     console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
 ) -> None:
     """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
     names = list(dict.fromkeys(name for values in measured.values() for name in values))
-    table = _metrics(measured, names, narrow=False)
+    table = _make_metrics_table(measured, names, narrow=False)
     if console.measure(table, options=console.options.update(max_width=10_000)).maximum > console.width:
-        table = _metrics(measured, names, narrow=True)
+        table = _make_metrics_table(measured, names, narrow=True)
     console.print(table)
     if any(name.startswith("nis_low_") for name in names):
         console.print("nis_mean: the range with it is that of 99.9 % of matched filters.")
@@ -80,9 +80,11 @@ def metrics(
         console.print(f"{', '.join(labels)}: {text}")
 
 
-def _metrics(results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, narrow: bool) -> Table:
+def _make_metrics_table(
+    results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, narrow: bool
+) -> Table:
     """Return the table of the main metrics; a narrow one has no lines and its bands below their values."""
-    table = _table("metric", *results)
+    table = _make_table("metric", *results)
     if narrow:
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
         table.add_column("metric", no_wrap=True)
@@ -92,16 +94,16 @@ def _metrics(results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, 
         for name in names:
             if name.startswith(start) and not name.endswith("_all") and find_metric(name) is not None:
                 cells = [
-                    _number(values.get(name)) + _band(name, values, narrow=narrow)
+                    _format_number(values.get(name)) + _format_band(name, values, narrow=narrow)
                     for values in results.values()
                 ]
                 table.add_row(name, *cells)
     if any(values.get(_COVERAGE) not in (None, 1.0) for values in results.values()):
-        table.add_row(_COVERAGE, *(_number(values.get(_COVERAGE)) for values in results.values()))
+        table.add_row(_COVERAGE, *(_format_number(values.get(_COVERAGE)) for values in results.values()))
     return table
 
 
-def _band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
+def _format_band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
     """Return the 99.9 % band of a mean NIS, where the filter is matched."""
     sensor = name.removeprefix("nis_mean_")
     low, high = metrics.get(f"nis_low_{sensor}"), metrics.get(f"nis_high_{sensor}")
@@ -110,7 +112,7 @@ def _band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
     return f"\n{low:.2f}-{high:.2f}" if narrow else f" ({low:.3g} to {high:.3g})"
 
 
-def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
+def print_flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
     """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.label}")
     table = Table()
@@ -121,20 +123,20 @@ def flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)
     figures = Table.grid(padding=(0, 2))
-    for what, shown in _figures(flown).items():
+    for what, shown in _describe_flight(flown).items():
         figures.add_row(what, shown)
     console.print(figures)
-    sanity(console, flown["sanity"])
+    print_sanity(console, flown["sanity"])
 
 
-def sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
+def print_sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
     """Print what no aircraft of its class does, or what is inconsistent in a table."""
     for start, end, text in remarks:
         when = f"{start:.1f} s" if end == start else f"{start:.1f} to {end:.1f} s"
         console.print(f"sanity, {when}: {text}", style="yellow")
 
 
-def _figures(flown: Mapping[str, Any]) -> dict[str, str]:
+def _describe_flight(flown: Mapping[str, Any]) -> dict[str, str]:
     """Return the lines below the legs."""
 
     def least_to_most(name: str, unit: str, digits: int, scale: float = 1.0) -> str:
@@ -162,14 +164,14 @@ def _figures(flown: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def verdicts(console: Console, rows: Sequence[Verdict]) -> None:
+def print_verdicts(console: Console, rows: Sequence[Verdict]) -> None:
     """Print the limits that do not hold, and how many do."""
     columns = ("profile", "estimator", "metric", "expected", "tolerance", "measured", "")
-    table = _table(*columns)
+    table = _make_table(*columns)
     for row in rows:
         if row.regressed or row.improved:
             verdict = Text("worse", "bold red") if row.regressed else Text("better")
-            numbers = [_number(value) for value in (row.expected, row.tolerance, row.measured)]
+            numbers = [_format_number(value) for value in (row.expected, row.tolerance, row.measured)]
             table.add_row(row.profile, row.estimator, row.metric, *numbers, verdict)
     if table.row_count:
         console.print(table)
@@ -190,32 +192,34 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
 """What `bench list` shows: how each is asked for, and what there is."""
 
 
-def catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
+def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
     """Return the profiles, aircraft, legs, sensors and estimators there are, or those of one kind."""
     return {name: entries() for name, (_, entries) in _SHELVES.items() if kind in (None, name)}
 
 
-def choices(console: Console, kind: str | None = None) -> None:
-    """Print what `catalog` returns.
+def print_catalog(console: Console, kind: str | None = None) -> None:
+    """Print what `list_catalog` returns.
 
     Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed; of
     legs alone their keys, of estimators alone their options.
     """
-    for name, entries in catalog(kind).items():
+    for name, entries in list_catalog(kind).items():
         if kind == "legs":
             for entry in entries:
-                _grid(console, f"{entry.name}: {entry.title}", [_key_row(key) for key in entry.keys])
+                _print_grid(
+                    console, f"{entry.name}: {entry.title}", [_describe_key(key) for key in entry.keys]
+                )
             continue
         rows = []
         for entry in entries:
             what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
             rows.append((entry.kind, entry.name, what) if name == "sensors" else (entry.name, what))
-        _grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
+        _print_grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
     if kind == "estimators":
-        _options(console)
+        _print_options(console)
 
 
-def _grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
+def _print_grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
     console.print(title, style="italic", soft_wrap=True)
     grid = Table(show_header=False, box=None, padding=(0, 2))
     for _ in rows[0] if rows else ():
@@ -227,7 +231,7 @@ def _grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
     console.print()
 
 
-def _key_row(key: KeyEntry) -> tuple[str, ...]:
+def _describe_key(key: KeyEntry) -> tuple[str, ...]:
     """Return a key of a leg, what it may be, and its default."""
     holds = ", ".join(key.choices) or "tables"
     if key.low is not None:
@@ -238,7 +242,7 @@ def _key_row(key: KeyEntry) -> tuple[str, ...]:
     return f"{key.name:14}", f"{holds:26}", f"{default:8}", key.words
 
 
-def _options(console: Console) -> None:
+def _print_options(console: Console) -> None:
     """Print the options of the built-in estimators, once for those that share them."""
     owners: dict[type[Options], list[str]] = {}
     for name, row in BUILT_IN.items():
@@ -248,10 +252,10 @@ def _options(console: Console) -> None:
         known = described(base) if base else []
         rows = [option for option in described(model) if option not in known]
         shared = f": those of {owners[base][0]}{', and' if rows else ''}" if base else ""
-        _grid(console, f"Options of {', '.join(names)}{shared}", rows)
+        _print_grid(console, f"Options of {', '.join(names)}{shared}", rows)
 
 
-def _table(first: str, *others: str) -> Table:
+def _make_table(first: str, *others: str) -> Table:
     table = Table()
     table.add_column(first, no_wrap=True)
     for name in others:
@@ -259,5 +263,5 @@ def _table(first: str, *others: str) -> Table:
     return table
 
 
-def _number(value: Any) -> str:
+def _format_number(value: Any) -> str:
     return "-" if value is None else f"{value:.4g}"

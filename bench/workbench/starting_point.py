@@ -46,7 +46,7 @@ class StartingPoint:
         fix_rows, fix_at = np.empty(0, np.int64), np.empty(0, np.int64)
         R = np.zeros((6, 6))
         if sensors.fixes is not None:
-            R = _fix_covariance(sensors.specs)
+            R = _make_fix_covariance(sensors.specs)
             fix_rows, fix_at, left_out = timeline.fix_rows(sensors.fixes, t, initial.t)
             events += left_out
         fixes = dict(zip(fix_at.tolist(), fix_rows.tolist(), strict=True))  # by IMU sample
@@ -59,7 +59,7 @@ class StartingPoint:
 
         nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
         gyro_bias, accel_bias = np.zeros(3), np.zeros(3)
-        P, q = _start(initial, sensors.specs)
+        P, q = _make_start(initial, sensors.specs)
         before = np.zeros(7)
         out = np.full((len(sensors.output_t), 16), np.nan)
         out_P = np.full((len(sensors.output_t), 15, 15), np.nan)
@@ -80,7 +80,7 @@ class StartingPoint:
                 nav, done = states[-1], k
             if k in fixes and sensors.fixes is not None:
                 row = fixes[k]
-                z, H = _antenna(nav, sensors.antenna_b, turn[-1] / dt[-1])
+                z, H = _place_antenna(nav, sensors.antenna_b, turn[-1] / dt[-1])
                 z[:3] += earth.difference_n(nav[:3], sensors.fixes.lla[row])
                 z[3:] += nav[3:6] - sensors.fixes.vel_n[row]
                 x = np.zeros(15)
@@ -118,7 +118,7 @@ class StartingPoint:
         )
 
 
-def _start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray, FloatArray]:
+def _make_start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray, FloatArray]:
     """Return P (15, 15) at the start and the densities q (15,) of the noise, from the datasheets."""
     P, q = np.zeros((15, 15)), np.zeros(15)
     P[:9, :9] = initial.cov
@@ -132,7 +132,7 @@ def _start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray, Floa
     return P, q
 
 
-def _fix_covariance(specs: AssumedSpecs) -> FloatArray:
+def _make_fix_covariance(specs: AssumedSpecs) -> FloatArray:
     """Return R (6, 6) of a fix, its time-correlated part taken as white."""
     gnss = specs.gnss
     if gnss is None:
@@ -143,7 +143,9 @@ def _fix_covariance(specs: AssumedSpecs) -> FloatArray:
     return np.diag([h, h, v, s, s, s])
 
 
-def _antenna(nav: FloatArray, antenna_b: FloatArray, w_ib_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _place_antenna(
+    nav: FloatArray, antenna_b: FloatArray, w_ib_b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return position and velocity (6,) of the antenna from the IMU, and H (6, 15)."""
     C = rotation.matrix(nav[6:])
     earth_n = earth.EARTH_RATE * np.array([np.cos(nav[0]), 0.0, -np.sin(nav[0])])

@@ -42,7 +42,7 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         When the viewer cannot be started or fails.
     """
     recording = find_recording(folder)
-    command = [str(_binary()), str(recording), "--bind", _LOCAL]
+    command = [str(_find_viewer()), str(recording), "--bind", _LOCAL]
     if web:
         port, page = free_port(9876), free_port(9090)
         command += ["--serve-web", "--port", str(port), "--web-viewer-port", str(page)]
@@ -50,7 +50,7 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         console.print(f"{recording} is served on http://{_LOCAL}:{page}/?url={source}", soft_wrap=True)
         console.print("Ctrl-C ends it.")
     else:
-        _need_display()
+        _check_display()
         command += ["--port", "auto", "--hide-welcome-screen"]
     status = wait_for(command)
     if status:
@@ -104,7 +104,7 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
             child.wait(_PATIENCE)
 
 
-def _binary() -> Path:
+def _find_viewer() -> Path:
     """Return the viewer itself: its launcher in Python would leave it running when ended."""
     package = find_spec("rerun_cli")
     if package is not None and package.origin is not None:
@@ -115,6 +115,6 @@ def _binary() -> Path:
     raise ViewerError("no viewer here: the package rerun-sdk has none; 'pip install rerun-sdk' brings it")
 
 
-def _need_display() -> None:
+def _check_display() -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError("no display to open a window on; 'bench view --web' serves it to a browser")

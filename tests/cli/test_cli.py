@@ -259,11 +259,11 @@ def test_all_errors_are_said_at_once(here, capsys):
 
 @pytest.mark.parametrize("text", ["<output name='x'/>", "no XML", "<fdm_config/>"])
 def test_an_aircraft_that_does_not_load_is_status_3(here, capsys, text):
-    from bench.config.library import aircraft_folder
+    from bench.config.library import find_aircraft
 
     own = here / "aircraft" / "kite"
     own.mkdir(parents=True)
-    toml = aircraft_folder("aerosonde", here) / "aircraft.toml"
+    toml = find_aircraft("aerosonde", here) / "aircraft.toml"
     (own / "aircraft.toml").write_text(toml.read_text())
     (own / "kite.xml").write_text(text)
     status, out, err = say(capsys, "run", "short.toml", "--set", "aircraft=kite")
@@ -519,7 +519,7 @@ def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
 def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
     (here / "runs/a").mkdir(parents=True)
     (here / "runs/a/flight.rrd").touch()
-    monkeypatch.setattr(viewer, "_binary", lambda: Path("/bin/false"))
+    monkeypatch.setattr(viewer, "_find_viewer", lambda: Path("/bin/false"))
     status, _, err = say(capsys, "view", "runs/a", "--web")
     assert status == 4
     assert err.startswith(

@@ -287,13 +287,13 @@ def degrees(angle: str, side: str) -> float:
 
 
 def test_nmea_of_the_south_west_and_of_a_full_minute():
-    from bench.exchange.exports.nmea import sentences
+    from bench.exchange.exports.nmea import make_sentences
 
     lla = np.array([np.deg2rad(-33.9999999999), np.deg2rad(-0.5), 10.0])
     from bench.exchange.exports.outgoing import Calendar
 
     calendar = Calendar(2399, 18.0, datetime(2026, 1, 4))
-    gga, rmc = sentences(calendar, 86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
+    gga, rmc = make_sentences(calendar, 86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
     assert gga.startswith("$GPGGA,000000.000,3400.0000000,S,00030.0000000,W,1,07,,10.000,M,0.0,M,,*")
     assert rmc.startswith("$GPRMC,000000.000,A,3400.0000000,S,00030.0000000,W,1.944,180.000,050126,,,A*")
 
@@ -337,10 +337,10 @@ def test_tum_poses_are_east_north_up_and_forward_left_up(run, export):
 def test_local_axes():
     """East, north, up of a pose that looks north, wings level: forward is y, left is minus x, up is z."""
     origin = np.array([0.5, 1.0, 100.0])
-    position, q = local.poses(origin[None], np.array([[1.0, 0.0, 0.0, 0.0]]), origin)
+    position, q = local.to_poses(origin[None], np.array([[1.0, 0.0, 0.0, 0.0]]), origin)
     assert_allclose(position, 0.0, atol=1e-9)
     assert_allclose(rotation.matrix(q)[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
-    assert_array_equal(local.enu(np.array([1.0, 2.0, 3.0])), [2.0, 1.0, -3.0])
+    assert_array_equal(local.to_enu(np.array([1.0, 2.0, 3.0])), [2.0, 1.0, -3.0])
 
 
 def test_rosbag2_is_read_back_by_rosbags(run, export):

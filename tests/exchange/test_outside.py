@@ -159,12 +159,12 @@ def test_the_program_sees_the_sensors_and_nothing_else(run, tmp_path, monkeypatc
 def test_the_start_holds_what_the_filters_of_the_bench_are_told_and_no_more(run):
     """Neither drawn biases nor truth are in what a program gets: it follows from the two arguments alone."""
     _, _, sensed = run
-    document = store.start_document(sensed.data, sensed.initial)
+    document = store.make_start_document(sensed.data, sensed.initial)
     assert set(document) == {"initial", "antenna_b_m", "ground_alt_m", "date", "assumed"}
     other = dataclasses.replace(
         sensed, truth=dataclasses.replace(sensed.truth, gyro_bias_b=sensed.truth.gyro_bias_b + 1)
     )
-    assert store.to_json(store.start_document(other.data, other.initial)) == store.to_json(document)
+    assert store.to_json(store.make_start_document(other.data, other.initial)) == store.to_json(document)
 
 
 def test_no_shell_is_between(run, tmp_path):
@@ -275,7 +275,7 @@ def test_a_solution_without_end_is_stopped(run, tmp_path, monkeypatch):
 def test_a_wrong_command_is_refused_before_the_flight(tmp_path, command, said):
     (tmp_path / "data").write_text("no program")
     with pytest.raises(EstimatorError) as caught:
-        pipeline.build(EstimatorChoice(f"command:{command}", "x", {}, tmp_path))
+        pipeline.build_estimator(EstimatorChoice(f"command:{command}", "x", {}, tmp_path))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -286,7 +286,7 @@ def test_a_wrong_command_is_refused_before_the_flight(tmp_path, command, said):
 def test_wrong_options_are_refused(tmp_path, options):
     choice = EstimatorChoice(f"command:{sys.executable} {{sensors}} {{solution}}", "x", options, tmp_path)
     with pytest.raises(EstimatorError, match=next(iter(options))):
-        pipeline.build(choice)
+        pipeline.build_estimator(choice)
 
 
 def test_it_pickles(tmp_path):
@@ -326,4 +326,4 @@ def test_relative_paths_begin_at_the_profile_or_for_e_where_one_stands(tmp_path,
     mine = config.load_profile("there/p.toml", estimators=["file:his.csv", "file:other/his.csv"])
     assert [(c.label, c.beside) for c in mine.estimators] == [("his", Path()), ("his-2", Path())]
     with pytest.raises(ConfigError, match=r"his\.csv: No such file"):
-        pipeline.build(mine.estimators[0])
+        pipeline.build_estimator(mine.estimators[0])

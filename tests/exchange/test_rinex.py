@@ -270,10 +270,10 @@ def test_glonass_time_in_the_header_is_utc(tmp_path):
 def test_numbers_without_an_exponent_letter_and_weeks(tmp_path):
     nav = rinex.read_navigation(written(tmp_path, NAV_2))
     assert nav.kepler.t[0] == rinex.gps_seconds(2012, 10, 31)
-    assert rinex.lines._number("0.499063314480-269") == 0.499063314480e-269
-    assert rinex.lines._number("-1.5+02") == -150.0
-    assert rinex.lines._number("1_000.0") is None
-    assert rinex.lines._number("nan") is None
+    assert rinex.lines._parse_number("0.499063314480-269") == 0.499063314480e-269
+    assert rinex.lines._parse_number("-1.5+02") == -150.0
+    assert rinex.lines._parse_number("1_000.0") is None
+    assert rinex.lines._parse_number("nan") is None
 
 
 def test_glonass_times_are_utc_with_or_without_leap_seconds_in_the_header(tmp_path):

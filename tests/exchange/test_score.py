@@ -21,7 +21,7 @@ from bench.config import fault_tables
 from bench.data import NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
-from bench.exchange.solutions import FileEstimator, read_solution, resampled
+from bench.exchange.solutions import FileEstimator, read_solution, resample
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
 from tests.exchange.exported import LOST
@@ -29,7 +29,7 @@ from tests.synthetic import turning
 
 
 def written(path, solution: NavSolution):
-    parquet.write_csv(path, solution, columns.solution(()))
+    parquet.write_csv(path, solution, columns.solution_layout(()))
     return path
 
 
@@ -141,7 +141,7 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
         (), np.empty((70, 0)), np.empty((70, 0)),
     )  # fmt: skip
     t = truth.t[::10]
-    found = resampled(as_read(made), t)
+    found = resample(as_read(made), t)
     inside = (t >= 1.3 - 1e-9) & (t <= 15.1 + 1e-9)
     assert_array_equal(np.isfinite(found.lla).all(axis=1), inside)
     assert found.events.of("not_covered") == [
@@ -155,7 +155,7 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
     assert np.linalg.norm(rotation.to_rotvec(turned), axis=1).max() < 1e-9  # the turn rate is constant
     slow = np.linalg.norm(found.vel_n[inside] - truth.vel_n[::10][inside], axis=1)
     assert slow.max() == pytest.approx(25 * 0.3**2 * 0.2**2 / 8, rel=0.02)  # straight between: f'' h^2 / 8
-    straight = resampled(as_read(without(made, "vel")), t)
+    straight = resample(as_read(without(made, "vel")), t)
     off = np.linalg.norm(earth.difference_n(straight.lla[inside], truth.lla[::10][inside]), axis=1)
     assert off.max() == pytest.approx(25 * 0.3 * 0.2**2 / 8, rel=0.02)
     assert_allclose(found.cov[inside], np.tile(np.eye(9), (inside.sum(), 1, 1)))
@@ -220,7 +220,9 @@ def test_a_solution_of_another_time_has_no_metrics_and_says_why(run, tmp_path, c
 
 def test_the_faults_of_the_run_are_those_of_its_profile(run, tmp_path, capsys):
     profile = config.load_profile("gnss-faults")
-    assert fault_tables.flown(json.loads(json.dumps(profile.document["fault"]))) == profile.sensors.faults
+    assert (
+        fault_tables.read_faults(json.loads(json.dumps(profile.document["fault"]))) == profile.sensors.faults
+    )
     folder, truth, _ = run
     faulty = tmp_path / "faulty"
     shutil.copytree(folder, faulty)

@@ -163,11 +163,11 @@ def test_the_order_is_that_of_arrival(run):
     from dataclasses import replace
 
     from bench.exchange.exports import gather
-    from bench.exchange.frames import messages
+    from bench.exchange.frames import make_messages
 
     whole = gather(run)
     fixes = replace(whole.fixes, t_arrival=whole.fixes.t + 0.155)
-    arrivals = list(messages(replace(whole, fixes=fixes)))
+    arrivals = list(make_messages(replace(whole, fixes=fixes)))
     times = [t for t, _ in arrivals]
     assert times == sorted(times)
     where = next(k for k, (_, message) in enumerate(arrivals) if message.startswith(b"$"))

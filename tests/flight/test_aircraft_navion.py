@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import rotation
-from bench.config.library import aircraft_folder, read_aircraft
+from bench.config.library import find_aircraft, read_aircraft
 from bench.data import Trajectory
 from bench.flight import fly
 from bench.flight.executive import load_aircraft
@@ -28,7 +28,7 @@ from tests.flight import modes
 from tests.flight.plans import plan
 
 BESIDE = Path(__file__).parent
-NAVION = read_aircraft(aircraft_folder("navion", BESIDE), BESIDE)
+NAVION = read_aircraft(find_aircraft("navion", BESIDE), BESIDE)
 DT = 1 / 400
 LBF, LB = 4.4482216152605, 0.45359237  # [N], [kg]
 SLUG = LBF / FT  # [kg]

@@ -41,7 +41,7 @@ def test_all_mistakes_of_a_file_are_told_at_once():
 
 def test_the_list_of_estimators_shows_their_options():
     out = io.StringIO()
-    show.choices(Console(file=out, width=150), "estimators")
+    show.print_catalog(Console(file=out, width=150), "estimators")
     text = out.getvalue()
     assert "Options of loose-15, loose-22, loose-mems, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text

@@ -18,7 +18,7 @@ from bench.errors import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.error_series import error_series
 from bench.exchange.log_records import read_records
-from bench.exchange.log_start import start
+from bench.exchange.log_start import find_start
 from bench.navigation import alignment
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
@@ -243,6 +243,6 @@ def test_a_bag_of_nav_sat_fixes_alone_is_navigated(tmp_path, capsys):
     text = text.replace('kind = "course"', f'kind = "given"\n{told}')
     check_metrics(navigated(tmp_path, text, capsys, "--no-rrd"), ["loose-15"])
     spec = load_log(str(tmp_path / "drive.toml"))
-    begun = start(read_records(spec), spec)
+    begun = find_start(read_records(spec), spec)
     assert begun.cov[3, 3] == alignment.UNKNOWN_SPEED_SD**2
     assert not begun.vel_n.any()

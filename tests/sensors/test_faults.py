@@ -18,9 +18,9 @@ from scipy.special import ndtri
 import bench
 from bench import config, earth
 from bench.config.datasheets import read_gnss
-from bench.config.fault_tables import to_fault
+from bench.config.fault_tables import make_fault
 from bench.config.profile_tables import ExperimentTable
-from bench.config.tables import checked
+from bench.config.tables import check_table
 from bench.errors import ConfigError
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.sensors import faults, sense
@@ -46,7 +46,7 @@ def script(kind, **keys):
         "estimator": [{"use": "loose-15"}],
         "fault": [{"kind": kind, "start_s": START, "duration_s": END - START, **keys}],
     }
-    return to_fault(checked(ExperimentTable, document, "own.toml").fault[0])
+    return make_fault(check_table(ExperimentTable, document, "own.toml").fault[0])
 
 
 def sensed(truth, gnss, *scripted, outages=(), seed=1):

@@ -287,14 +287,14 @@ def test_provenance_names_what_can_move_a_number():
 
 def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
     sensors = config.load_profile("figure-eight").sensors
-    said = store.spec_hash(sensors)
-    assert said == store.spec_hash(config.load_profile("figure-eight").sensors)
+    said = store.hash_spec(sensors)
+    assert said == store.hash_spec(config.load_profile("figure-eight").sensors)
     for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
         spec = getattr(sensors, name)
         before = getattr(spec, figure)
         moved = ((0.01, 0.0, 0.0),) * 3 if figure == "accel_arms" else before + 1e-9
         other = dataclasses.replace(sensors, **{name: dataclasses.replace(spec, **{figure: moved})})
-        assert store.spec_hash(other) != said, name
+        assert store.hash_spec(other) != said, name
 
 
 # --- the truth cache ----------------------------------------------------------------------------------
@@ -338,9 +338,9 @@ def cut(truth: Trajectory, *rows: int) -> list[Trajectory]:
 def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
     flights = Flights(truth)
     for _ in range(3):
-        equal(store.truth_cached(spec, flights), truth)
+        equal(store.cached_truth(spec, flights), truth)
     assert flights.count == 1
-    cached = store.truth_cached(spec, flights)
+    cached = store.cached_truth(spec, flights)
     column = cached.lla
     while not isinstance(column, np.memmap):
         column = column.base
@@ -351,16 +351,16 @@ def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
 
 
 def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
-    store.truth_cached(spec, Flights(truth))
+    store.cached_truth(spec, Flights(truth))
     (entry,) = cache.iterdir()
     whole = {path.name: path.read_bytes() for path in entry.iterdir()}
-    for name, array in truth_cache._arrays(truth).items():
+    for name, array in truth_cache._get_columns(truth).items():
         np.save(cache / "column.npy", array)
         assert whole[f"{name}.npy"] == (cache / "column.npy").read_bytes(), name
     (cache / "column.npy").unlink()
     shutil.rmtree(entry)
     flights = Flights(*cut(truth, 1, 150, 151, 399))
-    equal(store.truth_cached(spec, flights), truth)
+    equal(store.cached_truth(spec, flights), truth)
     assert {path.name: path.read_bytes() for path in entry.iterdir()} == whole
 
 
@@ -386,7 +386,7 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
         return {"samples": calls[-1], "legs": [(0.0, 1.5, "climb")]}
 
     def said(*sources):
-        return store.truth_said(spec, flights, say, sources)
+        return store.cached_summary(spec, flights, say, sources)
 
     first = said("evaluation/replay.py")
     assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
@@ -395,7 +395,7 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
     said("evaluation/replay.py", "rotation.py")
     assert (calls, flights.count) == ([401] * 2, 1)
     (entry,) = cache.iterdir()
-    for path in entry.glob("said-*.json"):
+    for path in entry.glob("summary-*.json"):
         path.write_text('{"samples"')
     assert said("evaluation/replay.py") == first
     assert (calls, flights.count) == ([401] * 3, 1)
@@ -408,8 +408,10 @@ def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplo
     cache.parent.write_text("no folder")
     flights = Flights(*cut(truth, 100, 200))
     equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
-    equal(store.truth_cached(spec, flights), truth)
-    assert store.truth_said(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {"pieces": 3}
+    equal(store.cached_truth(spec, flights), truth)
+    assert store.cached_summary(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {
+        "pieces": 3
+    }
     assert "is not cached" in caplog.text
 
 
@@ -417,7 +419,7 @@ def test_a_truth_without_events_is_cached_too(cache, spec, truth):
     none = dataclasses.replace(truth, events=Events(np.empty(0), np.empty(0), (), ()))
     flights = Flights(none)
     for _ in range(2):
-        equal(store.truth_cached(spec, flights), none)
+        equal(store.cached_truth(spec, flights), none)
     assert flights.count == 1
 
 
@@ -435,12 +437,12 @@ def _flip(path):
 @pytest.mark.parametrize("name", ["lla.npy", "air.t.npy", "texts.json", "index.json"])
 def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
     flights = Flights(truth)
-    store.truth_cached(spec, flights)
+    store.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     damage(entry / name)
-    equal(store.truth_cached(spec, flights), truth)
+    equal(store.cached_truth(spec, flights), truth)
     assert flights.count == 2
-    equal(store.truth_cached(spec, flights), truth)
+    equal(store.cached_truth(spec, flights), truth)
     assert flights.count == 2
     damage(entry / name)
     equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
@@ -451,13 +453,13 @@ def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
 def test_nothing_is_unpickled(cache, spec, truth):
     """An entry whose column is a pickle is flown again, not executed."""
     flights = Flights(truth)
-    store.truth_cached(spec, flights)
+    store.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     np.save(entry / "lla.npy", np.array([print], dtype=object), allow_pickle=True)
     index = json.loads((entry / "index.json").read_text())
-    index["lla.npy"] = truth_cache._sha256(entry / "lla.npy")
+    index["lla.npy"] = truth_cache._hash_file(entry / "lla.npy")
     (entry / "index.json").write_text(json.dumps(index))
-    equal(store.truth_cached(spec, flights), truth)
+    equal(store.cached_truth(spec, flights), truth)
     assert flights.count == 2
 
 
@@ -466,7 +468,7 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
         raise RuntimeError("ground")
 
     with pytest.raises(RuntimeError):
-        store.truth_cached(spec, crash)
+        store.cached_truth(spec, crash)
 
     def full(*args, **keywords):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -479,10 +481,10 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
         with pytest.raises(RuntimeError):
             list(store.truth_pieces(spec, fly))
     with pytest.raises(RuntimeError):
-        store.truth_cached(spec, crash_later)
+        store.cached_truth(spec, crash_later)
     assert list(cache.iterdir()) == []
     monkeypatch.setattr(truth_cache._Column, "append", full)
-    equal(store.truth_cached(spec, Flights(*cut(truth, 100))), truth)
+    equal(store.cached_truth(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text
 
@@ -519,7 +521,7 @@ def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch
     for path in (own.folder / f"{own.name}.xml", own.systems / "guidance.xml"):
         path.write_text(path.read_text() + "\n")
         assert moved(), path.name
-    monkeypatch.setattr(truth_cache, "versions", lambda: {"jsbsim": "2"})
+    monkeypatch.setattr(truth_cache, "list_versions", lambda: {"jsbsim": "2"})
     assert moved()
     package = tmp_path / "package"
     (package / "flight").mkdir(parents=True)
@@ -530,11 +532,11 @@ def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch
 
 
 def test_entries_nobody_reads_are_removed(cache, spec, truth):
-    store.truth_cached(spec, Flights(truth))
+    store.cached_truth(spec, Flights(truth))
     (entry,) = cache.iterdir()
     old = entry.stat().st_mtime - 31 * 86400
     os.utime(entry, (old, old))
-    store.truth_cached(dataclasses.replace(spec, speed=26.0), Flights(truth))
+    store.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
     assert entry not in list(cache.iterdir())
     assert len(list(cache.iterdir())) == 1
 
@@ -607,14 +609,14 @@ def test_the_start_and_the_datasheets_come_back(name, tmp_path):
         0.0, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), np.diag(np.full(9, np.inf)), "course"
     )
     data = SensorData(imu=None, fixes=None, antenna_b=np.zeros(3), specs=specs, output_t=np.zeros(1))
-    store.write_json(tmp_path / store.START, store.start_document(data, initial))
+    store.write_json(tmp_path / store.START, store.make_start_document(data, initial))
     document = store.load_start(tmp_path)
-    back = store.assumed_specs(document)
+    back = store.read_assumed_specs(document)
     if specs.gnss is not None and specs.gnss.sky is not None:
         assert back.gnss.sky.day == specs.gnss.sky.day
     else:
         assert back == specs
-    again = store.initial_state(document)
+    again = store.read_initial_state(document)
     assert_array_equal(again.cov, initial.cov)
     assert np.isnan(again.lla).all()
 

@@ -134,7 +134,7 @@ def test_fewer_draws_raise_one_false_alarm_in_a_thousand():
     draws = np.random.default_rng(5).normal(size=(20_000, 10))
     standard_error = draws.std(axis=1, ddof=1) / np.sqrt(10)
     difference = np.abs(draws[:, :4].mean(axis=1) - draws.mean(axis=1)) / standard_error
-    allowed = baselines._fewer_draws({"n": 10, "standard_error": 1.0}, 4)
+    allowed = baselines._allow_for_fewer_draws({"n": 10, "standard_error": 1.0}, 4)
     band = 3.29 * np.sqrt(20)
     assert np.sum(difference > allowed) < 20 + band
     assert allowed == pytest.approx(4.781 * np.sqrt(1.5), rel=1e-3)  # t of 9 degrees, 99.9 %, from tables

@@ -351,7 +351,7 @@ def test_other_pages_name_every_format_record_and_metric():
 def test_readme_is_short_and_lists_every_page():
     text = ALL["README"].read_text()
     assert text.count("\n") <= 250
-    assert re.findall(r"\(bench/guide/([a-z-]+)\.md\) \|", text) == list(guide.topics())
+    assert re.findall(r"\(bench/guide/([a-z-]+)\.md\) \|", text) == list(guide.read_topics())
 
 
 def test_the_tree_of_readme_is_true():
@@ -383,10 +383,10 @@ def test_the_floors_of_readme_are_those_that_are_checked():
 
 
 def test_the_list_has_every_page_with_a_line(capsys):
-    assert set(guide.topics()) == set(PAGES)
+    assert set(guide.read_topics()) == set(PAGES)
     assert main(["guide"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    for topic, about in guide.topics().items():
+    for topic, about in guide.read_topics().items():
         assert any(line.split() == [topic, *about.split()] for line in lines), topic
     assert max(map(len, lines)) <= 80
 
@@ -426,4 +426,4 @@ def test_an_unknown_topic_is_one_line_with_all_of_them(topic, hint, capsys):
     assert main(["guide", topic]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == f"error: no topic {topic!r}. {hint}Topics: {', '.join(guide.topics())}\n"
+    assert err == f"error: no topic {topic!r}. {hint}Topics: {', '.join(guide.read_topics())}\n"

@@ -25,8 +25,8 @@ from bench.earth import difference_n
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import judge
-from bench.exchange.log_records import divided, read_records
-from bench.exchange.log_start import start
+from bench.exchange.log_records import divide_intervals, read_records
+from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session
 from bench.navigation import estimator
 from bench.recording import column
@@ -115,7 +115,7 @@ def test_an_interval_divided_at_a_fix_keeps_its_increments_and_its_rates():
         t, np.full(7, 0.01), np.ones(7, bool), random.normal(size=(7, 3)), random.normal(size=(7, 3))
     )
     cuts = np.array([0.0125, 0.0175, 0.02, 0.05, 0.0825, 0.2, 0.0825])
-    found = divided(imu, cuts)
+    found = divide_intervals(imu, cuts)
     assert_allclose(found.t, [0.01, 0.0125, 0.0175, 0.02, 0.03, 0.03, 0.025, 0.08, 0.0825, 0.09])
     assert_allclose(
         found.dt, [0.01, 0.0025, 0.005, 0.0025, 0.01, 0.01, 0.01, 0.01, 0.0025, 0.0075], atol=1e-15
@@ -257,7 +257,7 @@ def test_the_withheld_fixes_never_reach_the_filter(folder):
     """Other values in them leave the solution as it is, bit by bit."""
     spec = load_log(str(folder / "drive.toml"))
     recorded = read_records(spec)
-    session = Session(spec, recorded, start(recorded, spec))
+    session = Session(spec, recorded, find_start(recorded, spec))
     keep, withheld = session.withheld()
     assert len(withheld) == len(session.fixes) // 5
     data = session.data(keep, session.grid())
@@ -278,7 +278,7 @@ def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
     """The error against the last fix cut out is that against the truth, to the noise of the fix."""
     spec = load_log(str(folder / "drive.toml"))
     recorded = read_records(spec)
-    session = Session(spec, recorded, start(recorded, spec))
+    session = Session(spec, recorded, find_start(recorded, spec))
     one = estimator.load("loose-15", {})
     flown = drives.truth()
     t = session.fixes.t
@@ -329,7 +329,7 @@ def outcome(path):
     """Everything a log comes to, of its first estimator."""
     spec = load_log(str(path))
     recorded = read_records(spec)
-    session = Session(spec, recorded, start(recorded, spec))
+    session = Session(spec, recorded, find_start(recorded, spec))
     keep, withheld = session.withheld()
     data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
     one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
@@ -367,7 +367,7 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     path = rewritten(folder, tmp_path, (KIND, told if kind == "given" else KIND))
     spec = load_log(str(path))
     recorded = read_records(spec)
-    initial = start(recorded, spec)
+    initial = find_start(recorded, spec)
     assert initial.alignment == kind
     if kind == "given":
         assert initial.t + recorded.origin == pytest.approx(30.0)
@@ -691,7 +691,7 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         (tmp_path / name).mkdir()
         spec = load_log(str(real(tmp_path / name, *changes)))
         recorded = read_records(spec)
-        session = Session(spec, recorded, start(recorded, spec))
+        session = Session(spec, recorded, find_start(recorded, spec))
         keep, withheld = session.withheld()
         data = session.data(keep, withheld.t)
         solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)

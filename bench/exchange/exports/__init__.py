@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from textwrap import fill
 
-from bench.exchange.exports.gather import gather, reading
-from bench.exchange.exports.outgoing import FRAMES, Outgoing
+from bench.exchange.exports.gather import gather, report_damage
+from bench.exchange.exports.outgoing import FRAMES, ExportData
 from bench.store import check_folder
 
 FORMATS: Mapping[str, tuple[str, str]] = {
@@ -37,7 +37,7 @@ def check_export_folder(folder: Path, *, force: bool) -> None:
     check_folder(folder, force=force, ours=ours)
 
 
-def write(folder: Path, kind: str, outgoing: Outgoing, name: str) -> None:
+def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     """Write a run into an existing, empty folder in one of `FORMATS`, with a README that says what is what.
 
     Raises
@@ -50,11 +50,11 @@ def write(folder: Path, kind: str, outgoing: Outgoing, name: str) -> None:
     module = import_module(f"bench.exchange.exports.{FORMATS[kind][0]}")
     said: str = module.write(folder, outgoing, kind)
     clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."
-    text = _filled(f"# {_TITLE} {name} to {kind}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
+    text = _fill_paragraphs(f"# {_TITLE} {name} to {kind}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
 
 
-def _filled(text: str) -> str:
+def _fill_paragraphs(text: str) -> str:
     """Return Markdown with its paragraphs and points filled; headings, tables and code stay as they are."""
     lines: list[str] = []
     open_text, code = False, False
@@ -67,14 +67,14 @@ def _filled(text: str) -> str:
         else:
             lines.append(line)
         open_text = not as_it_is
-    return "".join(f"{_wrapped(line)}\n" for line in lines)
+    return "".join(f"{_wrap_line(line)}\n" for line in lines)
 
 
-def _wrapped(line: str) -> str:
+def _wrap_line(line: str) -> str:
     if line.startswith(("#", "|", "    ")) or len(line) <= _WIDTH:
         return line
     hanging = "  " if line.startswith("- ") else ""
     return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
-__all__ = ["FORMATS", "README", "Outgoing", "check_export_folder", "gather", "reading", "write"]
+__all__ = ["FORMATS", "README", "ExportData", "check_export_folder", "gather", "report_damage", "write"]

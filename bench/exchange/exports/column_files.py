@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.outgoing import ExportData
 from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
 from bench.store.columns import Layout
@@ -20,7 +20,7 @@ _WHAT = {
 }
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write a file for each table and ``start.json``; return what the README says of them."""
     tables = out.tables()
     for name, (record, layout) in tables.items():
@@ -30,7 +30,8 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
             parquet.write(folder / f"{name}.parquet", record, layout)
     write_json(folder / START, out.start)
     return (
-        "\n".join(described(name, layout, f"{name}.{kind}") for name, (_, layout) in tables.items()) + _START
+        "\n".join(describe_table(name, layout, f"{name}.{kind}") for name, (_, layout) in tables.items())
+        + _START
     )
 
 
@@ -45,7 +46,7 @@ units: random walks per sqrt(s), biases per s, times in s. `date`: when it was f
 """
 
 
-def described(name: str, layout: Layout, title: str) -> str:
+def describe_table(name: str, layout: Layout, title: str) -> str:
     """Return the columns of a table with their units and frames, as Markdown."""
     what = _WHAT.get(name, "the solution of an estimator, with the covariance it claims")
     lines = [f"## {title}\n", f"{what[0].upper()}{what[1:]}.\n", "| column | unit | frame |", "|---|---|---|"]

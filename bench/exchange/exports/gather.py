@@ -9,13 +9,13 @@ from pathlib import Path
 
 from bench import store
 from bench.errors import ExportError
-from bench.exchange.exports.outgoing import Outgoing, Track
+from bench.exchange.exports.outgoing import ExportData, Track
 from bench.store import parquet
 
 TRUTH, SOLUTION = "truth", "solution:"
 
 
-def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
+def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
     """Read the sensors of a results folder and the tracks asked for by name.
 
     Parameters
@@ -34,7 +34,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
         raise ExportError(
             f"{folder}: no results folder, there is no {store.RESULT} in it; 'bench run' writes one"
         )
-    with reading(folder):
+    with report_damage(folder):
         imu, fixes, instruments = store.load_sensors(folder)
         start = store.load_start(folder)
         observations = store.load_observations(folder)
@@ -44,7 +44,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
                 tracks[name] = store.load_truth(folder)
             elif name.startswith(SOLUTION):
                 label = name.removeprefix(SOLUTION)
-                known = store.solutions_of(folder)
+                known = store.list_solutions(folder)
                 if label not in known:
                     raise ExportError(
                         f"--with {name}: no such solution; there are {', '.join(known) or 'none'}"
@@ -52,13 +52,18 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> Outgoing:
                 tracks[f"solution-{label}"] = store.load_solution(folder, label)
             else:
                 raise ExportError(f"--with {name}: must be truth or solution:NAME")
-        run = Outgoing(imu, fixes, observations, instruments, start, tracks)
-        store.initial_state(start), run.calendar, run.assumed("gyro"), run.assumed("accel")  # they are there
+        run = ExportData(imu, fixes, observations, instruments, start, tracks)
+        (
+            store.read_initial_state(start),
+            run.calendar,
+            run.assumed("gyro"),
+            run.assumed("accel"),
+        )  # they are there
     return run
 
 
 @contextmanager
-def reading(folder: Path) -> Iterator[None]:
+def report_damage(folder: Path) -> Iterator[None]:
     """Turn what a damaged results folder raises into an ExportError of one line."""
     try:
         yield

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench import rotation
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.outgoing import ExportData
 from bench.specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
@@ -23,9 +23,9 @@ _MGAL = 1e5  # m/s^2 to mGal
 _LONGEST = 1.0  # correlation time where the datasheet has none; a time of 0 would be a division by 0 [h]
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the text files and the configuration; return what the README says of them."""
-    imu, rows, calendar = out.imu, out.good_fixes(), out.calendar
+    imu, rows, calendar = out.imu, out.select_fixes(), out.calendar
     fixes = out.fixes
     assert fixes is not None  # there are rows
     parquet.write_text(folder / IMU, np.column_stack([imu.t + calendar.second, imu.dtheta_b, imu.dvel_b]))
@@ -40,7 +40,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
         place = np.rad2deg(track.lla[:, :2])
         columns = [week, track.t + calendar.second, place, track.lla[:, 2], track.vel_n, angles]
         parquet.write_text(folder / f"{name}.nav", np.column_stack(columns))
-    (folder / CONFIGURATION).write_text(_configuration(out), encoding="utf-8")
+    (folder / CONFIGURATION).write_text(_make_configuration(out), encoding="utf-8")
     left_out = len(fixes) - len(rows)
     navs = "".join(f"- `{name}.nav`: GNSS week, {_NAV}.\n" for name in out.tracks)
     return f"""For KF-GINS (and OB_GINS): text, columns with a space between, times in GPS seconds of week.
@@ -70,7 +70,7 @@ _NAV = (
 )
 
 
-def _configuration(out: Outgoing) -> str:
+def _make_configuration(out: ExportData) -> str:
     lla, vel_n, q_nb, sd = out.start_at_first_row()
     gyro, accel = out.assumed("gyro"), out.assumed("accel")
     process = {

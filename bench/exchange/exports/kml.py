@@ -9,14 +9,14 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.exchange.exports.outgoing import Calendar, Outgoing, thinned
+from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 FILE = "tracks.kml"
 _KML, _GX = "http://www.opengis.net/kml/2.2", "http://www.google.com/kml/ext/2.2"
 _TRACK_RATE = 10.0  # points of a track in a second, at most [Hz]
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write ``tracks.kml``; return what the README says of it."""
     Xml.register_namespace("", _KML)
     Xml.register_namespace("gx", _GX)
@@ -24,13 +24,13 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     document = Xml.SubElement(root, f"{{{_KML}}}Document")
     said = []
     if out.fixes is not None:
-        rows = out.good_fixes()
-        _track(document, out.calendar, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
+        rows = out.select_fixes()
+        _add_track(document, out.calendar, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
         said.append(f"- GNSS fixes: the {len(rows)} that the receiver calls valid, of its antenna")
     for name, track in out.tracks.items():
-        kept = thinned(track.t, _TRACK_RATE)
+        kept = thin(track.t, _TRACK_RATE)
         kept = kept[np.isfinite(track.lla[kept]).all(axis=1)]
-        _track(document, out.calendar, name, track.t[kept], track.lla[kept])
+        _add_track(document, out.calendar, name, track.t[kept], track.lla[kept])
         said.append(f"- {name}: {len(kept)} points of the IMU, {_TRACK_RATE:g} a second at most")
     if not said:
         from bench.errors import ExportError
@@ -48,7 +48,7 @@ Coordinates are longitude, latitude [deg], height [m]; `when` is UTC. A globe ta
 sea level; these are above the ellipsoid, off by the height of the geoid, up to 100 m."""
 
 
-def _track(document: Xml.Element, calendar: Calendar, name: str, t: FloatArray, lla: FloatArray) -> None:
+def _add_track(document: Xml.Element, calendar: Calendar, name: str, t: FloatArray, lla: FloatArray) -> None:
     mark = Xml.SubElement(document, f"{{{_KML}}}Placemark")
     Xml.SubElement(mark, f"{{{_KML}}}name").text = name
     track = Xml.SubElement(mark, f"{{{_GX}}}Track")

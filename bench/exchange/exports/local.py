@@ -11,18 +11,18 @@ _ENU_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # swaps x and y, tu
 _FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x
 
 
-def enu(v_n: FloatArray) -> FloatArray:
+def to_enu(v_n: FloatArray) -> FloatArray:
     """Return vectors (..., 3) in north, east, down as east, north, up."""
     return v_n[..., [1, 0, 2]] * [1.0, 1.0, -1.0]
 
 
-def flu(v_b: FloatArray) -> FloatArray:
+def to_flu(v_b: FloatArray) -> FloatArray:
     """Return vectors (..., 3) in forward, right, down as forward, left, up."""
     turned: FloatArray = v_b * [1.0, -1.0, -1.0]
     return turned
 
 
-def poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
+def to_poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return position (N, 3) [m] and attitude (N, 4), scalar first, in the rigid local frame at an origin.
 
     Parameters
@@ -34,7 +34,7 @@ def poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[FloatA
     origin : (3,) array
         Latitude, longitude [rad], height [m] of the place whose east, north, up are the axes.
     """
-    position = enu(earth.local_ned(lla, origin))
+    position = to_enu(earth.local_ned(lla, origin))
     q_oe = rotation.conjugate(rotation.from_matrix(earth.matrix_en(origin[0], origin[1])))
     q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
     q_ob = rotation.multiply(q_oe, rotation.multiply(q_en, q_nb))

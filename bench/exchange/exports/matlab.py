@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.exchange.exports.column_files import described
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.column_files import describe_table
+from bench.exchange.exports.outgoing import ExportData
 
 FILE = "run.mat"
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write ``run.mat``; return what the README says of it."""
     from scipy.io import savemat
 
@@ -25,10 +25,12 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
         for field, columns in layout.items():
             rows = np.reshape(getattr(record, field), (-1, len(columns.names)))
             fields.update({n: rows[:, k].astype(float) for k, n in enumerate(columns.names)})
-        found[_variable(name)] = fields
-    found["start"] = _plain(out.start)
+        found[_name_variable(name)] = fields
+    found["start"] = _to_matlab(out.start)
     savemat(folder / FILE, found, long_field_names=True, oned_as="column", do_compression=True)
-    said = "\n".join(described(name, layout, _variable(name)) for name, (_, layout) in tables.items())
+    said = "\n".join(
+        describe_table(name, layout, _name_variable(name)) for name, (_, layout) in tables.items()
+    )
     return (
         f"`load('{FILE}')` gives a structure for each section below, a field per column, and `start`: "
         f"what an "
@@ -40,19 +42,19 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     )
 
 
-def _variable(name: str) -> str:
+def _name_variable(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)[
         :63
     ]  # the longest name MATLAB takes: namelengthmax
 
 
-def _plain(value: Any) -> Any:
+def _to_matlab(value: Any) -> Any:
     """Return an object of JSON as MATLAB has it: nothing becomes an empty array."""
     if value is None:
         return np.empty((0, 0))
     if isinstance(value, Mapping):
-        return {key: _plain(inner) for key, inner in value.items()}
+        return {key: _to_matlab(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         numbers = all(isinstance(inner, int | float) for inner in value)
-        return np.array(value, float) if numbers else np.array([_plain(inner) for inner in value], float)
+        return np.array(value, float) if numbers else np.array([_to_matlab(inner) for inner in value], float)
     return value

@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 
 from bench import earth, rotation
-from bench.exchange.exports.outgoing import Outgoing, Track
+from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
 
 FILE = "navego.mat"
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write ``navego.mat``; return what the README says of it."""
     from scipy.io import savemat
 
-    rows = out.good_fixes()
-    found: dict[str, Any] = {"imu": _imu(out), "gnss": _gnss(out, rows)}
+    rows = out.select_fixes()
+    found: dict[str, Any] = {"imu": _make_imu(out), "gnss": _make_gnss(out, rows)}
     names = {
         name: "ref" if name == "truth" else name.replace("-", "_").replace(".", "_") for name in out.tracks
     }
-    found |= {names[name]: _reference(track) for name, track in out.tracks.items()}
+    found |= {names[name]: _make_reference(track) for name, track in out.tracks.items()}
     savemat(folder / FILE, found, long_field_names=True, oned_as="column", do_compression=True)
     listed = "".join(f"- `{variable}`: {_REF}.\n" for variable in names.values())
     assert out.fixes is not None  # there are rows
@@ -53,7 +53,7 @@ get."""
 _REF = "t [s]; lat, lon [rad], h [m], vel [m/s] north, east, down; roll, pitch, yaw [rad]; of the IMU"
 
 
-def _imu(out: Outgoing) -> dict[str, Any]:
+def _make_imu(out: ExportData) -> dict[str, Any]:
     wb, fb = out.rates()
     _, _, q_nb, sd = out.start_at_first_row()
     found: dict[str, Any] = {"t": out.imu.t, "wb": wb, "fb": fb, "freq": out.rate}
@@ -62,20 +62,20 @@ def _imu(out: Outgoing) -> dict[str, Any]:
         figures = out.assumed(triad)
         bias, time = figures["bias_instability"] / GAUSS_MARKOV_PEAK, figures["bias_correlation"] or np.inf
         found |= {
-            walk: _row(figures["random_walk"]),
-            rate_walk: _row(figures["rate_random_walk"]),
-            f"{letter}_std": _row(figures["random_walk"] / np.sqrt(interval)),
-            f"{letter}b_sta": _row(0.0),
-            f"{letter}b_dyn": _row(bias),
-            f"{letter}b_corr": _row(time),
-            f"{letter}b_psd": _row(bias if np.isinf(time) else bias / np.sqrt(time)),
+            walk: _make_row(figures["random_walk"]),
+            rate_walk: _make_row(figures["rate_random_walk"]),
+            f"{letter}_std": _make_row(figures["random_walk"] / np.sqrt(interval)),
+            f"{letter}b_sta": _make_row(0.0),
+            f"{letter}b_dyn": _make_row(bias),
+            f"{letter}b_corr": _make_row(time),
+            f"{letter}b_psd": _make_row(bias if np.isinf(time) else bias / np.sqrt(time)),
         }
     found["ini_align"] = np.array([rotation.to_euler(q_nb)])
     found["ini_align_err"] = sd[None, 6:9]
     return found
 
 
-def _gnss(out: Outgoing, rows: Any) -> dict[str, Any]:
+def _make_gnss(out: ExportData, rows: Any) -> dict[str, Any]:
     fixes = out.fixes
     assert fixes is not None  # there are rows
     lla = fixes.lla[rows]
@@ -100,11 +100,11 @@ def _gnss(out: Outgoing, rows: Any) -> dict[str, Any]:
     }
 
 
-def _row(value: float) -> Any:
+def _make_row(value: float) -> Any:
     return np.full((1, 3), value)
 
 
-def _reference(track: Track) -> dict[str, Any]:
+def _make_reference(track: Track) -> dict[str, Any]:
     roll, pitch, yaw = rotation.to_euler(track.q_nb)
     lat, lon, h = track.lla.T
     step = float(np.median(np.diff(track.t))) if len(track.t) > 1 else 1.0

@@ -13,31 +13,31 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import GnssFixes
-from bench.exchange.exports.outgoing import Calendar, Outgoing, thinned
+from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 _KNOT = 1852.0 / 3600.0  # [m/s]
 _TRACK_RATE = 10.0  # of a track's sentences [Hz]
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the sentences of the fixes, and of the tracks asked for; return what the README says of them."""
-    out.good_fixes()
+    out.select_fixes()
     fixes = out.fixes
     assert fixes is not None  # there are rows
     with (folder / "gnss.nmea").open("w", encoding="ascii", newline="") as file:
         for k in range(len(fixes)):
-            file.writelines(of_fix(out.calendar, fixes, k))
+            file.writelines(make_fix_sentences(out.calendar, fixes, k))
     said = [
         f"- `gnss.nmea`, {len(fixes)} epochs: GGA, then RMC, of every fix at its validity; void where "
         f"invalid."
     ]
     for name, track in out.tracks.items():
-        rows = thinned(track.t, _TRACK_RATE)
+        rows = thin(track.t, _TRACK_RATE)
         with (folder / f"{name}.nmea").open("w", encoding="ascii", newline="") as file:
             for k in rows:
                 valid = bool(np.isfinite(track.lla[k]).all())
                 file.writelines(
-                    sentences(out.calendar, track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid)
+                    make_sentences(out.calendar, track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid)
                 )
         said.append(f"- `{name}.nmea`: the same of the IMU, {_TRACK_RATE:g} epochs a second at most.")
     return "\n".join(
@@ -56,15 +56,15 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     )
 
 
-def of_fix(calendar: Calendar, fixes: GnssFixes, k: int) -> Iterator[str]:
+def make_fix_sentences(calendar: Calendar, fixes: GnssFixes, k: int) -> Iterator[str]:
     """Yield the GGA and the RMC sentence of a fix, with their line ends."""
     valid = bool(fixes.valid[k] and np.isfinite(fixes.lla[k]).all())
-    yield from sentences(
+    yield from make_sentences(
         calendar, fixes.t[k], fixes.lla[k], fixes.vel_n[k], int(fixes.satellites[k]), valid=valid
     )
 
 
-def sentences(
+def make_sentences(
     calendar: Calendar,
     t: float,
     lla: FloatArray,
@@ -80,24 +80,25 @@ def sentences(
     when = calendar.at(t)
     clock, day = f"{when:%H%M%S}.{when.microsecond // 1000:03d}", f"{when:%d%m%y}"
     if not valid:
-        yield sentence(f"GPGGA,{clock},,,,,0,{_count(satellites)},,,M,,M,,")
-        yield sentence(f"GPRMC,{clock},V,,,,,,,{day},,,N")
+        yield make_sentence(f"GPGGA,{clock},,,,,0,{_format_count(satellites)},,,M,,M,,")
+        yield make_sentence(f"GPRMC,{clock},V,,,,,,,{day},,,N")
         return
-    place = f"{_angle(lla[0], 2)},{'NS'[int(lla[0] < 0)]},{_angle(lla[1], 3)},{'EW'[int(lla[1] < 0)]}"
-    yield sentence(f"GPGGA,{clock},{place},1,{_count(satellites)},,{lla[2]:.3f},M,0.0,M,,")
+    north, east = "NS"[int(lla[0] < 0)], "EW"[int(lla[1] < 0)]
+    place = f"{_format_angle(lla[0], 2)},{north},{_format_angle(lla[1], 3)},{east}"
+    yield make_sentence(f"GPGGA,{clock},{place},1,{_format_count(satellites)},,{lla[2]:.3f},M,0.0,M,,")
     motion = ","
     if np.isfinite(vel_n).all():
         course = round(math.degrees(math.atan2(vel_n[1], vel_n[0])) % 360.0, 3) % 360.0
         motion = f"{math.hypot(vel_n[0], vel_n[1]) / _KNOT:.3f},{course:.3f}"
-    yield sentence(f"GPRMC,{clock},A,{place},{motion},{day},,,A")
+    yield make_sentence(f"GPRMC,{clock},A,{place},{motion},{day},,,A")
 
 
-def sentence(body: str) -> str:
+def make_sentence(body: str) -> str:
     """Return a sentence: its start, the exclusive or of its characters in hexadecimal, and its line end.
 
     Examples
     --------
-    >>> sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")[-5:]
+    >>> make_sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")[-5:]
     '*47\\r\\n'
     """
     check = 0
@@ -106,11 +107,11 @@ def sentence(body: str) -> str:
     return f"${body}*{check:02X}\r\n"
 
 
-def _count(satellites: int) -> str:
+def _format_count(satellites: int) -> str:
     return "" if satellites < 0 else f"{min(satellites, 99):02d}"
 
 
-def _angle(angle: float, digits: int) -> str:
+def _format_angle(angle: float, digits: int) -> str:
     """Return the size of an angle [rad] in degrees and minutes, 1e-7 of a minute, as ddmm.mmmmmmm."""
     ten_millionths = round(abs(math.degrees(angle)) * 60e7)
     degrees, rest = divmod(ten_millionths, 60 * 10**7)

@@ -13,8 +13,8 @@ from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import ExportError
 from bench.exchange.rinex import leap_seconds
-from bench.store import initial_state
-from bench.store.columns import MOTION, Layout, rows_of
+from bench.store import read_initial_state
+from bench.store.columns import MOTION, Layout, flatten
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
@@ -53,14 +53,14 @@ class Calendar:
 
 
 @dataclass(frozen=True, slots=True)
-class Outgoing:
+class ExportData:
     """What of a run goes out."""
 
     imu: ImuData
     fixes: GnssFixes | None
     observations: GnssObservations | None
     instruments: Mapping[str, Any]  # on board, by name
-    start: Mapping[str, Any]  # as `bench.store.start_document` makes it
+    start: Mapping[str, Any]  # as `bench.store.make_start_document` makes it
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
 
     @property
@@ -85,7 +85,7 @@ class Outgoing:
         dt = self.imu.dt[:, None]
         return self.imu.dtheta_b / dt, self.imu.dvel_b / dt
 
-    def good_fixes(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+    def select_fixes(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """Return the rows of the fixes that the receiver calls valid and that are numbers.
 
         Raises
@@ -104,9 +104,9 @@ class Outgoing:
     def tables(self) -> dict[str, tuple[object, Layout]]:
         """Return every record by the name of its table, with its columns."""
         sensors = {"imu": self.imu, "gnss": self.fixes, "observations": self.observations, **self.instruments}
-        found = {name: rows_of(record) for name, record in sensors.items() if record is not None}
+        found = {name: flatten(record) for name, record in sensors.items() if record is not None}
         for name, track in self.tracks.items():
-            found[name] = (track, MOTION) if isinstance(track, Trajectory) else rows_of(track)
+            found[name] = (track, MOTION) if isinstance(track, Trajectory) else flatten(track)
         return found
 
     def assumed(self, triad: str) -> Mapping[str, Any]:
@@ -114,7 +114,7 @@ class Outgoing:
         figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
         return figures
 
-    def whole_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def complete_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and the sd (9,) of a start.
 
         Raises
@@ -122,14 +122,14 @@ class Outgoing:
         ExportError
             When the filters are not told it as a whole, but have to align.
         """
-        told = initial_state(self.start)
+        told = read_initial_state(self.start)
         found = (told.lla, told.vel_n, told.q_nb, np.sqrt(np.diag(told.cov)))
         if not all(np.isfinite(value).all() for value in found):
             raise ExportError(f"this format needs a whole start; the run has alignment = {told.alignment!r}")
         return found
 
     def start_at_first_row(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return what `whole_start` does, brought to the end of the first IMU interval.
+        """Return what `complete_start` does, brought to the end of the first IMU interval.
 
         For tools whose first row is the start, not the end of an interval: one step of the increments.
 
@@ -140,7 +140,7 @@ class Outgoing:
         """
         from bench import earth, rotation
 
-        lla, vel_n, q_nb, sd = self.whole_start()
+        lla, vel_n, q_nb, sd = self.complete_start()
         t_0 = float(self.start["initial"]["t_s"])
         dt = float(self.imu.t[0]) - t_0
         moved = vel_n + rotation.rotate(q_nb, self.imu.dvel_b[0]) + dt * earth.gravity_n(lla[0], lla[2])
@@ -148,7 +148,7 @@ class Outgoing:
         return earth.displace(lla, 0.5 * dt * (vel_n + moved)), moved, turned, sd
 
 
-def thinned(t: FloatArray, rate: float) -> np.ndarray[Any, np.dtype[np.intp]]:
+def thin(t: FloatArray, rate: float) -> np.ndarray[Any, np.dtype[np.intp]]:
     """Return the first and every n-th row, so that about ``rate`` [Hz] of them come in a second."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
     return np.arange(0, len(t), max(1, round(1.0 / (rate * step))))

@@ -14,29 +14,30 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
 _LLA, _VEL, _RPH = ("lat", "lon", "alt"), ("VN", "VE", "VD"), ("roll", "pitch", "heading")
 _IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the frames; return what the README says of them."""
-    rows = out.good_fixes()
+    rows = out.select_fixes()
     assert out.fixes is not None  # there are rows
     fixes = out.fixes
-    lla, vel_n, q_nb, sd = out.whole_start()
+    lla, vel_n, q_nb, sd = out.complete_start()
     start = float(out.start["initial"]["t_s"])
     increments = np.hstack([out.imu.dtheta_b, out.imu.dvel_b])
     frames: dict[str, Mapping[str, Any]] = {
-        "imu": _frame(np.append(start, out.imu.t), _IMU, np.vstack([increments[:1], increments])),
-        "position": _frame(fixes.t[rows], _LLA, _degrees(fixes.lla[rows])),
-        "velocity": _frame(fixes.t[rows], _VEL, fixes.vel_n[rows]),
-        "initial": _trajectory(np.array([start]), lla[None], vel_n[None], q_nb[None]),
+        "imu": _make_frame(np.append(start, out.imu.t), _IMU, np.vstack([increments[:1], increments])),
+        "position": _make_frame(fixes.t[rows], _LLA, _to_degrees(fixes.lla[rows])),
+        "velocity": _make_frame(fixes.t[rows], _VEL, fixes.vel_n[rows]),
+        "initial": _make_trajectory(np.array([start]), lla[None], vel_n[None], q_nb[None]),
     }
     frames |= {
-        name: _trajectory(track.t, track.lla, track.vel_n, track.q_nb) for name, track in out.tracks.items()
+        name: _make_trajectory(track.t, track.lla, track.vel_n, track.q_nb)
+        for name, track in out.tracks.items()
     }
     for name, frame in frames.items():
         parquet.write_frame(folder / f"{name}.parquet", frame)
@@ -62,7 +63,7 @@ fixes = [
 ]
 result = filters.run_feedback_filter(
     read("initial").iloc[0], {sd[0]:.6g}, {sd[3]:.6g}, {np.rad2deg(sd[6]):.6g}, {np.rad2deg(sd[8]):.6g},
-    increments, {_model(out, "gyro")}, {_model(out, "accel")}, fixes,
+    increments, {_format_model(out, "gyro")}, {_format_model(out, "accel")}, fixes,
 )
 ```
 
@@ -76,7 +77,7 @@ result = filters.run_feedback_filter(
 {tracks}"""
 
 
-def _model(out: Outgoing, triad: str) -> str:
+def _format_model(out: ExportData, triad: str) -> str:
     """Return the assumed datasheet as the call that makes python-ins' model of it, in SI."""
     figures = out.assumed(triad)
     from bench.specs import GAUSS_MARKOV_PEAK
@@ -90,14 +91,14 @@ def _model(out: Outgoing, triad: str) -> str:
     )
 
 
-def _frame(t: FloatArray, names: tuple[str, ...], rows: FloatArray) -> dict[str, Any]:
+def _make_frame(t: FloatArray, names: tuple[str, ...], rows: FloatArray) -> dict[str, Any]:
     return {"time": t} | {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
 
 
-def _degrees(lla: FloatArray) -> FloatArray:
+def _to_degrees(lla: FloatArray) -> FloatArray:
     return np.column_stack([np.rad2deg(lla[:, :2]), lla[:, 2]])
 
 
-def _trajectory(t: FloatArray, lla: FloatArray, vel_n: FloatArray, q_nb: FloatArray) -> dict[str, Any]:
+def _make_trajectory(t: FloatArray, lla: FloatArray, vel_n: FloatArray, q_nb: FloatArray) -> dict[str, Any]:
     angles = np.rad2deg(np.column_stack(rotation.to_euler(q_nb)))
-    return _frame(t, (*_LLA, *_VEL, *_RPH), np.hstack([_degrees(lla), vel_n, angles]))
+    return _make_frame(t, (*_LLA, *_VEL, *_RPH), np.hstack([_to_degrees(lla), vel_n, angles]))

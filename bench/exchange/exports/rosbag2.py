@@ -10,14 +10,14 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ExportError
-from bench.exchange.exports.local import enu, flu, poses
-from bench.exchange.exports.outgoing import Calendar, Outgoing
+from bench.exchange.exports.local import to_enu, to_flu, to_poses
+from bench.exchange.exports.outgoing import Calendar, ExportData
 
 FOLDER = "bag"
 _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the bag; return what the README says of it."""
     if find_spec("rosbags") is None:
         raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'")
@@ -44,7 +44,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     listed = "\n".join(
         f"- `{topic}`: {kind_of}{_SAID.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
     )
-    lla = _origin(out)
+    lla = _find_origin(out)
     lat, lon = np.rad2deg(lla[:2])
     return f"""`ros2 bag play {FOLDER}`; messages of ROS 2 Humble in SQLite, stamped with their validity in
   UTC.
@@ -67,7 +67,7 @@ _SAID = {
 _TRACK = ": pose of the IMU in `map`, velocity in `imu_link`"
 
 
-def _origin(out: Outgoing) -> FloatArray:
+def _find_origin(out: ExportData) -> FloatArray:
     """Return where `map` is (3,): at the start the filters are told, or at the first fix."""
     told = out.start["initial"]
     places = [np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float)]  # NaN when not told
@@ -102,8 +102,8 @@ class _Messages:
         w, x, y, z = (float(value) for value in q)
         return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
-    def imu(self, out: Outgoing) -> Any:
-        rates, forces = (flu(values) for values in out.rates())
+    def imu(self, out: ExportData) -> Any:
+        rates, forces = (to_flu(values) for values in out.rates())
         step = float(np.median(out.imu.dt))
         none = np.array([-1.0] + [0.0] * 8)
         sd = [out.assumed(triad)["random_walk"] / np.sqrt(step) for triad in ("gyro", "accel")]
@@ -123,7 +123,7 @@ class _Messages:
                 ),
             )
 
-    def fixes(self, out: Outgoing) -> Any:
+    def fixes(self, out: ExportData) -> Any:
         fixes = out.fixes
         assert fixes is not None  # or there is no such topic
         for k, t in enumerate(fixes.t):
@@ -138,22 +138,22 @@ class _Messages:
                     latitude=float(lat),
                     longitude=float(lon),
                     altitude=float(fixes.lla[k, 2]),
-                    position_covariance=_enu_matrix(fixes.cov_pos_n[k]).ravel(),
+                    position_covariance=_to_enu_matrix(fixes.cov_pos_n[k]).ravel(),
                     position_covariance_type=3,  # COVARIANCE_TYPE_KNOWN
                 ),
             )
 
-    def velocities(self, out: Outgoing) -> Any:
+    def velocities(self, out: ExportData) -> Any:
         fixes = out.fixes
         assert fixes is not None  # or there is no such topic
         for k, t in enumerate(fixes.t):
             cov = np.zeros((6, 6))
-            cov[:3, :3] = _enu_matrix(fixes.cov_vel_n[k])
-            twist = self._twist(enu(fixes.vel_n[k]), cov)
+            cov[:3, :3] = _to_enu_matrix(fixes.cov_vel_n[k])
+            twist = self._twist(to_enu(fixes.vel_n[k]), cov)
             header = self._header(t, "enu")
             yield t, self._make("geometry_msgs/TwistWithCovarianceStamped", header=header, twist=twist)
 
-    def pressures(self, out: Outgoing) -> Any:
+    def pressures(self, out: ExportData) -> Any:
         baro = out.instruments["baro"]
         pressure_0, temperature_0, lapse, exponent = _STANDARD
         ratio = 1.0 - lapse * baro.alt_baro / temperature_0
@@ -170,12 +170,12 @@ class _Messages:
                 ),
             )
 
-    def odometry(self, out: Outgoing, name: str) -> Any:
+    def odometry(self, out: ExportData, name: str) -> Any:
         from bench import rotation
 
         track = out.tracks[name]
-        position, attitude = poses(track.lla, track.q_nb, _origin(out))
-        vel_b = flu(rotation.rotate(rotation.conjugate(track.q_nb), track.vel_n))
+        position, attitude = to_poses(track.lla, track.q_nb, _find_origin(out))
+        vel_b = to_flu(rotation.rotate(rotation.conjugate(track.q_nb), track.vel_n))
         none = np.zeros((6, 6))
         for k, t in enumerate(track.t):
             x, y, z = (float(value) for value in position[k])
@@ -199,6 +199,6 @@ class _Messages:
         return self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=cov.ravel())
 
 
-def _enu_matrix(cov_n: Any) -> Any:
+def _to_enu_matrix(cov_n: Any) -> Any:
     turn = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return turn @ cov_n @ turn.T

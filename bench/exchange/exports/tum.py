@@ -8,12 +8,12 @@ import numpy as np
 
 from bench import rotation
 from bench.errors import ExportError
-from bench.exchange.exports.local import poses
-from bench.exchange.exports.outgoing import Outgoing
+from bench.exchange.exports.local import to_poses
+from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
 
-def write(folder: Path, out: Outgoing, kind: str) -> str:
+def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write a file for each track; return what the README says of them."""
     if not out.tracks:
         raise ExportError("tum holds poses, no sensors: ask for --with truth or --with solution:NAME")
@@ -21,7 +21,7 @@ def write(folder: Path, out: Outgoing, kind: str) -> str:
     for name, track in out.tracks.items():
         if not (np.isfinite(track.lla).all() and np.isfinite(track.q_nb).all()):
             raise ExportError(f"{name} has no position and attitude at every instant, which tum needs")
-        position, attitude = poses(track.lla, track.q_nb, origin)
+        position, attitude = to_poses(track.lla, track.q_nb, origin)
         rows = np.column_stack([track.t, position, rotation.to_scalar_last(attitude)])
         parquet.write_text(folder / f"{name}.tum", rows)
     lat, lon = np.rad2deg(origin[:2])

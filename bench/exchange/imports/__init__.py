@@ -6,20 +6,20 @@ from importlib import import_module
 from pathlib import Path
 
 from bench.errors import ConfigError
-from bench.exchange.rows import Rows
+from bench.exchange.rows import LogRows
 
 _ADAPTERS = {
     "ulog": "bench.exchange.imports.ulog",
     "rosbag": "bench.exchange.imports.bags",
     "mcap": "bench.exchange.imports.bags",
-    "navego": "bench.exchange.imports.navego",
+    "navego": "bench.exchange.imports.navego_structures",
     "kf-gins": "bench.exchange.imports.text",
     "rtklib": "bench.exchange.imports.text",
 }
 _PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
 
 
-def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Return the rows of one unit in a file.
 
     Parameters
@@ -47,11 +47,11 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         raise ConfigError(
             f"{path.name}: needs the package {_PACKAGES[form]}: pip install 'ins-gnss-bench[logs]'"
         ) from None
-    assert isinstance(rows, Rows)
+    assert isinstance(rows, LogRows)
     return rows
 
 
-def broken(path: Path, error: BaseException) -> ConfigError:
+def describe_damage(path: Path, error: BaseException) -> ConfigError:
     """Return what to say of a file that the library of its format cannot read."""
     said = " ".join(str(error).split())[:200]
     return ConfigError(f"{path.name}: cannot be read: {said or type(error).__name__}")

@@ -21,8 +21,8 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.imports import broken
-from bench.exchange.rows import MOST_ROWS, Rows
+from bench.exchange.imports import describe_damage
+from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.exchange.table_files import MOST_BYTES
 from bench.signals.air import pressure_altitude
 
@@ -41,20 +41,22 @@ Bag = tuple[Mapping[str, str], Callable[[str], Messages]]
 """Topic -> type, and what gives the messages of a topic."""
 
 
-def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Return the rows of a topic of a bag."""
     sizes = [one.stat().st_size for one in (path.rglob("*") if path.is_dir() else [path]) if one.is_file()]
     if sum(sizes) > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     opened = _open_mcap if form == "mcap" else _open_bag
     try:
-        with _confined(), opened(path) as (topics, messages):
-            chosen = _topic(path, topics, _TYPES[kind], topic)
-            numbers = _numbers(path, messages(chosen), {"imu": _imu, "gnss": _fix, "baro": _pressure}[kind])
+        with _limit_memory(), opened(path) as (topics, messages):
+            chosen = _choose_topic(path, topics, _TYPES[kind], topic)
+            numbers = _read_numbers(
+                path, messages(chosen), {"imu": _read_imu, "gnss": _read_fix, "baro": _read_pressure}[kind]
+            )
             twist = np.empty((0, 10))
             moving = [name for name, type_ in topics.items() if type_ in _VELOCITIES]
             if kind == "gnss" and len(moving) == 1:
-                twist = _numbers(path, messages(moving[0]), _twist)
+                twist = _read_numbers(path, messages(moving[0]), _read_twist)
     except ConfigError:
         raise
     except ModuleNotFoundError:
@@ -63,17 +65,19 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         most = f"{_MOST_UNPACKED / 1e9:g} GB"
         raise ConfigError(f"{path.name}: unpacks to more than the {most} a file may take in memory") from None
     except Exception as error:  # whatever a broken file makes the library raise
-        raise broken(path, error) from None
+        raise describe_damage(path, error) from None
     t = numbers[:, 0]
     if kind == "imu":
-        return Rows(t, {"gyro": numbers[:, 1:4], "accel": numbers[:, 4:7]})
+        return LogRows(t, {"gyro": numbers[:, 1:4], "accel": numbers[:, 4:7]})
     if kind == "baro":
-        return Rows(t, {"alt_baro": pressure_altitude(np.where(numbers[:, 1:] > 0, numbers[:, 1:], np.nan))})
-    return _fixes(numbers, twist)
+        return LogRows(
+            t, {"alt_baro": pressure_altitude(np.where(numbers[:, 1:] > 0, numbers[:, 1:], np.nan))}
+        )
+    return _make_fixes(numbers, twist)
 
 
 @contextmanager
-def _confined() -> Iterator[None]:
+def _limit_memory() -> Iterator[None]:
     """Let no chunk unpack into all the memory there is: beyond the limit it is a MemoryError."""
     try:
         import resource
@@ -92,7 +96,7 @@ def _confined() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def _topic(path: Path, topics: Mapping[str, str], types: Sequence[str], told: str | None) -> str:
+def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], told: str | None) -> str:
     able = [name for name, type_ in topics.items() if type_ in types]
     if told is not None and told in able:
         return told
@@ -106,7 +110,7 @@ def _topic(path: Path, topics: Mapping[str, str], types: Sequence[str], told: st
     raise ConfigError(f"{path.name}: no topic of {types[0]}; there are {there}")
 
 
-def _numbers(path: Path, messages: Messages, row: Callable[[Any], tuple[float, ...]]) -> FloatArray:
+def _read_numbers(path: Path, messages: Messages, row: Callable[[Any], tuple[float, ...]]) -> FloatArray:
     """Return the numbers of each message as a row."""
     flat, width = array("d"), 0
     for count, message in enumerate(messages, 1):
@@ -124,42 +128,46 @@ def _numbers(path: Path, messages: Messages, row: Callable[[Any], tuple[float, .
 # --- messages -----------------------------------------------------------------------------------------
 
 
-def _stamp(message: Any) -> float:
+def _read_stamp(message: Any) -> float:
     stamp = message.header.stamp
     nanoseconds = getattr(stamp, "nanosec", None)
     return float(stamp.sec) + 1e-9 * float(stamp.nsec if nanoseconds is None else nanoseconds)
 
 
-def _xyz(vector: Any) -> tuple[float, float, float]:
+def _read_xyz(vector: Any) -> tuple[float, float, float]:
     return (float(vector.x), float(vector.y), float(vector.z))
 
 
-def _imu(message: Any) -> tuple[float, ...]:
-    return (_stamp(message), *_xyz(message.angular_velocity), *_xyz(message.linear_acceleration))
+def _read_imu(message: Any) -> tuple[float, ...]:
+    return (
+        _read_stamp(message),
+        *_read_xyz(message.angular_velocity),
+        *_read_xyz(message.linear_acceleration),
+    )
 
 
-def _fix(message: Any) -> tuple[float, ...]:
+def _read_fix(message: Any) -> tuple[float, ...]:
     place = (float(message.latitude), float(message.longitude), float(message.altitude))
     cov = np.asarray(message.position_covariance, float).reshape(9)
     known = int(message.position_covariance_type) > 0
     east, north, up = (math.sqrt(max(cov[k], 0.0)) if known else math.nan for k in (0, 4, 8))
-    return (_stamp(message), *place, north, east, up, float(int(message.status.status)))
+    return (_read_stamp(message), *place, north, east, up, float(int(message.status.status)))
 
 
-def _twist(message: Any) -> tuple[float, ...]:
+def _read_twist(message: Any) -> tuple[float, ...]:
     twist = message.twist
     cov = [math.nan] * 3
     if hasattr(twist, "twist"):
         matrix = np.asarray(twist.covariance, float).reshape(6, 6)
         cov, twist = [float(matrix[k, k]) for k in range(3)], twist.twist
-    return (_stamp(message), *_xyz(twist.linear), *cov)
+    return (_read_stamp(message), *_read_xyz(twist.linear), *cov)
 
 
-def _pressure(message: Any) -> tuple[float, ...]:
-    return (_stamp(message), float(message.fluid_pressure))
+def _read_pressure(message: Any) -> tuple[float, ...]:
+    return (_read_stamp(message), float(message.fluid_pressure))
 
 
-def _fixes(numbers: FloatArray, twist: FloatArray) -> Rows:
+def _make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
     t = numbers[:, 0]
     lla = np.column_stack([np.deg2rad(numbers[:, 1:3]), numbers[:, 3]])
     lla[numbers[:, 7] < 0] = np.nan  # STATUS_NO_FIX
@@ -175,7 +183,7 @@ def _fixes(numbers: FloatArray, twist: FloatArray) -> Rows:
         variance = twist[at][:, [5, 4, 6]]
         if (variance[same] > 0).all() and same.any():
             values["sd_vel"] = np.sqrt(variance)
-    return Rows(t, values)
+    return LogRows(t, values)
 
 
 # --- files --------------------------------------------------------------------------------------------
@@ -216,7 +224,7 @@ def _open_mcap(path: Path) -> Iterator[Bag]:
             for schema, channel, message in every():
                 if channel.topic == topic:
                     if channel.id not in decoders:
-                        decoders[channel.id] = _decoder(path, schema, channel)
+                        decoders[channel.id] = _make_decoder(path, schema, channel)
                     yield decoders[channel.id](message.data)
 
         topics: dict[str, str] = {}
@@ -226,11 +234,11 @@ def _open_mcap(path: Path) -> Iterator[Bag]:
         yield topics, messages
 
 
-def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
+def _make_decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     """Return what makes a message of the bytes of a channel, by the definition in the file."""
     encoding = channel.message_encoding
     if encoding == "json":
-        return lambda raw: _named(json.loads(raw))
+        return lambda raw: _JsonMessage(json.loads(raw))
     if encoding not in ("cdr", "ros1"):
         raise ConfigError(
             f"{path.name}: topic {channel.topic!r} is in {encoding!r}, not in cdr, ros1 or json"
@@ -249,7 +257,7 @@ def _ros2_name(name: str) -> str:
     return name if "/msg/" in name else name.replace("/", "/msg/", 1)
 
 
-class _named(dict[str, Any]):  # noqa: N801  a value, not a type
+class _JsonMessage(dict[str, Any]):
     """An object of JSON whose entries are attributes."""
 
     def __getattr__(self, name: str) -> Any:
@@ -257,4 +265,4 @@ class _named(dict[str, Any]):  # noqa: N801  a value, not a type
             value = self[name]
         except KeyError:
             raise AttributeError(f"no field {name!r}") from None
-        return _named(value) if isinstance(value, dict) else value
+        return _JsonMessage(value) if isinstance(value, dict) else value

@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.rows import MOST_ROWS, Rows, to_lla
+from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES
 
 _LINE = 4096  # longest [characters]
@@ -27,7 +27,7 @@ _EPOCH = datetime(1980, 1, 6)
 _BLOCK = 65_536  # rows turned into numbers at a time
 
 
-def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Return the rows of a KF-GINS or RTKLIB file."""
     if form == "rtklib":
         if kind != "gnss":
@@ -35,30 +35,30 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         return _rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file of a barometer")
-    numbers = _numbers(path, (line for _, line in _lines(path)), None)
+    numbers = _read_numbers(path, (line for _, line in _read_lines(path)), None)
     columns = numbers.shape[1]
     if kind == "imu":
         if columns < 7:
             raise ConfigError(
                 f"{path.name}: an IMU file of KF-GINS has 7 columns or more; this has {columns}"
             )
-        return Rows(numbers[:, 0], {"dtheta": numbers[:, 1:4], "dvel": numbers[:, 4:7]})
+        return LogRows(numbers[:, 0], {"dtheta": numbers[:, 1:4], "dvel": numbers[:, 4:7]})
     if columns not in (7, 13):
         raise ConfigError(f"{path.name}: a GNSS file of KF-GINS has 7 or 13 columns; this has {columns}")
-    values = {"lla": _geodetic(numbers[:, 1:4]), "sd_pos": numbers[:, 4:7]}
+    values = {"lla": _to_lla(numbers[:, 1:4]), "sd_pos": numbers[:, 4:7]}
     if columns == 13:
         values = {"lla": values["lla"], "vel_n": numbers[:, 4:7], "sd_pos": numbers[:, 7:10]}
         values["sd_vel"] = numbers[:, 10:13]
-    return Rows(numbers[:, 0], values)
+    return LogRows(numbers[:, 0], values)
 
 
-def _rtklib(path: Path) -> Rows:
+def _rtklib(path: Path) -> LogRows:
     names: list[str] = []
     first = -1
 
     def rows() -> Iterator[str]:
         nonlocal names, first
-        for number, line in _lines(path):
+        for number, line in _read_lines(path):
             if line.startswith("%"):
                 names = line[1:].split() if "lat" in line or "x-ecef" in line else names
             elif first < 0:
@@ -71,7 +71,7 @@ def _rtklib(path: Path) -> Rows:
     known = [name.partition("(")[0] for name in names[1:]]  # the first is the time system, of two columns
     if not known:
         raise ConfigError(f"{path.name}: no line that names the columns, such as '%  GPST latitude(deg) ...'")
-    numbers = _numbers(path, iter(lines), len(known) + 1)
+    numbers = _read_numbers(path, iter(lines), len(known) + 1)
     column = {name: numbers[:, k + 1] for k, name in enumerate(known)}
     at = {name.partition("(")[0]: name for name in names}
 
@@ -85,7 +85,7 @@ def _rtklib(path: Path) -> Rows:
         raise ConfigError(f"{path.name}: latitude must be in degrees: {at['latitude']}")
     if geodetic is None and fixed is None:
         raise ConfigError(f"{path.name}: no columns latitude, longitude, height or x-ecef, y-ecef, z-ecef")
-    values = {"lla": _geodetic(geodetic) if geodetic is not None else to_lla(np.asarray(fixed))}
+    values = {"lla": _to_lla(geodetic) if geodetic is not None else to_lla(np.asarray(fixed))}
     if geodetic is not None:
         found = {
             "vel_n": several("vn", "ve", "vu"),
@@ -96,7 +96,7 @@ def _rtklib(path: Path) -> Rows:
         if "vel_n" in values:
             values["vel_n"] = values["vel_n"] * [1.0, 1.0, -1.0]
     values |= {new: column[old] for new, old in (("quality", "Q"), ("satellites", "ns")) if old in column}
-    return Rows(numbers[:, 0], values)
+    return LogRows(numbers[:, 0], values)
 
 
 def _dated(path: Path, lines: Iterator[str]) -> Iterator[str]:
@@ -120,7 +120,7 @@ def _dated(path: Path, lines: Iterator[str]) -> Iterator[str]:
         yield f"{t:.6f} {rest}"
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Give the lines of a file that hold something, with their numbers."""
     if path.stat().st_size > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
@@ -139,7 +139,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         raise ConfigError(f"{path.name}: {error.strerror or error}") from None
 
 
-def _numbers(path: Path, lines: Iterator[str], columns: int | None) -> FloatArray:
+def _read_numbers(path: Path, lines: Iterator[str], columns: int | None) -> FloatArray:
     """Return lines of numbers as an array (N, columns)."""
     blocks: list[FloatArray] = []
     block: list[list[float]] = []
@@ -164,5 +164,5 @@ def _numbers(path: Path, lines: Iterator[str], columns: int | None) -> FloatArra
     return np.concatenate(blocks)
 
 
-def _geodetic(degrees: FloatArray) -> FloatArray:
+def _to_lla(degrees: FloatArray) -> FloatArray:
     return np.column_stack([np.deg2rad(degrees[:, :2]), degrees[:, 2]])

@@ -16,8 +16,8 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.imports import broken
-from bench.exchange.rows import MOST_ROWS, Rows
+from bench.exchange.imports import describe_damage
+from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog holds a file and the messages asked for in memory
@@ -28,7 +28,7 @@ _TOPICS = {
 }
 
 
-def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Return the rows of a ULog; ``topic`` is a message, or ``message:instance``."""
     if path.stat().st_size > _MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {_MOST_BYTES // 1_000_000} MB")
@@ -40,7 +40,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         with path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
             log = ULog(file, list(wanted))
     except Exception as error:  # whatever a broken file makes it raise
-        raise broken(path, error) from None
+        raise describe_damage(path, error) from None
     instance = topic.partition(":")[2] if topic else ""
     found = {
         data.name: data.data
@@ -56,33 +56,33 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
     notes = (f"{path.name}: the log is damaged; what could be read is used",) if log.file_corruption else ()
     try:
-        t = _time(data)
-        values = {"imu": _imu, "gnss": _gnss, "baro": _baro}[kind](data)
+        t = _read_time(data)
+        values = {"imu": _read_imu, "gnss": _read_gnss, "baro": _read_baro}[kind](data)
     except KeyError as error:
         raise ConfigError(f"{path.name}: message {name} has no field {error.args[0]!r}") from None
-    return Rows(t, values, notes)
+    return LogRows(t, values, notes)
 
 
 Data = Mapping[str, FloatArray]
 
 
-def _time(data: Data) -> FloatArray:
+def _read_time(data: Data) -> FloatArray:
     sample = data.get("timestamp_sample")
     stamps = data["timestamp"] if sample is None or not np.any(sample) else sample
     return np.asarray(stamps, float) * 1e-6
 
 
-def _vectors(data: Data, name: str) -> FloatArray:
+def _read_vectors(data: Data, name: str) -> FloatArray:
     return np.stack([np.asarray(data[f"{name}[{k}]"], float) for k in range(3)], axis=-1)
 
 
-def _imu(data: Data) -> dict[str, FloatArray]:
+def _read_imu(data: Data) -> dict[str, FloatArray]:
     if "delta_angle[0]" in data:
-        return {"dtheta": _vectors(data, "delta_angle"), "dvel": _vectors(data, "delta_velocity")}
-    return {"gyro": _vectors(data, "gyro_rad"), "accel": _vectors(data, "accelerometer_m_s2")}
+        return {"dtheta": _read_vectors(data, "delta_angle"), "dvel": _read_vectors(data, "delta_velocity")}
+    return {"gyro": _read_vectors(data, "gyro_rad"), "accel": _read_vectors(data, "accelerometer_m_s2")}
 
 
-def _gnss(data: Data) -> dict[str, FloatArray]:
+def _read_gnss(data: Data) -> dict[str, FloatArray]:
     if "latitude_deg" in data:
         place = [
             np.deg2rad(data["latitude_deg"]),
@@ -110,7 +110,7 @@ def _gnss(data: Data) -> dict[str, FloatArray]:
     return values
 
 
-def _baro(data: Data) -> dict[str, FloatArray]:
+def _read_baro(data: Data) -> dict[str, FloatArray]:
     if "baro_alt_meter" in data:
         return {"alt_baro": np.asarray(data["baro_alt_meter"], float)[:, None]}
     return {"alt_baro": pressure_altitude(np.asarray(data["pressure"], float))[:, None]}

@@ -4,8 +4,8 @@ What is wrong with a file is one line with its name and line number. A file is r
 kept grows with its number of satellites and epochs only.
 """
 
-from bench.exchange.rinex.ephemerides import NavigationFile, merged, read_navigation
-from bench.exchange.rinex.lines import Lines, gps_seconds, leap_seconds, opened
+from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
+from bench.exchange.rinex.lines import Lines, gps_seconds, leap_seconds, open_lines
 from bench.exchange.rinex.observations import ObservationFile, read_observations
 
 __all__ = [
@@ -14,8 +14,8 @@ __all__ = [
     "ObservationFile",
     "gps_seconds",
     "leap_seconds",
-    "merged",
-    "opened",
+    "merge_navigation",
+    "open_lines",
     "read_navigation",
     "read_observations",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.rinex.lines import Lines, calendar, day_of, leap_seconds, opened, version_of
+from bench.exchange.rinex.lines import Lines, check_version, leap_seconds, open_lines, read_calendar, to_date
 from bench.signals.orbits import GLONASS as STATE
 from bench.signals.orbits import KEPLER, WEEK, GlonassSets, KeplerSets
 
@@ -41,20 +41,20 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
         One line with file and line number, when the file is malformed, truncated or empty.
     """
     shown = path.name if shown is None else shown
-    with opened(path, shown) as lines:
-        version, kind = version_of(lines, "a navigation file")
-        alpha, beta, leap = _navigation_header(lines)
+    with open_lines(path, shown) as lines:
+        version, kind = check_version(lines, "a navigation file")
+        alpha, beta, leap = _read_header(lines)
         kepler: list[list[float]] = []
         glonass: list[list[float]] = []
-        while (line := lines.next()) is not None:
+        while (line := lines.read_line()) is not None:
             if not line.strip():
                 continue
             system = line[0] if version == 3 else ("R" if kind[0] == "G" else "G")
-            record = _record(lines, line, version, system)
+            record = _read_record(lines, line, version, system)
             if system == "G":
-                kepler.append(_kepler(lines, record, version))
+                kepler.append(_read_kepler(lines, record, version))
             elif system == "R":
-                glonass.append(_glonass(lines, record, version, leap))
+                glonass.append(_read_glonass(lines, record, version, leap))
     if not kepler and not glonass:
         raise ConfigError(f"{shown}: holds no GPS and no GLONASS ephemeris")
     k = np.array(kepler, float).reshape(-1, 2 + len(KEPLER))
@@ -69,11 +69,11 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
     )
 
 
-def _navigation_header(lines: Lines) -> tuple[list[float] | None, list[float] | None, int | None]:
+def _read_header(lines: Lines) -> tuple[list[float] | None, list[float] | None, int | None]:
     alpha = beta = None
     leap = None
     while True:
-        line = lines.needed("END OF HEADER")
+        line = lines.read_line_of("END OF HEADER")
         label = line[60:80].strip()
         if label == "END OF HEADER":
             return alpha, beta, leap
@@ -81,36 +81,36 @@ def _navigation_header(lines: Lines) -> tuple[list[float] | None, list[float] | 
         start = 2 if label.startswith("ION ") else 5
         if name in ("ION ALPHA", "GPSA", "ION BETA", "GPSB"):
             columns = range(start, start + 48, 12)
-            values = [lines.number_in(line, c, c + 12, "an ionosphere parameter") for c in columns]
+            values = [lines.parse_number(line, c, c + 12, "an ionosphere parameter") for c in columns]
             alpha, beta = (values, beta) if name in ("ION ALPHA", "GPSA") else (alpha, values)
         elif label == "LEAP SECONDS":
-            leap = lines.whole_in(line, 0, 6, "the number of leap seconds")
+            leap = lines.parse_whole(line, 0, 6, "the number of leap seconds")
 
 
-def _record(lines: Lines, first: str, version: int, system: str) -> tuple[int, list[str]]:
+def _read_record(lines: Lines, first: str, version: int, system: str) -> tuple[int, list[str]]:
     """Return the number of the first line and all lines of one ephemeris."""
     number, found = lines.number, [first]
     indent = 4 if version == 3 else 3
     if first[:1] == " " and version == 3:
-        raise lines.wrong("a record must begin with its satellite, for example 'G05'")
+        raise lines.error("a record must begin with its satellite, for example 'G05'")
     whole = {"G": (8,), "R": (4, 5) if version == 3 else (4,)}.get(system)
     while whole is None or len(found) < whole[-1]:
-        line = lines.next()
+        line = lines.read_line()
         if line is None:
             break
         if line[:indent].strip():
-            lines.back(line)
+            lines.put_back(line)
             break
         found.append(line)
     if whole is not None and len(found) not in whole:
         name = first[:3].strip() if version == 3 else f"{system}{first[:2].strip()}"
-        raise lines.wrong(
+        raise lines.error(
             f"the record of {name} from line {number} ends after {len(found)} of {whole[0]} lines"
         )
     return number, found
 
 
-def _values(lines: Lines, record: tuple[int, list[str]], version: int) -> list[list[float]]:
+def _read_values(lines: Lines, record: tuple[int, list[str]], version: int) -> list[list[float]]:
     """Return the numbers of a record, a row per line; what is blank is NaN."""
     number, texts = record
     last, rows = lines.number, []
@@ -120,40 +120,40 @@ def _values(lines: Lines, record: tuple[int, list[str]], version: int) -> list[l
         count = 3 if offset == 0 else 4
         places = [(start + 19 * k, start + 19 * (k + 1)) for k in range(count)]
         rows.append(
-            [lines.number_in(text, a, b, "a value") if text[a:b].strip() else np.nan for a, b in places]
+            [lines.parse_number(text, a, b, "a value") if text[a:b].strip() else np.nan for a, b in places]
         )
     lines.number = last
     return rows
 
 
-def _clock_time(lines: Lines, record: tuple[int, list[str]], version: int) -> tuple[int, float]:
+def _read_clock_time(lines: Lines, record: tuple[int, list[str]], version: int) -> tuple[int, float]:
     """Return the satellite and the reference time of a record, in the time of its system."""
     number, texts = record
     last, lines.number = lines.number, number
     if version == 3:
         columns = [(4, 8), (9, 11), (12, 14), (15, 17), (18, 20), (21, 23)]
-        sat = lines.whole_in(texts[0], 1, 3, "the satellite")
+        sat = lines.parse_whole(texts[0], 1, 3, "the satellite")
     else:
         columns = [(3, 5), (6, 8), (9, 11), (12, 14), (15, 17), (17, 22)]
-        sat = lines.whole_in(texts[0], 0, 2, "the satellite")
+        sat = lines.parse_whole(texts[0], 0, 2, "the satellite")
     if not 1 <= sat <= 63:
-        raise lines.wrong(f"satellite {sat} is outside 1 to 63")
-    t = sum(calendar(lines, texts[0], columns, version == 2))
+        raise lines.error(f"satellite {sat} is outside 1 to 63")
+    t = sum(read_calendar(lines, texts[0], columns, version == 2))
     lines.number = last
     return sat, t
 
 
-def _all_there(lines: Lines, first: int, wanted: dict[str, tuple[int, float]]) -> None:
+def _check_complete(lines: Lines, first: int, wanted: dict[str, tuple[int, float]]) -> None:
     for name, (offset, value) in wanted.items():
         if np.isnan(value):
             lines.number = first + offset
-            raise lines.wrong(f"{name} is missing")
+            raise lines.error(f"{name} is missing")
 
 
-def _kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> list[float]:
+def _read_kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> list[float]:
     """Return sat, health and the columns of ``KEPLER`` of one GPS record (RINEX 3.05, table A6)."""
-    sat, t_oc = _clock_time(lines, record, version)
-    v = _values(lines, record, version)
+    sat, t_oc = _read_clock_time(lines, record, version)
+    v = _read_values(lines, record, version)
     group_delay = 0.0 if np.isnan(v[6][2]) else v[6][2]
     placed = {
         "af_0": (0, v[0][0]), "af_1": (0, v[0][1]), "af_2": (0, v[0][2]),
@@ -163,12 +163,12 @@ def _kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> list[f
         "i_0": (4, v[4][0]), "c_rc": (4, v[4][1]), "perigee": (4, v[4][2]), "node_rate": (4, v[4][3]),
         "i_rate": (5, v[5][0]), "group_delay": (6, group_delay), "health": (6, v[6][1]),
     }  # fmt: skip
-    _all_there(lines, record[0], placed)
+    _check_complete(lines, record[0], placed)
     values = {name: value for name, (_, value) in placed.items()}
     for name, low, high in (("e", 0.0, 0.2), ("sqrt_a", 4900.0, 5400.0), ("t_oe_week", 0.0, WEEK)):
         if not low <= values[name] <= high:
             lines.number = record[0] + placed[name][0]
-            raise lines.wrong(f"{name} = {values[name]:g} is outside {low:g} to {high:g}: no GPS orbit")
+            raise lines.error(f"{name} = {values[name]:g} is outside {low:g} to {high:g}: no GPS orbit")
     # the week is that of the clock's reference time: the week field is mod 1024 in some files
     week_start = t_oc - t_oc % WEEK
     t_oe = week_start + values["t_oe_week"]
@@ -177,33 +177,33 @@ def _kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> list[f
     return [sat, values["health"], *(values[name] for name in KEPLER)]
 
 
-def _glonass(lines: Lines, record: tuple[int, list[str]], version: int, leap: int | None) -> list[float]:
+def _read_glonass(lines: Lines, record: tuple[int, list[str]], version: int, leap: int | None) -> list[float]:
     """Return slot, health, channel and the columns of ``GLONASS`` of one record (RINEX 3.05, table A10)."""
-    sat, utc = _clock_time(lines, record, version)
-    v = _values(lines, record, version)
+    sat, utc = _read_clock_time(lines, record, version)
+    v = _read_values(lines, record, version)
     placed = {
         "clock": (0, v[0][0]), "clock_rate": (0, v[0][1]),
         "x": (1, v[1][0]), "vx": (1, v[1][1]), "ax": (1, v[1][2]), "health": (1, v[1][3]),
         "y": (2, v[2][0]), "vy": (2, v[2][1]), "ay": (2, v[2][2]), "channel": (2, v[2][3]),
         "z": (3, v[3][0]), "vz": (3, v[3][1]), "az": (3, v[3][2]),
     }  # fmt: skip
-    _all_there(lines, record[0], placed)
+    _check_complete(lines, record[0], placed)
     values = {name: value for name, (_, value) in placed.items()}
     for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az"):
         values[name] *= 1e3  # km
     radius = np.sqrt(values["x"] ** 2 + values["y"] ** 2 + values["z"] ** 2)
     if not 24e6 <= radius <= 27e6:
         lines.number = record[0] + 1
-        raise lines.wrong(f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: no GLONASS orbit")
+        raise lines.error(f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: no GLONASS orbit")
     if values["channel"] > 127:  # some writers give -7 as 249
         values["channel"] -= 256
     if leap is None:
-        leap = leap_seconds(day_of(utc))
+        leap = leap_seconds(to_date(utc))
     values["t_b"] = utc + leap
     return [sat, values["health"], values["channel"], *(values[name] for name in STATE)]
 
 
-def merged(files: Sequence[NavigationFile]) -> NavigationFile:
+def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:
     """Return the ephemerides of several files as one; the first ionosphere model found counts."""
     return NavigationFile(
         shown=", ".join(file.shown for file in files),

@@ -37,7 +37,7 @@ class Lines:
         self.number = 0
         self.size = 0
 
-    def next(self) -> str | None:
+    def read_line(self) -> str | None:
         """Return the next line without its end, None at the end of the file."""
         if self._again is not None:
             line, self._again = self._again, None
@@ -49,44 +49,44 @@ class Lines:
         self.number += 1
         self.size += len(line)
         if len(line) > LONGEST:
-            raise self.wrong(f"is longer than {LONGEST} characters: no RINEX file")
+            raise self.error(f"is longer than {LONGEST} characters: no RINEX file")
         if "\0" in line:
-            raise self.wrong("holds a zero byte: no text file (compressed files are unpacked first)")
+            raise self.error("holds a zero byte: no text file (compressed files are unpacked first)")
         return line.rstrip("\r\n")
 
-    def needed(self, what: str) -> str:
+    def read_line_of(self, what: str) -> str:
         """Return the next line, or say that the file ends before ``what``."""
-        line = self.next()
+        line = self.read_line()
         if line is None:
-            raise self.wrong(f"the file ends before {what}")
+            raise self.error(f"the file ends before {what}")
         return line
 
-    def back(self, line: str) -> None:
+    def put_back(self, line: str) -> None:
         """Give a line back, to be read again."""
         self._again = line
         self.number -= 1
 
-    def wrong(self, message: str) -> ConfigError:
+    def error(self, message: str) -> ConfigError:
         """Return the error that names this line."""
         return ConfigError(f"{self.shown}: line {self.number}: {message}")
 
-    def number_in(self, line: str, start: int, end: int, what: str) -> float:
+    def parse_number(self, line: str, start: int, end: int, what: str) -> float:
         """Return the number in columns start to end (counted from 0, end not included)."""
-        value = _number(line[start:end])
+        value = _parse_number(line[start:end])
         if value is None:
             text = line[start:end].strip()
-            raise self.wrong(f"{what} must be a number; got {text[:30]!r} in columns {start + 1}-{end}")
+            raise self.error(f"{what} must be a number; got {text[:30]!r} in columns {start + 1}-{end}")
         return value
 
-    def whole_in(self, line: str, start: int, end: int, what: str) -> int:
+    def parse_whole(self, line: str, start: int, end: int, what: str) -> int:
         """Return the whole number in columns start to end."""
         text = line[start:end].strip()
         if not re.fullmatch(r"[+-]?\d+", text):
-            raise self.wrong(f"{what} must be a whole number; got {text[:30]!r} in columns {start + 1}-{end}")
+            raise self.error(f"{what} must be a whole number; got {text[:30]!r} in columns {start + 1}-{end}")
         return int(text)
 
 
-def _number(text: str) -> float | None:
+def _parse_number(text: str) -> float | None:
     """Read a Fortran number: exponents with D, d, E, e or without a letter."""
     text = text.strip().replace("D", "E").replace("d", "e")
     try:
@@ -100,7 +100,7 @@ def _number(text: str) -> float | None:
 
 
 @contextmanager
-def opened(path: Path, shown: str) -> Iterator[Lines]:
+def open_lines(path: Path, shown: str) -> Iterator[Lines]:
     """Give the lines of a text file; what keeps it from being opened is a ConfigError."""
     try:
         with path.open(encoding="latin-1", newline="") as file:
@@ -129,47 +129,47 @@ def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
     return (date(year, month, day) - _EPOCH).days * DAY + second
 
 
-def day_of(seconds: float) -> date:
+def to_date(seconds: float) -> date:
     """Return the calendar day of seconds since 1980-01-06."""
     return date.fromordinal(_EPOCH.toordinal() + int(seconds // DAY))
 
 
-def version_of(lines: Lines, wanted: str) -> tuple[int, str]:
+def check_version(lines: Lines, wanted: str) -> tuple[int, str]:
     """Check the first line; return the main version and the kind of file with its system."""
-    first = lines.next()
+    first = lines.read_line()
     if first is None:
         raise ConfigError(f"{lines.shown}: is empty")
     label = first[60:80].strip()
     if label.startswith("CRINEX"):
-        raise lines.wrong("Hatanaka compression; unpack the file with crx2rnx first")
+        raise lines.error("Hatanaka compression; unpack the file with crx2rnx first")
     if label != "RINEX VERSION / TYPE":
-        raise lines.wrong("'RINEX VERSION / TYPE' must stand in columns 61-80: no RINEX file")
-    version = lines.number_in(first, 0, 9, "the version")
+        raise lines.error("'RINEX VERSION / TYPE' must stand in columns 61-80: no RINEX file")
+    version = lines.parse_number(first, 0, 9, "the version")
     if int(version) not in (2, 3):
-        raise lines.wrong(f"version {version:g} must be 2 or 3")
+        raise lines.error(f"version {version:g} must be 2 or 3")
     kind = first[20:21].upper()
     kinds = {"O": "an observation file", "N": "a navigation file", "G": "a navigation file"}
     if kinds.get(kind) != wanted:
-        raise lines.wrong(f"is {kinds.get(kind, f'of type {kind!r}')}, not {wanted}")
+        raise lines.error(f"is {kinds.get(kind, f'of type {kind!r}')}, not {wanted}")
     return int(version), kind + first[40:41].upper()
 
 
-def calendar(
+def read_calendar(
     lines: Lines, line: str, columns: Sequence[tuple[int, int]], two_digits: bool
 ) -> tuple[float, float]:
     """Return midnight since 1980-01-06 and the second of the day of the calendar time in a line [s]."""
     names = ("year", "month", "day", "hour", "minute")
     numbers = [
-        lines.whole_in(line, *place, f"the {name}") for name, place in zip(names, columns[:5], strict=True)
+        lines.parse_whole(line, *place, f"the {name}") for name, place in zip(names, columns[:5], strict=True)
     ]
-    second = lines.number_in(line, *columns[5], "the second")
+    second = lines.parse_number(line, *columns[5], "the second")
     year, month, day, hour, minute = numbers
     if two_digits and year < 100:
         year += 1900 if year >= 80 else 2000
     try:
         midnight = gps_seconds(year, month, day)
     except ValueError as error:
-        raise lines.wrong(f"{year}-{month}-{day} is no date: {error}") from None
+        raise lines.error(f"{year}-{month}-{day} is no date: {error}") from None
     if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
-        raise lines.wrong(f"{hour}:{minute}:{second:g} is no time of day")
+        raise lines.error(f"{hour}:{minute}:{second:g} is no time of day")
     return midnight, 3600.0 * hour + 60.0 * minute + second

@@ -12,7 +12,15 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import GLONASS, GPS
 from bench.errors import ConfigError
-from bench.exchange.rinex.lines import LONGEST, Lines, calendar, day_of, leap_seconds, opened, version_of
+from bench.exchange.rinex.lines import (
+    LONGEST,
+    Lines,
+    check_version,
+    leap_seconds,
+    open_lines,
+    read_calendar,
+    to_date,
+)
 
 _MOST_SATELLITES = 200
 _SYSTEMS = {"G": GPS, " ": GPS, "R": GLONASS}
@@ -62,16 +70,16 @@ class _Header:
             self.marker = line[:60].strip()
         elif label == "APPROX POSITION XYZ":
             places = ((0, 14), (14, 28), (28, 42))
-            self.approximate_e = np.array([lines.number_in(line, *p, "a coordinate") for p in places])
+            self.approximate_e = np.array([lines.parse_number(line, *p, "a coordinate") for p in places])
         elif label == "ANTENNA: DELTA H/E/N":
             places = ((0, 14), (14, 28), (28, 42))
-            self.antenna_hen = np.array([lines.number_in(line, *p, "an offset") for p in places])
+            self.antenna_hen = np.array([lines.parse_number(line, *p, "an offset") for p in places])
         elif label == "TIME OF FIRST OBS":
             self.time_system = line[48:51].strip()
         elif label == "LEAP SECONDS":
-            self.leap = lines.whole_in(line, 0, 6, "the number of leap seconds")
+            self.leap = lines.parse_whole(line, 0, 6, "the number of leap seconds")
         elif label == "SYS / SCALE FACTOR":
-            raise lines.wrong("observations with a scale factor are not read")
+            raise lines.error("observations with a scale factor are not read")
         elif label == "SYS / # / OBS TYPES" and version == 3:
             self._types(lines, line, line[0], 3, 6, 7, 13)
         elif label == "# / TYPES OF OBSERV" and version == 2:
@@ -80,17 +88,17 @@ class _Header:
     def _types(
         self, lines: Lines, line: str, system: str, first: int, last: int, start: int, most: int
     ) -> None:
-        count = lines.whole_in(line, first, last, "the number of observables")
+        count = lines.parse_whole(line, first, last, "the number of observables")
         if not 1 <= count <= LONGEST // 16:
-            raise lines.wrong(f"{count} observables are outside 1 to {LONGEST // 16}")
+            raise lines.error(f"{count} observables are outside 1 to {LONGEST // 16}")
         found = line[start:60].split()
         while len(found) < count:
-            more = lines.needed(f"observable {len(found) + 1} of {count}")
+            more = lines.read_line_of(f"observable {len(found) + 1} of {count}")
             if "OBS" not in more[60:80] or more[:6].strip():
-                raise lines.wrong(f"lists {len(found)} of {count} observables")
+                raise lines.error(f"lists {len(found)} of {count} observables")
             found += more[start:60].split()
         if len(found) > count:
-            raise lines.wrong(f"lists {len(found)} observables where {count} are announced")
+            raise lines.error(f"lists {len(found)} observables where {count} are announced")
         self.types[system] = found
 
 
@@ -110,15 +118,15 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
         One line with file and line number, when the file is malformed, truncated or empty.
     """
     shown = path.name if shown is None else shown
-    with opened(path, shown) as lines:
-        version, _ = version_of(lines, "an observation file")
+    with open_lines(path, shown) as lines:
+        version, _ = check_version(lines, "an observation file")
         header = _Header()
-        while (line := lines.needed("END OF HEADER"))[60:80].strip() != "END OF HEADER":
+        while (line := lines.read_line_of("END OF HEADER"))[60:80].strip() != "END OF HEADER":
             header.take(lines, line, version)
         if not header.types:
-            raise lines.wrong("the header lists no observables")
+            raise lines.error("the header lists no observables")
         rows = _EpochRows()
-        (_epochs_3 if version == 3 else _epochs_2)(lines, header, rows)
+        (_read_epochs_3 if version == 3 else _read_epochs_2)(lines, header, rows)
         size = lines.size
     if not rows.start:
         raise ConfigError(f"{shown}: holds no epoch")
@@ -127,7 +135,7 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
     origin = rows.midnight[0]
     t = np.array(rows.midnight) - origin + np.array(rows.second)
     if header.time_system == "GLO":  # UTC
-        t += leap_seconds(day_of(origin)) if header.leap is None else header.leap
+        t += leap_seconds(to_date(origin)) if header.leap is None else header.leap
     values = np.array(rows.values).reshape(-1, 3, 2)
     return ObservationFile(
         shown=shown,
@@ -157,7 +165,7 @@ class _EpochRows:
         if self.start:
             later = midnight - self.midnight[-1] + second - self.second[-1]
             if not later > 0:
-                raise lines.wrong(f"the epoch is {later:g} s after the one above it; times must increase")
+                raise lines.error(f"the epoch is {later:g} s after the one above it; times must increase")
         self.midnight.append(midnight)
         self.second.append(second)
         self.start.append(len(self.sat))
@@ -168,7 +176,7 @@ class _EpochRows:
         self.values.extend(values)
 
 
-def _places(types: Sequence[str], codes: tuple[tuple[str, ...], tuple[str, ...]]) -> list[int | None]:
+def _find_places(types: Sequence[str], codes: tuple[tuple[str, ...], tuple[str, ...]]) -> list[int | None]:
     """Return where code, Doppler and C/N0 of both carriers stand among the observables, None for nowhere."""
     places: list[int | None] = []
     chosen = [next((code for code in band if code in types), None) for band in codes]
@@ -182,79 +190,79 @@ def _places(types: Sequence[str], codes: tuple[tuple[str, ...], tuple[str, ...]]
     return places
 
 
-def _field(lines: Lines, line: str, place: int | None, start: int) -> float:
+def _read_field(lines: Lines, line: str, place: int | None, start: int) -> float:
     if place is None:
         return np.nan
     a = start + 16 * place
     text = line[a : a + 14]
     if not text.strip():
         return np.nan
-    value = lines.number_in(line, a, a + 14, "an observation")
+    value = lines.parse_number(line, a, a + 14, "an observation")
     return value if value != 0.0 else np.nan  # RINEX writes a missing value as blank or 0.0
 
 
 def _check_count(lines: Lines, count: int) -> None:
     if not 0 <= count <= _MOST_SATELLITES:
-        raise lines.wrong(f"{count} satellites in one epoch are outside 0 to {_MOST_SATELLITES}")
+        raise lines.error(f"{count} satellites in one epoch are outside 0 to {_MOST_SATELLITES}")
 
 
-def _epochs_3(lines: Lines, header: _Header, rows: _EpochRows) -> None:
+def _read_epochs_3(lines: Lines, header: _Header, rows: _EpochRows) -> None:
     codes = {"G": _CODES[GPS], "R": _CODES[GLONASS]}
-    places = {s: _places(header.types[s], c) for s, c in codes.items() if s in header.types}
+    places = {s: _find_places(header.types[s], c) for s, c in codes.items() if s in header.types}
     columns = [(2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29)]
-    while (line := lines.next()) is not None:
+    while (line := lines.read_line()) is not None:
         if not line.strip():
             continue
         if line[0] != ">":
-            raise lines.wrong(f"an epoch must begin with '>'; got {line[:20]!r}")
-        flag = lines.whole_in(line, 31, 32, "the epoch flag")
-        count = lines.whole_in(line, 32, 35, "the number of satellites")
+            raise lines.error(f"an epoch must begin with '>'; got {line[:20]!r}")
+        flag = lines.parse_whole(line, 31, 32, "the epoch flag")
+        count = lines.parse_whole(line, 32, 35, "the number of satellites")
         if flag > 1:
             for k in range(count):
-                header.take(lines, lines.needed(f"line {k + 1} of {count} of the event"), 3)
-            places = {s: _places(header.types[s], c) for s, c in codes.items() if s in header.types}
+                header.take(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 3)
+            places = {s: _find_places(header.types[s], c) for s, c in codes.items() if s in header.types}
             continue
         _check_count(lines, count)
-        rows.epoch(lines, *calendar(lines, line, columns, False))
+        rows.epoch(lines, *read_calendar(lines, line, columns, False))
         for k in range(count):
-            line = lines.needed(f"satellite {k + 1} of {count} of the epoch")
+            line = lines.read_line_of(f"satellite {k + 1} of {count} of the epoch")
             if line[:1] == ">":
-                raise lines.wrong(f"the epoch above has {k} of {count} satellites")
+                raise lines.error(f"the epoch above has {k} of {count} satellites")
             if line[:1] not in codes:
                 continue
             if line[0] not in places:
-                raise lines.wrong(f"the header lists no observables of system {line[0]!r}")
-            sat = lines.whole_in(line, 1, 3, "the satellite")
-            values = [_field(lines, line, place, 3) for place in places[line[0]]]
+                raise lines.error(f"the header lists no observables of system {line[0]!r}")
+            sat = lines.parse_whole(line, 1, 3, "the satellite")
+            values = [_read_field(lines, line, place, 3) for place in places[line[0]]]
             rows.add(sat, _SYSTEMS[line[0]], values)
 
 
-def _epochs_2(lines: Lines, header: _Header, rows: _EpochRows) -> None:
+def _read_epochs_2(lines: Lines, header: _Header, rows: _EpochRows) -> None:
     columns = [(1, 3), (4, 6), (7, 9), (10, 12), (13, 15), (15, 26)]
-    while (line := lines.next()) is not None:
+    while (line := lines.read_line()) is not None:
         if not line.strip():
             continue
-        flag = lines.whole_in(line, 28, 29, "the epoch flag")
-        count = lines.whole_in(line, 29, 32, "the number of satellites")
+        flag = lines.parse_whole(line, 28, 29, "the epoch flag")
+        count = lines.parse_whole(line, 29, 32, "the number of satellites")
         if 2 <= flag <= 5:
             for k in range(count):
-                header.take(lines, lines.needed(f"line {k + 1} of {count} of the event"), 2)
+                header.take(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 2)
             continue
         _check_count(lines, count)
         if flag < 2:
-            rows.epoch(lines, *calendar(lines, line, columns, True))
+            rows.epoch(lines, *read_calendar(lines, line, columns, True))
         names = line[32:68].ljust(36)
         for _ in range((count - 1) // 12):
-            names += lines.needed("the rest of the satellites")[32:68].ljust(36)
+            names += lines.read_line_of("the rest of the satellites")[32:68].ljust(36)
         types = header.types[" "]
-        places = _places(types, _CODES_2)
+        places = _find_places(types, _CODES_2)
         for k in range(count):
             name = names[3 * k : 3 * k + 3]
             what = f"satellite {k + 1} of {count} of the epoch"
-            parts = [lines.needed(what)[:80].ljust(80) for _ in range((len(types) + 4) // 5)]
+            parts = [lines.read_line_of(what)[:80].ljust(80) for _ in range((len(types) + 4) // 5)]
             if flag == 6 or name[:1] not in _SYSTEMS:
                 continue
             if not name[1:].strip().isdigit():
-                raise lines.wrong(f"satellite {name!r} of the epoch must be a letter and a number")
-            values = [_field(lines, "".join(parts), place, 0) for place in places]
+                raise lines.error(f"satellite {name!r} of the epoch must be a letter and a number")
+            values = [_read_field(lines, "".join(parts), place, 0) for place in places]
             rows.add(int(name[1:]), _SYSTEMS[name[0]], values)

@@ -12,11 +12,11 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.mat_file import read_mat, vector
-from bench.exchange.rows import MOST_ROWS, Rows
+from bench.exchange.mat_file import get_vector, read_mat
+from bench.exchange.rows import MOST_ROWS, LogRows
 
 
-def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
+def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Return the rows of a structure of a NaveGo file."""
     if kind == "baro":
         raise ConfigError(f"{path.name}: NaveGo has no structure of a barometer")
@@ -30,7 +30,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         if name not in structure:
             there = ", ".join(structure)[:200]
             raise ConfigError(f"{path.name}: {kind}.{name} is missing; there are {there or 'none'}")
-        return vector(structure[name], f"{kind}.{name}", path.name)
+        return get_vector(structure[name], f"{kind}.{name}", path.name)
 
     t = column("t")
     if len(t) > MOST_ROWS:
@@ -44,7 +44,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
         return np.atleast_2d(array)
 
     if kind == "imu":
-        return Rows(t, {"gyro": rows("wb"), "accel": rows("fb")})
+        return LogRows(t, {"gyro": rows("wb"), "accel": rows("fb")})
     place = [column(name) for name in ("lat", "lon", "h")]
     if any(len(one) != len(t) for one in place):
         raise ConfigError(f"{path.name}: gnss.lat, lon, h must be as long as gnss.t, {len(t)} rows")
@@ -57,4 +57,4 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> Rows:
             if claimed.shape != (3,):
                 raise ConfigError(f"{path.name}: gnss.{old} must be three numbers; it is {len(claimed)}")
             values[new] = np.tile(claimed, (len(t), 1))
-    return Rows(t, values)
+    return LogRows(t, values)
