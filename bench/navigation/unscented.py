@@ -1,13 +1,12 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
 States, datasheets, gates and rows are those of `bench.navigation.fusion.Loose`, but each measurement is
-compared with the state at its arrival, however late.
-Sigma points and their weights are filterpy's (R. van der Merwe, PhD thesis, Oregon, 2004; S. Julier, J.
-Uhlmann, Proc. IEEE 92 (3), 2004). An error state x (estimate minus truth) stands for the truth "estimate less
-x". Each step draws sigma points of the error about zero, carries
-the truth each one stands for through the strapdown with the same increments less its own biases, and takes
-the spread of what they became about the carried estimate; the mean is fed back at once. A measurement is
-predicted from each of the truths the points stand for.
+compared with the state at its arrival, however late. Sigma points and their weights are filterpy's (R. van
+der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x
+(estimate minus truth) stands for the truth "estimate less x". Each step draws sigma points of the error about
+zero, carries the truth each one stands for through the strapdown with the same increments less its own
+biases, and takes the spread of what they became about the carried estimate; the mean is fed back at once. A
+measurement is predicted from each of the truths the points stand for.
 """
 
 from __future__ import annotations
