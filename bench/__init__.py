@@ -63,6 +63,7 @@ _PUBLIC = {
     "judge": "bench.api",
     "list_aircraft": "bench.api",
     "list_estimators": "bench.api",
+    "list_exports": "bench.api",
     "list_legs": "bench.api",
     "list_profiles": "bench.api",
     "list_sensors": "bench.api",

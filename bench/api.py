@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
 from bench.config import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors, load_profile
+from bench.config.library import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
 from bench.specs import EstimatorChoice, Profile
+from bench.wording import suggest
 
 if TYPE_CHECKING:
     from bench.baselines import Verdict
@@ -45,6 +47,7 @@ __all__ = [
     "judge",
     "list_aircraft",
     "list_estimators",
+    "list_exports",
     "list_legs",
     "list_profiles",
     "list_sensors",
@@ -379,6 +382,13 @@ def solve_rinex(
     return rinex_fixes.solve_rinex(Path(observations), [Path(file) for file in files], processing)
 
 
+def list_exports() -> list[CatalogEntry]:
+    """Return every format that `export_run` writes."""
+    from bench.exchange import exports
+
+    return [CatalogEntry(name, found.title, "export") for name, found in exports.FORMATS.items()]
+
+
 def export_run(
     folder: str | Path,
     kind: str,
@@ -394,7 +404,7 @@ def export_run(
     folder : str or Path
         A results folder.
     kind : str
-        One of `bench.exchange.exports.FORMATS`: "csv", "kf-gins", "tum" ...
+        One of :func:`list_exports`: "csv", "kf-gins", "tum" ...
     out : str, Path or None
         Where to; beside the results folder, with the format in its name, when None.
     include : sequence of str
@@ -414,7 +424,8 @@ def export_run(
     """
     from bench.exchange import exports
 
-    _check_choice("kind", [kind], list(exports.FORMATS))
+    if kind not in exports.FORMATS:
+        raise ConfigError(f"export format {kind!r} is unknown{suggest(kind, exports.FORMATS, 'formats')}")
     folder = Path(folder)
     # "." and ".." have no name of their own
     beside = folder.resolve() if folder.name in ("", "..") else folder

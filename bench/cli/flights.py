@@ -119,12 +119,12 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
 @click.argument(
     "kind",
     required=False,
-    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators"]),
+    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators", "exports"]),
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")
 def list_all(kind: str | None, as_json: bool) -> int:
-    """List the profiles, aircraft, legs, sensors and estimators there are.
+    """List the profiles, aircraft, legs, sensors, estimators and export formats there are.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
     aircraft also say what is known of each, where from, and what no source states,

@@ -197,15 +197,7 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
 
 @commands.command(epilog=STATUS)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
-@click.option(
-    "--to",
-    "kind",
-    required=True,
-    type=click.Choice(
-        ["csv", "parquet", "mat", "kf-gins", "navego", "python-ins", "nmea", "kml", "tum", "rosbag2"]
-    ),
-    help="the format",
-)
+@click.option("--to", "kind", required=True, metavar="FORMAT", help="csv, kf-gins ...; bench list exports")
 @out_option("folder for the files  [default: RUN-FORMAT beside RUN]")
 @click.option(
     "--with",
@@ -218,16 +210,8 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
 def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], force: bool) -> int:
     """Write the sensors of a run in the format another tool reads.
 
-    RUN is a results folder of bench run. The truth and the solutions go out only
-    when asked for by name.
-
-    \b
-    Formats:
-      csv, parquet, mat  a table per sensor, columns named by unit; MATLAB
-      kf-gins, navego, python-ins  for these filters, with their configuration
-      nmea, kml          the fixes as sentences, or on a globe
-      tum                poses for evo: --with truth or --with solution:NAME
-      rosbag2            a ROS 2 bag (pip install 'ins-gnss-bench[logs]')
+    RUN is a results folder of bench run, FORMAT one of bench list exports. The truth
+    and the solutions go out only when asked for by name.
 
     \b
     Examples:

@@ -290,7 +290,7 @@ class CatalogEntry(NamedTuple):
 
     name: str
     title: str
-    kind: str  # "profile", "aircraft", "leg", "estimator", or a kind of sensor: "imu", "gnss" ...
+    kind: str  # "profile", "aircraft", "leg", "estimator", "export", or a kind of sensor: "imu" ...
     note: str = ""  # what it can do, where its figures are from, and which of them are assumed
     keys: tuple[KeyEntry, ...] = ()  # of a leg
 

@@ -188,12 +188,13 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
         "use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...'",
         api.list_estimators,
     ),
+    "exports": ("bench export RUN --to NAME", api.list_exports),
 }
 """What `bench list` shows: how each is asked for, and what there is."""
 
 
 def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
-    """Return the profiles, aircraft, legs, sensors and estimators there are, or those of one kind."""
+    """Return what there is on each shelf by its name, or on one of them."""
     return {name: entries() for name, (_, entries) in _SHELVES.items() if kind in (None, name)}
 
 

@@ -403,11 +403,16 @@ def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
 # --- the folder ---------------------------------------------------------------------------------------
 
 
-def test_formats_of_the_command_line_are_those_there_are():
-    from bench.cli.records import export
-
-    (option,) = (p for p in export.params if p.name == "kind")
-    assert list(option.type.choices) == list(FORMATS)
+def test_formats_are_listed_and_a_wrong_one_is_refused_with_the_nearest(run, tmp_path, capsys):
+    assert main(["list", "exports", "--json"]) == 0
+    (listed,) = json.loads(capsys.readouterr().out).values()
+    assert [entry["name"] for entry in listed] == list(FORMATS)
+    assert {"csv", "parquet", "mat", "kf-gins", "rosbag2"} <= set(FORMATS)
+    assert main(["export", str(run[0]), "--to", "kfgins", "-o", str(tmp_path / "out")]) == 2
+    first, known = capsys.readouterr().err.splitlines()
+    assert first == "error: export format 'kfgins' is unknown. Did you mean 'kf-gins'?"
+    assert known == f"  known formats: {', '.join(sorted(FORMATS))}"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_path, capsys):

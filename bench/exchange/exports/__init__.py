@@ -1,29 +1,39 @@
-"""A run in the formats that other tools read: one module per format, each with a README for its reader."""
+"""A run in the formats that other tools read, each with a README for its reader.
+
+A format is a module of this folder with ``FORMATS``, a line of words by name, and
+``write(folder, outgoing, name)``, which returns what the README says. Nothing else lists it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
+from typing import NamedTuple
 
 from bench.exchange.exports.gather import gather, report_damage
 from bench.exchange.exports.outgoing import FRAMES, ExportData
 from bench.store import check_folder
 
-FORMATS: Mapping[str, tuple[str, str]] = {
-    "csv": ("column_files", "CSV, a table per sensor, and start.json"),
-    "parquet": ("column_files", "the same in Parquet, units and frames in the metadata"),
-    "mat": ("matlab", "the same in one MATLAB file"),
-    "kf-gins": ("kf_gins", "KF-GINS and OB_GINS text, and a kf-gins.yaml"),
-    "navego": ("navego", "NaveGo's imu, gnss and ref structures"),
-    "python-ins": ("python_ins", "DataFrames of python-ins, in Parquet"),
-    "nmea": ("nmea", "GGA and RMC sentences of the fixes"),
-    "kml": ("kml", "the fixes on a globe"),
-    "tum": ("tum", "poses for evo and the TUM tools"),
-    "rosbag2": ("rosbag2", "a ROS 2 bag (pip install 'ins-gnss-bench[logs]')"),
-}
-"""Format -> (module, what it is)."""
+
+class Format(NamedTuple):
+    """A format that a run can be exported in."""
+
+    title: str
+    write: Callable[[Path, ExportData, str], str]  # into a folder, by the name of the format -> its README
+
+
+def _declared() -> Iterator[tuple[str, Format]]:
+    for found in pkgutil.iter_modules(__path__):
+        module = import_module(f"{__name__}.{found.name}")
+        for name, title in getattr(module, "FORMATS", {}).items():
+            yield name, Format(title, module.write)
+
+
+FORMATS: Mapping[str, Format] = dict(_declared())
+"""Every format by its name."""
 
 README = "README.md"
 _TITLE = "Export of"
@@ -47,8 +57,7 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     OSError
         When the disk does not take it.
     """
-    module = import_module(f"bench.exchange.exports.{FORMATS[kind][0]}")
-    said: str = module.write(folder, outgoing, kind)
+    said = FORMATS[kind].write(folder, outgoing, kind)
     clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."
     text = _fill_paragraphs(f"# {_TITLE} {name} to {kind}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
@@ -77,4 +86,4 @@ def _wrap_line(line: str) -> str:
     return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
-__all__ = ["FORMATS", "README", "ExportData", "check_export_folder", "gather", "report_damage", "write"]
+__all__ = ["FORMATS", "README", "ExportData", "Format", "check_export_folder", "gather", "report_damage", "write"]

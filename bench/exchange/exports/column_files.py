@@ -9,6 +9,10 @@ from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
 from bench.store.columns import Layout
 
+FORMATS = {
+    "csv": "CSV, a table per sensor, and start.json",
+    "parquet": "Parquet, a table per sensor with units and frames in its metadata, and start.json",
+}
 START = "start.json"
 
 _WHAT = {

@@ -11,6 +11,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
+FORMATS = {"kml": "the fixes on a globe"}
 FILE = "tracks.kml"
 _KML, _GX = "http://www.opengis.net/kml/2.2", "http://www.google.com/kml/ext/2.2"
 _TRACK_RATE = 10.0  # points of a track in a second, at most [Hz]

@@ -11,6 +11,7 @@ import numpy as np
 from bench.exchange.exports.column_files import describe_table
 from bench.exchange.exports.outgoing import ExportData
 
+FORMATS = {"mat": "one MATLAB file, a structure per sensor"}
 FILE = "run.mat"
 
 

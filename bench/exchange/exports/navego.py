@@ -14,6 +14,7 @@ from bench import earth, rotation
 from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
 
+FORMATS = {"navego": "NaveGo's imu, gnss and ref structures"}
 FILE = "navego.mat"
 
 

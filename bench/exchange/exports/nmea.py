@@ -15,6 +15,7 @@ from bench.arrays import FloatArray
 from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
+FORMATS = {"nmea": "GGA and RMC sentences of the fixes"}
 _KNOT = 1852.0 / 3600.0  # [m/s]
 _TRACK_RATE = 10.0  # of a track's sentences [Hz]
 

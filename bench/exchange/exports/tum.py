@@ -12,6 +12,8 @@ from bench.exchange.exports.local import to_poses
 from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
+FORMATS = {"tum": "poses for evo and the TUM tools: --with truth or --with solution:NAME"}
+
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write a file for each track; return what the README says of them."""
