@@ -17,7 +17,6 @@ MOST_LINES = 450
 
 LONG_FILES = {
     "api.py": "all public functions of Python beside each other",
-    "recording/plots.py": "one tab of the recording after the other; to be divided by tab",
     "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
     "signals/receiver.py": "from observations to fixes",
     "specs.py": "all that a profile asks for, in SI",

@@ -19,7 +19,8 @@ from bench.fields import columns_of, figures_of
 from bench.instruments import INSTRUMENTS, Reports, Units
 from bench.navigation.estimator import RECORDS
 from bench.places import PACKAGE
-from bench.recording import plots
+from bench.recording.content import Content
+from bench.recording.tabs.flight_data import FLIGHT
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.weaving import units
@@ -75,7 +76,8 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     assert len(bodies) == len(record)
     payload = struct.unpack(f"<{row.width + 2}dB", bodies[0][8:-2])
     assert payload == (record.t[0], *row.values(record)[0], record.sd[0], record.valid[0])
-    shown = [plot for group in plots._flight_rows(truth, sensed) for plot in group]
+    rows = FLIGHT.plots(Content(truth, sensed, {}, {}, 0.0))[""]
+    shown = [plot for group in rows for plot in group]
     assert any(
         series.names[0] == row.trace.legend or row.width > 1
         for plot in shown

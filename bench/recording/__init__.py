@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.config.log import LogSpec
 from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
-from bench.recording import layout, plots, satellites, space, words
-from bench.recording.plots import TIMELINE
+from bench.recording import drawing, layout, space, words
+from bench.recording.content import Content, carrier
+from bench.recording.drawing import TIMELINE
+from bench.recording.tabs import TABS
 from bench.specs import Profile
 
 
@@ -77,29 +80,31 @@ def _record(
     """
     import rerun as rr
 
-    motion = plots.carrier(solutions) if truth is None else truth
-    tabs = plots.tabs(motion, sensed, solutions, errors, profile.evaluation_from)
+    motion = carrier(solutions) if truth is None else truth
     sky = profile.sensors.gnss.sky if isinstance(profile, Profile) and profile.sensors.gnss else None
-    if sensed.sky is not None:
-        tabs = {**tabs, satellites.TAB: {"": satellites.rows(sensed.sky)}}
+    mask = None if sky is None else sky.antenna_mask
+    content = Content(motion, sensed, solutions, errors, profile.evaluation_from, mask)
+    plots = {tab.name: tab.plots(content) for tab in TABS}
     scene = space.scene(motion, sensed, solutions)
-    shades = plots.shades(sensed.events)
+    shades = drawing.shades(sensed.events)
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
         stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()
-        stream.send_blueprint(layout.blueprint(scene, tabs, next(iter(solutions), "")))
+        stream.send_blueprint(layout.blueprint(scene, plots, next(iter(solutions), "")))
         title, mesh = profile.name, None
         if isinstance(profile, Profile):
             title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
         stream.send_recording_name(title)
         space.send(stream, mesh, motion, sensed, solutions)
         words.send(stream, profile, motion, sensed, solutions, metrics, outages)
-        for plot in plots.every(tabs):
-            plots.send(stream, plot, shades)
-        if sensed.sky is not None and sky is not None and truth is not None:
-            satellites.send(stream, sensed.sky, truth, sky.antenna_mask)
+        for by_label in plots.values():
+            for plot in chain.from_iterable(chain.from_iterable(by_label.values())):
+                drawing.send(stream, plot, shades)
+        for tab in TABS:
+            if tab.send is not None:
+                tab.send(stream, content)
         return memory.drain_as_bytes()
 
 

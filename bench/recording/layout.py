@@ -7,22 +7,28 @@ from typing import Any
 
 import numpy as np
 
-from bench.recording import satellites
-from bench.recording.plots import TIMELINE, Plot, Rows, Tabs
+from bench.recording.content import Tab
+from bench.recording.drawing import TIMELINE, Plot, Rows
 from bench.recording.space import Scene
+from bench.recording.tabs import TABS
+from bench.recording.tabs.flight_data import FLIGHT
+from bench.recording.tabs.navigation_errors import ATTITUDE, POSITION
+
+Plots = Mapping[str, Mapping[str, Rows]]
+"""By the name of the tab, then by the label of the estimator."""
 
 SIDE_BY_SIDE = 3
 """Up to this many estimators stand in columns next to each other; more get a tab each."""
 
 
-def blueprint(scene: Scene, tabs: Tabs, main: str) -> Any:
+def blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     """Return the blueprint of a recording.
 
     Parameters
     ----------
     scene : Scene
         The flight in space and time.
-    tabs : mapping of mappings
+    plots : mapping of mappings
         Every plot, by tab and estimator.
     main : str
         Label of the estimator the overview shows.
@@ -34,13 +40,11 @@ def blueprint(scene: Scene, tabs: Tabs, main: str) -> Any:
     """
     import rerun.blueprint as rrb
 
-    views = [_overview(scene, tabs, main)]
-    for name, by_label in tabs.items():
-        columns = {label: rows for label, rows in by_label.items() if any(rows)}
-        if columns and name == satellites.TAB:
-            views.append(_satellites(scene, columns[""]))
-        elif columns:
-            views.append(_tab(scene, name, columns))
+    views = [_overview(scene, plots, main)]
+    for tab in TABS:
+        columns = {label: rows for label, rows in plots[tab.name].items() if any(rows)}
+        if columns:
+            views.append(_tab(scene, tab, columns))
     return rrb.Blueprint(
         rrb.Tabs(*views, active_tab=0),
         rrb.TimePanel(timeline=TIMELINE, play_state="paused", playback_speed=10.0, state="collapsed"),
@@ -51,23 +55,23 @@ def blueprint(scene: Scene, tabs: Tabs, main: str) -> Any:
     )
 
 
-def _overview(scene: Scene, tabs: Tabs, main: str) -> Any:
+def _overview(scene: Scene, plots: Plots, main: str) -> Any:
     import rerun.blueprint as rrb
 
-    position, attitude = (tabs[name].get(main, ()) for name in ("Position", "Attitude"))
-    key_plots = [row[0] for row in (*position, *attitude[2:])] or [tabs["Flight"][""][0][0]]
+    position, attitude = (plots[tab.name].get(main, ()) for tab in (POSITION, ATTITUDE))
+    key_plots = [row[0] for row in (*position, *attitude[2:])] or [plots[FLIGHT.name][""][0][0]]
 
     where = rrb.Vertical(_space(scene), _map(scene), row_shares=[3, 2])
-    plots = rrb.Vertical(*[_plot(scene, plot) for plot in key_plots], _strip(scene))
+    errors = rrb.Vertical(*[_plot(scene, plot) for plot in key_plots], _strip(scene))
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
         _log(),
         row_shares=[3, 2],
     )
-    return rrb.Horizontal(where, plots, words, column_shares=[5, 5, 3], name="Overview")
+    return rrb.Horizontal(where, errors, words, column_shares=[5, 5, 3], name="Overview")
 
 
-def _tab(scene: Scene, name: str, columns: Mapping[str, Rows]) -> Any:
+def _tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     import rerun.blueprint as rrb
 
     narrow = all(len(row) == 1 for rows in columns.values() for row in rows)
@@ -76,25 +80,18 @@ def _tab(scene: Scene, name: str, columns: Mapping[str, Rows]) -> Any:
             *[_row(scene, row) for row in rows],
             *([_strip(scene)] if narrow else []),
             row_shares=[4.0] * len(rows) + ([2.0] if narrow else []),
-            name=label or name,
+            name=label or None,
         )
         for label, rows in columns.items()
     ]
+    if tab.view is not None:
+        return rrb.Horizontal(tab.view(), *grids, column_shares=[1.0] * (1 + len(grids)), name=tab.name)
     if len(grids) == 1:
-        grids[0].name = name
+        grids[0].name = tab.name
         return grids[0]
     if narrow and len(grids) <= SIDE_BY_SIDE:
-        return rrb.Horizontal(*grids, name=name)
-    return rrb.Tabs(*grids, name=name, active_tab=0)
-
-
-def _satellites(scene: Scene, rows: Rows) -> Any:
-    import rerun.blueprint as rrb
-
-    plots = rrb.Vertical(
-        *[_row(scene, row) for row in rows], _strip(scene), row_shares=[4.0] * len(rows) + [2.0]
-    )
-    return rrb.Horizontal(satellites.view(), plots, column_shares=[1, 1], name=satellites.TAB)
+        return rrb.Horizontal(*grids, name=tab.name)
+    return rrb.Tabs(*grids, name=tab.name, active_tab=0)
 
 
 def _row(scene: Scene, row: Sequence[Plot]) -> Any:

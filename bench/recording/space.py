@@ -11,20 +11,20 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Sensed, Trajectory
-from bench.recording.meshes import MESHES
-from bench.recording.plots import (
+from bench.recording.content import Motion
+from bench.recording.drawing import (
     AXIS_COLOURS,
     FIX,
     SLOW,
     TIMELINE,
     TRUTH,
     Colour,
-    Motion,
     entity,
     estimator_colours,
     round_number,
     thin,
 )
+from bench.recording.meshes import MESHES
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ from bench.data import NavSolution, Sensed
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.instruments import INSTRUMENTS
-from bench.recording.plots import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour, Motion
+from bench.recording.content import Motion
+from bench.recording.drawing import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour
 from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")

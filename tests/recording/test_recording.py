@@ -32,7 +32,8 @@ from bench.data import (
 from bench.evaluation.error_series import error_series
 from bench.flight.legs.turns import FigureEight
 from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
-from bench.recording import plots, words
+from bench.recording import drawing, words
+from bench.recording.tabs import comparison
 from bench.specs import (
     AircraftSpec,
     AssumedSpecs,
@@ -352,7 +353,7 @@ def test_a_failed_write_leaves_the_folder_as_it_was(run, tmp_path, monkeypatch):
         with pytest.raises(OSError, match="No space left"):
             recording.write(path, **run)
     with monkeypatch.context() as patch:
-        patch.setattr(recording.plots, "send", lambda *_: 1 / 0)
+        patch.setattr(recording.drawing, "send", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             recording.write(path, **run)
     assert [p.name for p in tmp_path.iterdir()] == ["flight.rrd"]
@@ -361,9 +362,9 @@ def test_a_failed_write_leaves_the_folder_as_it_was(run, tmp_path, monkeypatch):
 
 
 def test_rerun_may_not_drop_data_silently(run, tmp_path, monkeypatch):
-    send = recording.plots._send_scalars
+    send = recording.drawing._send_scalars
     monkeypatch.setattr(
-        recording.plots, "_send_scalars", lambda stream, entity, t, v: send(stream, entity, t[:-1], v)
+        recording.drawing, "_send_scalars", lambda stream, entity, t, v: send(stream, entity, t[:-1], v)
     )
     with pytest.raises(ValueError, match="length"):
         recording.write(tmp_path / "flight.rrd", **run)
@@ -428,7 +429,7 @@ def test_nees_stands_in_the_central_95_percent_of_chi_square(flight, run):
 def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path):
     """A line each, of the size of the error; an estimator alone is compared with nobody."""
     for label, error in run["errors"].items():
-        t, found = recording.column(flight, plots.entity("comparison", "horizontal", "of", label), SCALARS)
+        t, found = recording.column(flight, drawing.entity("comparison", "horizontal", "of", label), SCALARS)
         wanted = np.interp(t, error.t, np.hypot(error.pos_n[:, 0], error.pos_n[:, 1]))
         good = np.isfinite(wanted) & np.isfinite(found[:, 0])
         assert good.any()
@@ -436,7 +437,7 @@ def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path)
     alone = tmp_path / "alone.rrd"
     recording.write(alone, **only(run, [MAIN]))
     with pytest.raises(KeyError):
-        recording.column(alone, plots.entity("comparison", "horizontal", "of", MAIN), SCALARS)
+        recording.column(alone, drawing.entity("comparison", "horizontal", "of", MAIN), SCALARS)
 
 
 @pytest.mark.parametrize(
@@ -447,11 +448,12 @@ def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path)
 def test_a_filter_that_runs_away_does_not_flatten_a_comparison(sizes, top):
     t = np.arange(3.0)
     lines = tuple(
-        plots.Series(str(k), t, np.full((3, 1), x), ("",), ((0, 0, 0),), (1.0,)) for k, x in enumerate(sizes)
+        drawing.Series(str(k), t, np.full((3, 1), x), ("",), ((0, 0, 0),), (1.0,))
+        for k, x in enumerate(sizes)
     )
-    _, shown = plots.Plot("/p", "p", lines, far=plots.FAR).limits()
+    _, shown = drawing.Plot("/p", "p", lines, far=comparison.FAR).limits()
     assert top <= shown <= 1.3 * top
-    _, whole = plots.Plot("/p", "p", lines).limits()
+    _, whole = drawing.Plot("/p", "p", lines).limits()
     assert whole >= max(sizes)
 
 
@@ -651,7 +653,7 @@ def test_events_are_told_in_order_of_time(run, flight):
     ("low", "high"), [(-8.0, 8.3), (-0.3, 24.0), (1200.0, 1310.0), (5.0, 5.0), (0.0, 0.0), (-3e-7, 1e-7)]
 )
 def test_limits_hold_all_values_and_waste_little(low, high):
-    from bench.recording.plots import Plot, Series
+    from bench.recording.drawing import Plot, Series
 
     values = np.array([[99.0 * high + 7.0], [low], [high]])  # the first row lies in the alignment window
     series = Series("value", np.array([0.0, 1.0, 2.0]), values, ("v",), ((0, 0, 0),), (1.0,))

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, rotation
-from bench.recording import column, satellites, write
+from bench.recording import column, write
+from bench.recording.tabs import satellites
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.synthetic import still

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,10 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import GPS, SkyView, Trajectory
-from bench.recording.plots import AXIS_COLOURS, SLOW, TIMELINE, Colour, Plot, Rows, Series, entity, thin
+from bench.recording.content import Content, Tab
+from bench.recording.drawing import AXIS_COLOURS, SLOW, TIMELINE, Colour, Plot, Rows, Series, entity, thin
 from bench.signals import least_squares
 
-TAB = "Satellites"
 SKY = "/sky"
 """Entity of the sky plot: x east, y south, 1 at the horizon."""
 
@@ -26,10 +27,11 @@ _PACE = 1.0  # of the sky plot [Hz]
 _WORST = 50.0  # a larger DOP is no geometry to speak of
 
 
-def rows(sky: SkyView) -> Rows:
-    """Return the plots of the tab: C/N0 by system, satellites used, DOP."""
-    if not len(sky):
-        return []
+def _plots(content: Content) -> Mapping[str, Rows]:
+    """Return C/N0 by system, satellites used, DOP."""
+    sky = content.sensed.sky
+    if sky is None or not len(sky):
+        return {}
     first, t = _epochs(sky)
     start = np.append(first, len(sky))
     count = np.add.reduceat(sky.used, first, dtype=np.int64).astype(float)
@@ -55,13 +57,16 @@ def rows(sky: SkyView) -> Rows:
         "Dilution of precision",
         (_lines("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS),),
     )
-    return [[plot] for plot in (*strength, numbers, geometry)]
+    return {"": [[plot] for plot in (*strength, numbers, geometry)]}
 
 
-def send(stream: Any, sky: SkyView, truth: Trajectory, antenna_mask: float) -> None:
+def _send(stream: Any, content: Content) -> None:
     """Send the sky plot: satellites by what the receiver has of them, and where its antenna ends to see."""
     import rerun as rr
 
+    sky, truth, antenna_mask = content.sensed.sky, content.motion, content.antenna_mask
+    if sky is None or antenna_mask is None or not isinstance(truth, Trajectory):
+        return
     circle = np.linspace(0.0, 2.0 * np.pi, 73)
     rings = [_place(np.full(73, np.deg2rad(el)), circle) for el in (0.0, 30.0, 60.0)]
     stream.log(f"{SKY}/rings", rr.LineStrips2D(rings, colors=_FRAME), static=True)
@@ -100,7 +105,7 @@ def send(stream: Any, sky: SkyView, truth: Trajectory, antenna_mask: float) -> N
     )
 
 
-def view() -> Any:
+def _view() -> Any:
     """Return the view of the sky plot."""
     import rerun.blueprint as rrb
 
@@ -158,3 +163,6 @@ def _lines(
 ) -> Series:
     keep = thin(t, SLOW)
     return Series(key, t[keep], values[keep], names, colours, (1.5,) * len(names))
+
+
+SATELLITES = Tab("Satellites", 80, _plots, _view, _send)

@@ -1,0 +1,79 @@
+"""What a recording is made of, and what a tab of plots is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import (
+    AirData,
+    Controls,
+    ErrorSeries,
+    Events,
+    NavSolution,
+    Sensed,
+    Trajectory,
+    no_air,
+    no_controls,
+    no_events,
+)
+from bench.errors import NothingToShowError
+from bench.recording.drawing import Colour, Rows, estimator_colours
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """The motion that carries the vehicle where there is no truth."""
+
+    t: FloatArray  # (N,) [s]
+    lla: FloatArray  # (N, 3)
+    vel_n: FloatArray  # (N, 3) [m/s], n
+    q_nb: FloatArray  # (N, 4)
+    air: AirData
+    controls: Controls
+    events: Events
+
+
+Motion = Trajectory | Carrier
+
+
+def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
+    """Return the motion the first estimator that has one says there was, where it is finite."""
+    for one in solutions.values():
+        good = np.isfinite(np.hstack([one.lla, one.vel_n, one.q_nb])).all(axis=1)
+        if good.any():
+            rows = (one.t[good], one.lla[good], one.vel_n[good], one.q_nb[good])
+            return Carrier(*rows, no_air(), no_controls(), no_events())
+    raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What of a run there is to plot."""
+
+    motion: Motion
+    sensed: Sensed
+    solutions: Mapping[str, NavSolution]
+    errors: Mapping[str, ErrorSeries]
+    evaluation_from: float  # end of the alignment window; earlier values do not scale a plot [s]
+    antenna_mask: float | None = None  # elevation against b below which the antenna receives nothing [rad]
+
+    @property
+    def colours(self) -> dict[str, Colour]:
+        """The colour of each estimator."""
+        return estimator_colours(self.solutions)
+
+
+@dataclass(frozen=True, slots=True)
+class Tab:
+    """A tab of the recording: a constant in a module of `bench.recording.tabs`."""
+
+    name: str
+    place: int  # tabs stand in the order of it
+    plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the estimator; "": of none
+    view: Callable[[], Any] | None = None  # a view of another kind beside the plots
+    send: Callable[[Any, Content], None] | None = None  # what that shows, into a stream

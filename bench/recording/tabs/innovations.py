@@ -1,0 +1,90 @@
+"""Innovations of each sensor with the 3 sigma that the filter expects, their NIS, and the NEES."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from bench.arrays import BoolArray
+from bench.data import ErrorSeries, Innovations, NavSolution
+from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
+from bench.instruments import INSTRUMENTS
+from bench.recording.content import Content, Tab
+from bench.recording.drawing import (
+    AXES_N,
+    BAND,
+    MOST_ROWS,
+    REJECTED,
+    Colour,
+    Plot,
+    Rows,
+    Series,
+    draw_dots,
+    draw_line,
+    entity,
+)
+
+_MEASURED = {
+    "gnss_position": ("GNSS position", "m"),
+    "gnss_velocity": ("GNSS velocity", "m/s"),
+    **{row.innovation: (row.quantity, row.unit) for row in INSTRUMENTS.values()},
+}
+"""Title and unit by sensor."""
+
+
+def _plots(content: Content) -> Mapping[str, Rows]:
+    found = {}
+    for label, colour in content.colours.items():
+        rows = _rows(label, content.solutions[label], content.errors[label], colour)
+        found[label] = [[replace(plot, scale_from=content.evaluation_from) for plot in row] for row in rows]
+    return found
+
+
+def _rows(label: str, solution: NavSolution, error: ErrorSeries, colour: Colour) -> Rows:
+    """Return a row per sensor: the innovation of each component, then the NIS; and the NEES."""
+    rows: list[list[Plot]] = []
+    table = solution.innovations
+    for sensor, nis in nis_by_sensor(table).items():
+        title, unit = _MEASURED.get(sensor, (sensor, "SI"))
+        here = table.code == table.sensor.index(sensor)
+        components = np.unique(table.component[here])
+        row = []
+        for component in components:
+            axis = AXES_N[component] if len(components) > 1 else "value"
+            path = entity("estimators", label, "innovation", sensor, axis)
+            name = f"{title} innovation" if axis == "value" else f"{title} innovation {axis}"
+            one = here & (table.component == component)
+            row.append(Plot(path, f"{label}: {name} [{unit}]", _innovation_series(table, one, colour)))
+        path, dof = entity("estimators", label, "nis", sensor), int(nis.dof.max())
+        squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
+        rows.append([*row, _chi_square(path, f"{label}: NIS of {title}", squares, dof)])
+    if np.isfinite(error.nees).any():
+        nees = draw_line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
+        plot = _chi_square(entity("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
+        if not rows or len(rows[-1]) > 2:
+            rows.append([])
+        rows[-1].append(plot)
+    return rows
+
+
+def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> tuple[Series, ...]:
+    t, z, three, used = table.t[rows], table.z[rows], 3.0 * np.sqrt(table.S[rows]), table.accepted[rows]
+    bounds = Series("bounds", t, np.column_stack([three, -three]), ("±3√S", "±3√S"), (BAND, BAND), (1.0, 1.0))
+    series = [bounds, draw_dots("used", t[used], z[used], "used", colour)]
+    if not used.all():
+        series.append(draw_dots("rejected", t[~used], z[~used], "rejected", REJECTED, size=3.0))
+    return tuple(series)
+
+
+def _chi_square(path: str, title: str, squares: Series, dof: int) -> Plot:
+    """Return a plot of normalized squares with the central 95 % of chi-square."""
+    edges = [chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)]
+    band = Series(
+        "band", squares.t[[0, -1]], np.array([edges, edges]), ("95 % band",) * 2, (BAND, BAND), (1.0, 1.0)
+    )
+    return Plot(path, f"{title} ({dof} expected)", (band, squares))
+
+
+INNOVATIONS = Tab("Innovations", 60, _plots)
