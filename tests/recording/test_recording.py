@@ -246,7 +246,7 @@ def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
             aircraft, rate, *ORIGIN, 0.6, 28.0, 4.0, 3.2, 0, 7, (FigureEight(0.4, 6),), duration
         ),
         sensors=SensorsSpec(
-            imu, gnss, baro, specs, (0.0, 0.0, 0.0), (outage,), three, three, 0.01, 0.03, 10.0
+            imu, gnss, specs, (0.0, 0.0, 0.0), (outage,), three, three, 0.01, 0.03, 10.0, baro=baro
         ),
         estimators=(EstimatorChoice("loose-15", MAIN), EstimatorChoice("free-inertial", "free-inertial")),
         evaluation_from=min(60.0, duration / 2),

@@ -86,4 +86,13 @@ def _wrap_line(line: str) -> str:
     return fill(line, _WIDTH, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
 
 
-__all__ = ["FORMATS", "README", "ExportData", "Format", "check_export_folder", "gather", "report_damage", "write"]
+__all__ = [
+    "FORMATS",
+    "README",
+    "ExportData",
+    "Format",
+    "check_export_folder",
+    "gather",
+    "report_damage",
+    "write",
+]
