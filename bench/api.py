@@ -105,11 +105,11 @@ def run(
     Raises
     ------
     bench.errors.ConfigError
-        When the profile or an argument is wrong.
+        If the profile or an argument is wrong.
     bench.errors.EstimatorError
-        When an estimator cannot be built.
+        If an estimator cannot be built.
     bench.errors.FlightError
-        When the aircraft cannot be loaded, trimmed or flown.
+        If the aircraft cannot be loaded, trimmed or flown.
     """
     if isinstance(profile, Profile):
         if (seed, estimators, sensors) != (None, None, None):
@@ -186,7 +186,7 @@ def save(
     bench.errors.ConfigError
         If the folder cannot be made or is not to be replaced, or the result has no records.
     OSError
-        If the disk does not take it; nothing is left behind.
+        If the file cannot be written; nothing is left behind.
     """
     folder, sensed = Path(folder), result.sensed
     if sensed is None:

@@ -1,11 +1,10 @@
-"""Accuracy limits of profiles: what each metric was when it was last accepted, and whether it still is.
+"""Accuracy limits of profiles: the last accepted value of each metric, and whether it still holds.
 
-A baseline is ``<profile>.json`` in a folder of them: by estimator and metric the mean
-over some runs (the sensor draws 0, 1, ... of the profile's seed on one truth), its
-standard error, the tolerance, the direction and the reason of the tolerance. A check
-flies the same truth and the same draws, so that a difference is a change of the code,
-however small beside the spread of the draws. The mean of an RMSE over runs is a number
-to compare with, not a pooled RMSE.
+A baseline is a file ``<profile>.json``. For each estimator and metric it holds the mean over some runs (noise
+draws 0, 1, ... of the profile's seed on one truth), its standard error, the tolerance, the direction and the
+reason for the tolerance. A check repeats the same truth and the same draws, so any difference comes from the
+code, even if it is small compared with the spread of the draws. The mean of an RMSE over runs is a number to
+compare with, not a pooled RMSE.
 """
 
 from __future__ import annotations
@@ -30,25 +29,25 @@ from bench.specs import Profile
 from bench.wording import suggest
 
 DIRECTORY = Path("tests/baselines")
-"""Where ``bench check`` looks for baselines when not told."""
+"""Default folder of the baselines of ``bench check``."""
 
 RUNS = 10
-"""Sensor draws of a new baseline."""
+"""Number of noise draws of a new baseline."""
 
 PROBABILITY = 0.999
-"""A mean of fewer draws lies within its allowance of the mean of all with this probability."""
+"""Probability that the mean of fewer draws lies within its allowance of the mean of all."""
 
 RELATIVE_TOLERANCE = 0.02
-"""Tolerance of the same draws, as a fraction of the mean [1]: other processors and library versions."""
+"""Tolerance for the same draws on other processors and library versions, as a fraction of the mean [1]."""
 
 CONVERGED = "converged"
-"""Name of the fraction of runs that converged, which stands in every baseline."""
+"""Name of the fraction of runs that converged; every baseline holds it."""
 
 _PATH = ".toml"
 
 Direction = Literal["lower", "higher", "both"]
 Progress = Callable[[str, int, int], None]
-"""Called with the profile's name, the runs done and the runs wanted."""
+"""Called with the name of the profile, the number of finished runs and the number of all runs."""
 
 
 class Limit(Table):
@@ -56,10 +55,10 @@ class Limit(Table):
 
     mean: float
     standard_error: Annotated[float, NOT_NEGATIVE]
-    n: Annotated[int, Field(ge=1)]  # runs that have the metric
+    n: Annotated[int, Field(ge=1)]  # number of runs that have the metric
     tolerance: Annotated[float, NOT_NEGATIVE]
-    direction: Direction  # "lower": a smaller mean is better; "both": any change is worse
-    reason: str  # where the tolerance comes from
+    direction: Direction  # "lower": smaller is better; "both": any change is worse
+    reason: str  # for the tolerance
 
 
 class _File(Table):
@@ -87,7 +86,7 @@ class Verdict:
     estimator: str
     metric: str
     expected: float
-    measured: float | None  # None when no run has the metric any more
+    measured: float | None  # None if no run has the metric any more
     tolerance: float
     direction: Direction
     regressed: bool
@@ -100,9 +99,8 @@ Measured = Mapping[str, Mapping[str, Statistic]]
 def measure(results: Sequence[RunResult]) -> dict[str, dict[str, Statistic]]:
     """Return the statistics of every metric that baselines hold, by estimator.
 
-    The metrics are those with a direction in :data:`bench.evaluation.metrics.METRICS`,
-    after the alignment window, over the runs in which they are numbers; and the
-    fraction of runs that converged.
+    These are the metrics with a direction in :data:`bench.evaluation.metrics.METRICS`, after the alignment
+    window, over the runs that have them, and the fraction of runs that converged.
     """
     measured: dict[str, dict[str, Statistic]] = {}
     for label in results[0].metrics:
@@ -118,7 +116,7 @@ def measure(results: Sequence[RunResult]) -> dict[str, dict[str, Statistic]]:
 
 
 def _find_direction(name: str) -> Direction | None:
-    """Return which way a metric gets worse, or None for one that baselines do not hold."""
+    """Return the direction in which a metric is better, or None if baselines do not hold it."""
     if name == CONVERGED:
         return "higher"
     row = None if name.endswith("_all") else find_metric(name)
@@ -133,23 +131,23 @@ def _make_statistic(values: Sequence[float]) -> Statistic:
 def record(
     profile: Profile, runs: int = RUNS, *, source: str | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Fly a profile, navigate some sensor draws and return its baseline, ready for :func:`write`.
+    """Fly a profile, run its estimators on some noise draws, and return its baseline for :func:`write`.
 
     Parameters
     ----------
     profile : Profile
         What to fly.
     runs : int
-        Sensor draws, at least 2.
+        Number of noise draws, at least 2.
     source : str
-        What :func:`bench.config.load_profile` finds the profile by; default its name.
+        Name or path with which :func:`bench.config.load_profile` finds the profile; default its name.
     progress : callable
-        Told how far the runs are.
+        Called before each run and after the last one, as `Progress` says.
 
     Raises
     ------
     ConfigError
-        When there are fewer than two runs.
+        If there are fewer than two runs.
     """
     if runs < 2:
         raise ConfigError(f"runs = {runs} must be at least 2: the standard error comes from the spread")
@@ -167,7 +165,7 @@ def record(
 
 
 def _make_limit(name: str, found: Statistic) -> dict[str, Any]:
-    """Return the limit of a metric over the same draws."""
+    """Return the limit of a metric for a check with the same draws."""
     row = find_metric(name)
     if row is None:  # the fraction of runs that converged
         tolerance, reason = 0.0, "a run that diverges is worse"
@@ -180,9 +178,9 @@ def _make_limit(name: str, found: Statistic) -> dict[str, Any]:
 
 
 def _allow_for_fewer_draws(limit: Mapping[str, Any], m: int) -> float:
-    """Return how far the mean of m of the n draws may lie from the mean of all, by their spread.
+    """Return how far the mean of m of the n draws may lie from the mean of all n.
 
-    Student's t with n - 1 degrees of freedom times the standard error of a mean of m of n.
+    It is Student's t with n - 1 degrees of freedom times the standard error of the mean of m of n draws.
     """
     from scipy.special import stdtrit
 
@@ -199,14 +197,19 @@ def _fly_runs(profile: Profile, runs: int, progress: Progress | None) -> list[Ru
     for k in range(runs):
         if progress:
             progress(profile.name, k, runs)
-        results.append(replace(pipeline.run(profile, run=k, truth=truth), records={}))  # metrics alone
+        results.append(
+            replace(pipeline.run(profile, run=k, truth=truth), records={})
+        )  # keep only the metrics
     if progress:
         progress(profile.name, runs, runs)
     return results
 
 
 def write(directory: Path, baseline: Mapping[str, Any]) -> Path:
-    """Write a baseline into a folder, atomically, and return its file; it names its profile from there."""
+    """Write a baseline into a folder, atomically, and return its path.
+
+    The path of its profile is stored relative to the folder.
+    """
     source = str(baseline["profile"])
     path = directory / f"{Path(source).stem}.json"
     directory.mkdir(parents=True, exist_ok=True)
@@ -217,12 +220,12 @@ def write(directory: Path, baseline: Mapping[str, Any]) -> Path:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return a baseline, its profile as :func:`bench.config.load_profile` finds it.
+    """Read a baseline; its profile is a name or path for :func:`bench.config.load_profile`.
 
     Raises
     ------
     ConfigError
-        One message per thing that is wrong with the file.
+        One message for each problem in the file.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -235,15 +238,15 @@ def read(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise ConfigError(f"{path}: must hold one JSON object")
     baseline = check_table(_File, document, str(path)).model_dump()
-    wrong: list[str] = []
+    problems: list[str] = []
     for label, metrics in baseline["estimators"].items():
         for name, limit in metrics.items():
-            with collect_errors(wrong):
+            with collect_errors(problems):
                 check_table(Limit, limit, f"{path}: [estimators.{label}.{name}]")
     if not any(baseline["estimators"].values()):
-        wrong.append(f"{path}: [estimators] holds no limit; 'bench check --record' writes some")
-    if wrong:
-        raise ConfigError(*wrong)
+        problems.append(f"{path}: [estimators] holds no limit; 'bench check --record' writes some")
+    if problems:
+        raise ConfigError(*problems)
     if baseline["profile"].endswith(_PATH):
         baseline["profile"] = os.path.normpath(path.parent / baseline["profile"])
     return baseline
@@ -252,10 +255,10 @@ def read(path: Path) -> dict[str, Any]:
 def compare(baseline: Mapping[str, Any], measured: Measured) -> list[Verdict]:
     """Return a verdict for every metric of a baseline.
 
-    A metric is worse when its mean lies beyond the tolerance on the wrong side: above for
-    direction "lower", below for "higher", on either for "both", which knows no improvement;
-    also when no run has it any more. Over fewer or more draws than the baseline has, the tolerance is
-    wider by what the spread of the draws explains.
+    A metric is worse if its mean is out of tolerance on the wrong side: above for direction "lower", below
+    for "higher", either for "both", which has no better side. It is also worse if no run has it any more.
+    If the number of draws differs from that of the baseline, the tolerance is wider by what their spread
+    explains.
     """
     verdicts = []
     for label, limits in baseline["estimators"].items():
@@ -291,29 +294,29 @@ def check(
     runs: int | None = None,
     progress: Progress | None = None,
 ) -> list[Verdict]:
-    """Fly the profiles that have a baseline and compare.
+    """Fly the profiles that have a baseline and compare their metrics with it.
 
     Parameters
     ----------
     directory : Path
         Folder of the baselines.
     names : sequence of str
-        Profiles, by the name of their file; all of the folder when None.
+        Names of the baselines, without ``.json``; None checks all in the folder.
     runs : int
-        Sensor draws; as many as the baseline has when None.
+        Number of noise draws; None takes as many as the baseline has.
     progress : callable
-        Told how far the runs of each profile are.
+        Called before each run and after the last one of each profile.
 
     Raises
     ------
     ConfigError
-        When a baseline is missing or malformed, or its profile is; before anything flies.
+        If a baseline or its profile is missing or malformed. This is checked before anything is flown.
     """
     if runs is not None and runs < 1:
         raise ConfigError(f"runs = {runs} must be at least 1")
     known = sorted(path.stem for path in directory.glob("*.json"))
     if not known:
-        raise ConfigError(f"{directory}: no baseline (*.json) there; 'bench check --record' makes one")
+        raise ConfigError(f"{directory}: no baseline (*.json) in it; 'bench check --record' makes one")
     unknown = [name for name in names or () if name not in known]
     if unknown:
         raise ConfigError(
@@ -321,13 +324,14 @@ def check(
         )
     baselines = [read(directory / f"{name}.json") for name in names or known]
     profiles = [load_profile(baseline["profile"]) for baseline in baselines]
-    moved = [
-        f"{directory / profile.name}.json: seed = {baseline['seed']} is not the profile's, {profile.seed}"
+    changed = [
+        f"{directory / profile.name}.json: seed = {baseline['seed']} differs from the profile's "
+        f"seed = {profile.seed}"
         for baseline, profile in zip(baselines, profiles, strict=True)
         if baseline["seed"] != profile.seed
     ]
-    if moved:
-        raise ConfigError(*moved)
+    if changed:
+        raise ConfigError(*changed)
     verdicts = []
     for baseline, profile in zip(baselines, profiles, strict=True):
         results = _fly_runs(profile, runs or baseline["runs"], progress)

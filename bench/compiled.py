@@ -1,8 +1,8 @@
-"""The one door to numba: ``@kernel``, and where compiled code is cached.
+"""The only module that imports numba: ``@kernel``, and the folder where compiled code is cached.
 
-numba's own cache does not notice a change in another module and would return a
-stale result. The cache folder is therefore named by the sources that use this
-door, the versions of numba, numpy and Python, and the CPU.
+numba's own cache does not notice a change in another module and would return stale results. The name of the
+cache folder is therefore a hash of the sources that import this module, the versions of numba, numpy and
+Python, and the CPU.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile a function on first use: arrays in and out, no checks, no allocation, no fastmath.
+    """Compile a function on its first call: arrays in and out, no checks, no allocation, no fastmath.
 
     Division follows IEEE 754 (infinity and NaN, no exception), as numpy does.
     """
@@ -36,7 +36,7 @@ def kernel(function: _Function) -> _Function:
 
 
 def inner(function: _Function) -> _Function:
-    """Compile a function that only kernels call: without a door to Python it takes a third less time."""
+    """Compile a function that only kernels call; without its Python wrapper this takes a third less time."""
     return cast(_Function, numba.njit(**_OPTIONS | {"no_cpython_wrapper": True})(function))
 
 
@@ -58,9 +58,9 @@ def _name_cpu() -> str:
 
 
 def _choose_cache() -> None:
-    """Point numba at the folder of this fingerprint and remove folders unused for 30 days.
+    """Set the cache folder of numba and remove folders unused for 30 days.
 
-    ``NUMBA_CACHE_DIR``, when the user sets it, is left alone.
+    If the user sets ``NUMBA_CACHE_DIR``, nothing is changed.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
@@ -69,7 +69,7 @@ def _choose_cache() -> None:
     if folder.exists():
         try:
             os.utime(folder)
-        except OSError:  # a cache shared read-only still serves
+        except OSError:  # a read-only shared cache is still used
             return
     _remove_unused(folder.parent, keep=folder)
 
@@ -78,7 +78,7 @@ def _remove_unused(root: Path, keep: Path) -> None:
     oldest = time.time() - _UNUSED_DAYS * 86400
     try:
         stale = [f for f in root.iterdir() if f != keep and f.is_dir() and f.stat().st_mtime < oldest]
-    except OSError:  # absent, or another process is cleaning
+    except OSError:  # absent, or another process is removing folders
         return
     for folder in stale:
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""A recording of real sensors: read, checked, navigated, and judged by fixes the filters were not given."""
+"""Read and check a recording of real sensors, run filters on it, and judge them by withheld fixes."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from bench.units import SAME_INSTANT
 
 @dataclass(frozen=True, slots=True)
 class RecordedLog:
-    """A recording with what looks wrong in it, and the estimators that are to run on it."""
+    """A recording, the checks of its data, and the estimators to run on it."""
 
     spec: LogSpec
     records: LogRecords
-    checks: tuple[validity.Check, ...]  # `good` or not
+    checks: tuple[validity.Check, ...]  # each with its verdict `good`
     estimators: Mapping[str, estimator.Estimator]  # by label
 
 
@@ -50,23 +50,23 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
     session = Session(spec, log.records, find_start(log.records, spec))
     for duration in durations:
         session.check_room(duration)
-    keep, withheld = session.withheld()
-    data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
-    there = {name for name in estimator.RECORDS if getattr(data, name) is not None}
+    keep, withheld = session.split_fixes()
+    data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
+    present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
     for label, one in log.estimators.items():
-        estimator.check_needs(one, label, there, spec.name)
+        estimator.check_needs(one, label, present, spec.name)
     solutions, errors, metrics, drifts = {}, {}, {}, []
     for label, one in log.estimators.items():
         solutions[label] = estimator.answer(one, label, data, session.initial)
         errors[label], metrics[label] = judge(solutions[label], withheld, data, spec.evaluation_from)
-        if asked := getattr(one, "unmodelled", None):
-            metrics[label]["unmodelled"] = list(asked(spec.assumed))
+        if list_errors := getattr(one, "unmodelled", None):
+            metrics[label]["unmodelled"] = list(list_errors(spec.assumed))
         for duration in durations:
-            cuts = session.cuts(one, label, duration, places)
-            drifts.append(make_drift_row(label, duration, cuts, spec.assumed.imu))
-    doubts = [check for check in log.checks if not check.good]
+            outage_drifts = session.run_outages(one, label, duration, places)
+            drifts.append(make_drift_row(label, duration, outage_drifts, spec.assumed.imu))
+    suspicious = [check for check in log.checks if not check.good]
     last = float(log.records.imu.t.max())
-    events = Events.from_rows([(0.0, last, "sanity", check.text) for check in doubts])
+    events = Events.from_rows([(0.0, last, "sanity", check.text) for check in suspicious])
     checks = [{"name": c.name, "value": c.value, "good": c.good, "text": c.text} for c in log.checks]
     return RunResult(
         profile=spec.document,
@@ -90,13 +90,13 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
 
 
 class Session:
-    """A recording from its start on, with the fixes a filter is given and those that judge it."""
+    """A recording from its start on: the data for the filters and the withheld fixes that judge them."""
 
     def __init__(self, spec: LogSpec, recorded: LogRecords, initial: InitialState) -> None:
         fixes, imu = recorded.fixes, recorded.imu
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
-        begun = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
-        good = fixes.valid & (fixes.t > newest) & begun & (fixes.t <= imu.t.max())
+        after_start = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
+        good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
         self.fixes = _select_fixes(fixes, good)
         if not len(self.fixes):
@@ -109,20 +109,20 @@ class Session:
             )
         self.first, self.last = max(initial.t, spec.evaluation_from), last
 
-    def grid(self) -> FloatArray:
-        """Return the instants at which solutions are wanted [s]."""
+    def make_output_times(self) -> FloatArray:
+        """Return the output instants [s], a whole number of output intervals after t = 0."""
         step = 1.0 / self.spec.output_rate
         return np.arange(np.ceil(self.initial.t / step), np.floor(self.last / step) + 1) * step
 
-    def withheld(self) -> tuple[BoolArray, GnssFixes]:
-        """Return which fixes (M,) a filter is given, and the others: every n-th."""
+    def split_fixes(self) -> tuple[BoolArray, GnssFixes]:
+        """Return a mask (M,) of the fixes that filters get, and the withheld fixes: every n-th."""
         keep = np.ones(len(self.fixes), np.bool_)
         if self.spec.withhold:
             keep[self.spec.withhold - 1 :: self.spec.withhold] = False
         return keep, _select_fixes(self.fixes, ~keep)
 
-    def data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
-        """Return what an estimator gets: fixes to keep, IMU intervals that end at them and at outputs."""
+    def make_data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
+        """Return the data for an estimator; IMU intervals are divided to end at each fix and output."""
         fixes, output_t = _select_fixes(self.fixes, keep), np.unique(output_t)
         baro = self.recorded.baro
         cuts = [output_t, fixes.t] + ([baro.t] if baro is not None else [])
@@ -136,28 +136,29 @@ class Session:
         )
 
     def check_room(self, duration: float) -> None:
-        """Raise ConfigError when an outage is longer than what there is of the recording."""
+        """Raise ConfigError if an outage does not fit into the judged part of the recording."""
         last = float(self.fixes.t[-1])
         if self.first + duration > last:
             raise ConfigError(
-                f"--outages: {duration:g} s do not fit between {self.first:.1f} and {last:.1f} s, where the "
-                "filters are judged"
+                f"--outages: {duration:g} s do not fit into the judged time, {self.first:.1f} to {last:.1f} s"
             )
 
-    def cuts(self, one: estimator.Estimator, label: str, duration: float, places: int) -> list[OutageDrift]:
-        """Return the drift over an outage at each place, each in a run of its own."""
+    def run_outages(
+        self, one: estimator.Estimator, label: str, duration: float, places: int
+    ) -> list[OutageDrift]:
+        """Return the drift over an outage at several places; the estimator runs once for each."""
         t = self.fixes.t
-        found = []
+        drifts = []
         for begin in outages.place_outages(self.first, float(t[-1]), duration, places):
             before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
             end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
-            data = self.data(keep, t[end : end + 1])
+            data = self.make_data(keep, t[end : end + 1])
             solution = estimator.answer(one, label, data, self.initial)
             last = _select_fixes(self.fixes, np.arange(len(t)) == end)
             error = antenna_errors(solution, last, data).pos_n[0]
             variance = np.diag(solution.cov[0])
-            found.append(
+            drifts.append(
                 OutageDrift(
                     start=float(t[before]),
                     duration=float(t[end] - t[before]),
@@ -166,9 +167,9 @@ class Session:
                     claimed=float(np.sqrt(0.5 * (variance[0] + variance[1]))),
                 )
             )
-        return found
+        return drifts
 
 
 def _select_fixes(fixes: GnssFixes, rows: BoolArray) -> GnssFixes:
-    """Return some of the fixes."""
+    """Return the selected rows of the fixes."""
     return GnssFixes(**{f.name: getattr(fixes, f.name)[rows] for f in fields(fixes)})

@@ -19,14 +19,14 @@ from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
 def fly(
     profile: Profile, *, cache: bool = True, progress: Callable[[float], None] | None = None
 ) -> Trajectory:
-    """Return the truth of a profile, from the cache where it has been flown before.
+    """Return the truth of a profile, from the cache if it was flown before.
 
     Raises
     ------
     bench.errors.FlightError
-        When the aircraft cannot be loaded, trimmed or flown.
+        If the aircraft cannot be loaded, trimmed or flown.
     bench.errors.ConfigError
-        When a trajectory table cannot be used.
+        If a trajectory table cannot be used.
     """
     if cache:
         return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress))
@@ -34,10 +34,10 @@ def fly(
 
 
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
-    """Fly a profile, keep its truth in the cache, and return what `bench.flight.Summary` says of it.
+    """Fly a profile, store its truth in the cache, and return its figures.
 
-    With the replay of `bench.evaluation.replay`. The truth is in memory a piece at a time. Errors as
-    for :func:`fly`.
+    They are those of `bench.flight.Summary` and `bench.evaluation.replay`. Only one piece of the truth is in
+    memory at a time. Errors as for :func:`fly`.
     """
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), _summarize, sources)
@@ -65,32 +65,32 @@ def _fly_pieces(profile: Profile, progress: Callable[[float], None] | None) -> I
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
-    """Return what the sensors of a profile report on a truth, in the noise draw ``run`` of its seed."""
+    """Return the sensor data of a profile for a truth, with noise draw ``run`` of the profile's seed."""
     from bench import sensors
 
     return sensors.sense(truth, profile.sensors, profile.seed, run)
 
 
 def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -> NavSolution:
-    """Return the solution of one estimator; it gets the sensors and nothing of the truth.
+    """Return the solution of one estimator, which gets the sensor data and never the truth.
 
     Raises
     ------
     bench.errors.EstimatorError
-        When there is no such estimator, it refuses its options, or its answer is no solution.
+        If there is no such estimator, its options are wrong, or it does not return a valid solution.
     bench.errors.EstimatorFailedError
-        When its ``run`` raises.
+        If its ``run`` raises an exception.
     """
     return estimator.answer(build_estimator(choice), choice.label, data, initial)
 
 
 def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
-    """Return the estimator of a choice: built in, a class, a solution in a file, or a program.
+    """Build an estimator: a built-in one, a class, a solution in a file, or a program.
 
     Raises
     ------
     bench.errors.EstimatorError, bench.errors.ConfigError
-        When there is no such estimator, file or program, or it refuses its options.
+        If there is no such estimator, file or program, or its options are wrong.
     """
     if choice.use.startswith(("file:", "command:")):
         from bench.exchange import outside
@@ -124,11 +124,11 @@ def run(
     Parameters
     ----------
     profile : Profile
-        What to do; ``bench.config.load_profile`` makes one.
+        What to fly and evaluate, as ``bench.config.load_profile`` returns it.
     run : int
-        The noise draw of the profile's seed.
+        Number of the noise draw.
     truth : Trajectory or None
-        The truth, when it is at hand.
+        The truth, if it has been flown already.
     progress : callable or None
         Called with the seconds flown so far.
     """
@@ -136,7 +136,7 @@ def run(
     for label, one in built.items():
         estimator.check_needs(one, label, _list_records(profile))
     clock = {"fly": time.process_time()}
-    given = truth is not None
+    own_truth = truth is not None
     if truth is None:
         truth = fly(profile, progress=progress)
     _check_times(profile, float(truth.t[-1]))
@@ -150,7 +150,7 @@ def run(
     judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
     clock["end"] = time.process_time()
     steps = list(clock)
-    hashes = {"truth": None if given else store.truth_key(profile.flight)}
+    hashes = {"truth": None if own_truth else store.truth_key(profile.flight)}
     hashes["sensors"] = store.hash_spec(profile.sensors)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
     return RunResult(
@@ -173,47 +173,47 @@ def run(
 
 
 def _check_times(profile: Profile, end: float) -> None:
-    """Raise ConfigError when an outage or the alignment window lies beyond a flight now that it is flown."""
-    wrong = [
+    """Raise ConfigError if an outage, a fault or the alignment window ends after the end of the flight."""
+    problems = [
         f"{profile.name}: [[gnss_outage]] {k}: its end at {stop:g} s is outside the flight, 0 to {end:g} s"
         for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
         if stop > end
     ]
-    wrong += [
+    problems += [
         f"{profile.name}: [[fault]] {k} ({fault.kind}): its end at {fault.end:g} s is outside the flight, "
         f"0 to {end:g} s"
         for k, fault in enumerate(profile.sensors.faults, 1)
         if fault.end > end
     ]
     if profile.evaluation_from >= end:
-        wrong.append(
+        problems.append(
             f"{profile.name}: [evaluation] from_s = {profile.evaluation_from:g} s is outside the flight, "
             f"0 to {end:g} s"
         )
-    if wrong:
-        raise ConfigError(*wrong)
+    if problems:
+        raise ConfigError(*problems)
 
 
 def _list_records(profile: Profile) -> set[str]:
-    """Return the records of `SensorData` that the sensors of a profile give."""
+    """Return the names of the `SensorData` records that the sensors of a profile produce."""
     on_board = profile.sensors
-    found = {name for name in INSTRUMENTS if getattr(on_board, name) is not None}
+    records = {name for name in INSTRUMENTS if getattr(on_board, name) is not None}
     if on_board.gnss is not None:
-        found |= {"fixes"} if on_board.gnss.sky is None else {"fixes", "observations"}
-    return found
+        records |= {"fixes"} if on_board.gnss.sky is None else {"fixes", "observations"}
+    return records
 
 
 def _describe_program(solution: NavSolution) -> dict[str, Any]:
-    """Return how a program that stands for an estimator ended, and the end of what it wrote to stderr."""
-    said = {kind: [text for _, _, text in solution.events.of(kind)] for kind in ("program", "stderr")}
-    return {"program": {kind: " ".join(texts) for kind, texts in said.items()}} if said["program"] else {}
+    """Return how an external program ended, and the end of its stderr; empty for other estimators."""
+    texts = {kind: [text for _, _, text in solution.events.of(kind)] for kind in ("program", "stderr")}
+    return {"program": {kind: " ".join(parts) for kind, parts in texts.items()}} if texts["program"] else {}
 
 
 def _list_unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:
-    """Return the errors of the true units that an estimator says it has no state for."""
-    asked = getattr(built, "unmodelled", None)
-    if asked is None:
+    """Return the sensor errors that an estimator reports to have no state for; None if it reports nothing."""
+    list_errors = getattr(built, "unmodelled", None)
+    if list_errors is None:
         return None
     on_board = profile.sensors
-    units = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
-    return list(asked(AssumedSpecs(**units)))
+    specs = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
+    return list(list_errors(AssumedSpecs(**specs)))

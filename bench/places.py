@@ -1,4 +1,4 @@
-"""Where files of the bench live on a machine; nothing here creates anything."""
+"""Folders of the package and of its cache; nothing here creates them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 def cache_folder(kind: str) -> Path:
-    """Return the user's cache folder for one kind of thing ("truth", "kernels").
+    """Return the user's cache folder for "truth" or "kernels".
 
-    ``BENCH_CACHE`` names another root; else it is ``bench`` below ``XDG_CACHE_HOME`` or ``~/.cache``.
+    It lies in ``BENCH_CACHE`` if that is set, else in ``bench`` below ``XDG_CACHE_HOME`` or ``~/.cache``.
     """
     own = os.environ.get("BENCH_CACHE")
     if own:

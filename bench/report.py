@@ -1,4 +1,4 @@
-"""Figures: records in, pictures out. The only place that imports matplotlib."""
+"""Draw figures. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _TITLES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 
 
 def check_picture(path: Path) -> None:
-    """Raise ConfigError if the ending of a path is that of no picture."""
+    """Raise ConfigError if a path does not end in .png, .svg or .pdf."""
     if path.suffix not in (".png", ".svg", ".pdf"):
-        raise ConfigError(f"{path}: a picture ends in .png, .svg or .pdf")
+        raise ConfigError(f"{path}: must end in .png, .svg or .pdf")
 
 
 def draw_allan(path: Path, measured: AllanResult) -> None:
-    """Draw the Allan deviation of each triad into a PNG, SVG or PDF, by the ending of the path."""
+    """Draw the Allan deviation of each triad into a PNG, SVG or PDF file, by the ending of the path."""
     from matplotlib.figure import Figure
 
     curves = measured.curves

@@ -1,4 +1,4 @@
-"""How a wrong value of a file or of an option is described: as it stands in TOML, and what it must be."""
+"""Describe a wrong value of a file or an option: as it is written in TOML, and what it must be."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bench.units import unit_of
 
 
 def quantity(key: str, value: object) -> str:
-    """Return ``key = value unit`` as it stands in the file."""
+    """Return ``key = value unit`` as it is written in the file."""
     text = f"{key} = {as_toml(value)}"
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     unit = unit_of(_strip_index(key)) if is_number else ""
@@ -22,7 +22,7 @@ def _strip_index(key: str) -> str:
 
 
 def suggest(wrong: str, known: Iterable[str], what: str) -> str:
-    """Return `` Did you mean ...?`` and the list of known names, as the end of a message."""
+    """Return the end of a message: the nearest known name, if any is near, and the list of all."""
     names = sorted(known)
     near = difflib.get_close_matches(wrong, names, n=1)
     hint = f". Did you mean {near[0]!r}?" if near else ""
@@ -30,7 +30,7 @@ def suggest(wrong: str, known: Iterable[str], what: str) -> str:
 
 
 def describe_error(key: str, value: object, kind: str, message: str, context: Mapping[str, Any]) -> str:
-    """Return ``key = value unit`` and what it must be, from what pydantic says of an error."""
+    """Return ``key = value unit`` and what it must be, from the kind and context of a pydantic error."""
     if kind == "range":
         unit = unit_of(_strip_index(key))
         limits = f"{context['low']:g} to {context['high']:g}{' ' + unit if unit else ''}"
@@ -65,7 +65,7 @@ def _describe_wanted(kind: str, message: str, context: Mapping[str, Any]) -> str
 
 
 def as_toml(value: object) -> str:
-    """Write a value as it could stand in a TOML file, shortened."""
+    """Return a value as it would be written in a TOML file, shortened to 60 characters."""
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, list | tuple):

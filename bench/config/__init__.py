@@ -1,4 +1,4 @@
-"""TOML in human units -> checked tables -> specs in SI; every ConfigError."""
+"""Read TOML files in human units, check them, and return specs in SI."""
 
 from __future__ import annotations
 

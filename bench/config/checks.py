@@ -1,4 +1,4 @@
-"""What must hold across the tables of a profile: each check returns one line per thing that is wrong."""
+"""Checks across the tables of a profile; each returns one line for each problem."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
 def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
     """Check that fixes and outputs fall on instants of the truth."""
-    asked = {
+    asked_rates = {
         f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
         for kind, spec in sensors.items()
         if kind != "imu" and spec is not None
     }
-    asked["[evaluation] output_hz"] = table.evaluation.output_hz
+    asked_rates["[evaluation] output_hz"] = table.evaluation.output_hz
     return [
         f"{key} = {rate:g} Hz must divide rate_hz = {table.rate_hz} Hz"
-        for key, rate in asked.items()
+        for key, rate in asked_rates.items()
         if abs(table.rate_hz / rate - round(table.rate_hz / rate)) > 1e-9
     ]
 
@@ -57,7 +57,7 @@ def check_outages(table: ExperimentTable) -> list[str]:
 
 
 def check_alignment(table: ExperimentTable) -> list[str]:
-    """Check that an alignment has what it needs, and ends before the judgement begins."""
+    """Check that an alignment has what it needs, and ends before the evaluation begins."""
     asked = table.alignment
     wrong = []
     kind = f"kind = '{asked.kind}'"
@@ -77,22 +77,23 @@ def check_alignment(table: ExperimentTable) -> list[str]:
 
 
 def choose_alignment_time(table: ExperimentTable) -> float:
-    """Return how long an alignment may take: a minute at rest, 10 s of a course."""
-    given = table.alignment.duration_s
-    return float((10.0 if table.alignment.kind == "course" else 60.0) if given is None else given)
+    """Return the duration of an alignment [s]; default 60 s at rest, 10 s on the move."""
+    if table.alignment.duration_s is not None:
+        return float(table.alignment.duration_s)
+    return 10.0 if table.alignment.kind == "course" else 60.0
 
 
-def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool) -> list[str]:
-    """Check that what is said of a sensor has one to work on.
+def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: bool) -> list[str]:
+    """Check that each setting of a sensor has an effect, and that the truth has the data a sensor needs.
 
     Parameters
     ----------
     table : ExperimentTable
         The profile.
     sensors : mapping
-        Spec of each kind on board, or None.
-    felt : bool
-        Whether the truth says anything of the air.
+        Kind of sensor -> its spec, or None if there is none on board.
+    has_air : bool
+        Whether the truth has air data.
     """
     wrong = [
         f"[sensors.assumed] {kind} = {name!r} has no effect: there is no {kind} in [sensors]"
@@ -113,26 +114,26 @@ def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], felt: bool
             f"[sensors] mag = {table.sensors.mag!r}: the magnetic field is known from {FIRST_YEAR:g} to "
             f"{LAST_YEAR - 1:g}; gnss = {table.sensors.gnss!r} starts {sky.day}"
         )
-    if not felt:
+    if not has_air:
         imu = sensors["imu"]
         feels = {"imu": imu is not None and imu.feels_air} | {
             kind: sensors[kind] is not None and row.feels_air(sensors[kind])
             for kind, row in INSTRUMENTS.items()
         }
         wrong += [
-            f"[sensors] {kind} = {getattr(table.sensors, kind)!r} feels the air, of which a trajectory table "
-            "says nothing"
-            for kind, does in feels.items()
-            if does
+            f"[sensors] {kind} = {getattr(table.sensors, kind)!r} needs air data, which a trajectory table "
+            "does not have"
+            for kind, needs_air in feels.items()
+            if needs_air
         ]
     return wrong
 
 
-_BROUGHT = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # what stands for an estimator, too
+_EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other forms of an estimator name
 
 
 def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
-    """Check that the estimators exist, and that labels can name files and are unique."""
+    """Check that built-in estimators exist, and that labels are unique and can be part of a file name."""
     wrong = []
     labels: list[str] = []
     for number, choice in enumerate(choices, 1):
@@ -141,7 +142,7 @@ def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
             wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
         if ":" not in choice.use and choice.use not in BUILT_IN:
             hint = suggest(choice.use, BUILT_IN, "estimators")
-            wrong.append(f"{place}use = {choice.use!r} is no built-in estimator{hint}, {_BROUGHT}")
+            wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
         what = f"{place}label = {choice.label!r}"
         if not _LABEL.fullmatch(choice.label):
             wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.'")
@@ -152,32 +153,32 @@ def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
 
 
 def check_options(document: Mapping[str, Any]) -> list[str]:
-    """Check the options of the built-in estimators of a file; what is no table is left to its own check."""
+    """Check the options of built-in estimators; entries that are not tables are checked elsewhere."""
     wrong = []
     rows = document.get("estimator")
     for number, row in enumerate(rows if isinstance(rows, list) else (), 1):
-        use, given = (row.get("use"), row.get("options")) if isinstance(row, Mapping) else (None, None)
-        if isinstance(use, str) and use in BUILT_IN and isinstance(given, Mapping):
+        use, values = (row.get("use"), row.get("options")) if isinstance(row, Mapping) else (None, None)
+        if isinstance(use, str) and use in BUILT_IN and isinstance(values, Mapping):
             place = f"[[estimator]] {number} ({row.get('label', use)}): options: "
-            wrong += [f"{place}{line}" for line in BUILT_IN[use].wrong(given)]
+            wrong += [f"{place}{line}" for line in BUILT_IN[use].wrong(values)]
     return wrong
 
 
 def check_commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
-    """Refuse programs that a profile would start: one from somebody else must not do so silently."""
+    """Refuse the programs that a profile would start, so that a foreign profile starts none unnoticed."""
     return [
         f"[[estimator]] {number}: {choice.use[:60]!r} starts a program on this machine; "
-        "--allow-commands lets a profile do so, -e 'command:...' is your own word"
+        "--allow-commands lets a profile do so; with -e 'command:...' you name the program yourself"
         for number, choice in enumerate(choices, 1)
         if choice in run and choice.use.startswith("command:")
     ]
 
 
 def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
-    """Check that every estimator asked for is in the profile, built in, or a ``module:Class``."""
+    """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
     known = {choice.label for choice in choices} | set(BUILT_IN)
     return [
-        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_BROUGHT}"
+        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"
         for name in names
         if name not in known and ":" not in name
     ]

@@ -1,4 +1,4 @@
-"""Sensors by their datasheets: a catalog entry in its maker's units -> a spec in SI."""
+"""Read sensor datasheets, in the units of their maker, and return specs in SI."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from bench.units import split_unit, to_si
 
 _TRIADS = ("gyro", "accel")
 _CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
-"""What a triad chooses instead of measuring, and what it chooses when it does not say."""
+"""Choices of a triad that are not figures, with their defaults."""
 
 
 def _make_triad_table(name: str) -> type[Table]:
-    """Build the table of "gyro" or "accel": every figure may be absent."""
-    keys = [key for field, told in triad_figures_of(TriadSpec).items() for key in told.keys(field, name)]
+    """Return the table type of "gyro" or "accel"; every figure may be missing."""
+    figures = triad_figures_of(TriadSpec)
+    keys = [key for field, figure in figures.items() for key in figure.keys(field, name)]
     rows: dict[str, Any] = dict.fromkeys(keys, (Figure | None, None))
     rows["bias_model"] = (Literal["flicker", "gauss-markov"], _CHOICES["bias_model"])
     rows["dead_zone_kind"] = (Literal["subtractive", "hard"], _CHOICES["dead_zone_kind"])
@@ -38,7 +39,7 @@ Place = Annotated[tuple[_Metres, _Metres, _Metres], ROWS]
 
 
 class LayoutTable(Table):
-    """Where the accelerometers sit, from the unit's reference point, and what they point along."""
+    """Position of the accelerometers relative to the reference point of the unit, and their directions."""
 
     accel_cone_deg: Annotated[float, between(0, 89)] = 0.0
     accel_x_m: Place = (0.0, 0.0, 0.0)
@@ -50,7 +51,7 @@ _Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSp
 
 
 class ImuSheet(Sheet):
-    """An IMU; a figure the datasheet does not give is absent."""
+    """An IMU; figures that the datasheet does not give are left out."""
 
     gyro: _make_triad_table("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
     accel: _make_triad_table("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
@@ -60,41 +61,41 @@ class ImuSheet(Sheet):
 
 
 _JUMPS = [name for name in figures_of(GnssSpec) if "_jump_" in name]
-"""Jumps of a position-level receiver where the satellites in use change."""
+"""Figures of the jumps of a position-level receiver when the satellites in use change."""
 
 
 class GnssSheet(Sheet):
-    """A GNSS receiver: what it puts out and, with [sky], what it measures."""
+    """A GNSS receiver: the errors of its fixes and, with [sky], of its measurements."""
 
     gnss: make_table_type(GnssSpec)  # type: ignore[valid-type]
     sky: SkyTable | None = None
 
 
 def read_imu(path: Path, shown: str) -> ImuSpec:
-    """Return the IMU of a datasheet file, in SI.
+    """Read the datasheet of an IMU; return it in SI.
 
     Raises
     ------
     ConfigError
-        One message per thing that is wrong with the file ``shown``.
+        One message for each problem in the file ``shown``.
     """
     document = read_toml(path, shown)
     sheet = check_table(ImuSheet, document, shown)
     wrong = check_sources(sheet, document)
     triads = {}
     for name in _TRIADS:
-        given = document.get(name, {})  # checked above
-        values = {key: given.get(key, usual) for key, usual in _CHOICES.items()}
-        for field, told in triad_figures_of(TriadSpec).items():
-            keys = [key for key in told.keys(field, name) if key in given]
+        figures = document.get(name, {})  # checked above
+        values = {key: figures.get(key, default) for key, default in _CHOICES.items()}
+        for field, figure in triad_figures_of(TriadSpec).items():
+            keys = [key for key in figure.keys(field, name) if key in figures]
             if len(keys) > 1:
-                wrong.append(f"[{name}] {keys[0]} and {keys[1]} are one figure; give one of them")
+                wrong.append(f"[{name}] {keys[0]} and {keys[1]} are the same figure; give one of them")
             for key in keys:
-                values[field] = to_si(key, given[key])
+                values[field] = to_si(key, figures[key])
         triads[name] = TriadSpec(**values)
         if triads[name].nonlinearity_sd > 0 and triads[name].range <= 0:
             unit = "range_deg_s" if name == "gyro" else "range_g"
-            wrong.append(f"[{name}] nonlinearity_sd needs {unit} above 0: it is a share of the range")
+            wrong.append(f"[{name}] nonlinearity_sd needs {unit} above 0: it is relative to the range")
         if triads[name].bias_instability > 0 and triads[name].bias_correlation <= 0:
             wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
     vibration = VibrationSpec(**convert_figures(VibrationSpec, sheet.vibration))
@@ -114,7 +115,7 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
 
 
 def _check_vibration(shaking: VibrationSpec) -> list[str]:
-    """Say which vibration lacks the figures it needs."""
+    """Return one line for each kind of vibration that lacks a figure it needs."""
     wrong = []
     engine = shaking.engine_gyro or shaking.engine_accel
     if engine and not (shaking.engine_reference > 0 and shaking.engine_order > 0):
@@ -128,7 +129,7 @@ def _check_vibration(shaking: VibrationSpec) -> list[str]:
 
 
 def read_gnss(path: Path, shown: str) -> GnssSpec:
-    """Return the GNSS receiver of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
+    """Read the datasheet of a GNSS receiver; return it in SI. Errors as for `read_imu`."""
     document = read_toml(path, shown)
     sheet = check_table(GnssSheet, document, shown)
     spec = GnssSpec(name=path.stem, **convert_figures(GnssSpec, sheet.gnss))
@@ -140,7 +141,7 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
         if getattr(spec, f"vel_{kind}_sd") and not spec.vel_decay_time:
             wrong.append(f"[gnss] vel_{kind}_sd_mps needs vel_decay_time_s")
     if sheet.sky is not None and any(getattr(spec, name) for name in _JUMPS):
-        wrong.append("[gnss] jumps follow from the satellites of [sky]; leave their figures out")
+        wrong.append("[gnss] [sky] makes the jumps; leave out the *_jump_* figures")
     if sheet.sky is not None:
         with collect_errors(wrong):
             spec = replace(spec, sky=read_sky(sheet.sky, path.parent))
@@ -150,7 +151,7 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
 
 
 def read_instrument(kind: str, path: Path, shown: str) -> Any:
-    """Return an instrument of a datasheet file, in SI; raise ConfigError as `read_imu` does."""
+    """Read the datasheet of an instrument; return it in SI. Errors as for `read_imu`."""
     row, document = INSTRUMENTS[kind], read_toml(path, shown)
     sheet = check_table(_make_sheet_type(kind), document, shown)
     table = getattr(sheet, kind)
@@ -168,7 +169,7 @@ def read_instrument(kind: str, path: Path, shown: str) -> Any:
 
 @cache
 def _make_sheet_type(kind: str) -> type[Sheet]:
-    """Return the model of the datasheet of an instrument: its table, and those of its parts."""
+    """Return the type of the datasheet of an instrument: its table, and those of its parts."""
     row = INSTRUMENTS[kind]
     parts: dict[str, Any] = {name: (make_table_type(spec) | None, None) for name, spec in row.parts.items()}
     rows: dict[str, Any] = {kind: (make_table_type(row.spec), ...), **parts}
@@ -176,27 +177,28 @@ def _make_sheet_type(kind: str) -> type[Sheet]:
 
 
 def list_missing_figures(kind: str, document: Mapping[str, Any]) -> list[str]:
-    """Name, in words, what a datasheet does not say: errors that the unit then does not have.
+    """Return the names, in words, of the errors that a datasheet does not give; the model then lacks them.
 
     Parameters
     ----------
     kind : str
         A key of ``SENSORS``.
     document : mapping
-        A file that has been checked.
+        Content of a checked datasheet file.
     """
     if kind == "imu":
-        found: dict[str, bool] = {}
+        present: dict[str, bool] = {}
         for name in _TRIADS:
-            for field, told in triad_figures_of(TriadSpec).items():
-                keys = told.keys(field, name)
-                if told.sought and keys:
-                    what = f"{name} {told.sought}"
-                    found[what] = found.get(what, False) or any(key in document.get(name, {}) for key in keys)
-        return [what for what, there in found.items() if not there]
-    named = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
+            for field, figure in triad_figures_of(TriadSpec).items():
+                keys = figure.keys(field, name)
+                if figure.sought and keys:
+                    error = f"{name} {figure.sought}"
+                    here = any(key in document.get(name, {}) for key in keys)
+                    present[error] = present.get(error, False) or here
+        return [error for error, here in present.items() if not here]
+    given = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
     spec = GnssSpec if kind == "gnss" else INSTRUMENTS[kind].spec
-    return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in named]
+    return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in given]
 
 
 SENSORS: Mapping[str, Callable[[Path, str], Any]] = {
@@ -204,4 +206,4 @@ SENSORS: Mapping[str, Callable[[Path, str], Any]] = {
     "gnss": read_gnss,
     **{kind: partial(read_instrument, kind) for kind in INSTRUMENTS},
 }
-"""Kind of sensor, which is also its folder in the catalog -> how its datasheet is read."""
+"""Kind of sensor, also the name of its catalog folder -> the function that reads its datasheet."""

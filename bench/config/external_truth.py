@@ -1,4 +1,4 @@
-"""Truth from outside the bench: a JSBSim script, a trajectory table, an aircraft of another root."""
+"""External truth: JSBSim scripts, trajectory tables, and aircraft of another JSBSim root."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from bench.wording import suggest
 _TABLES = (".csv", ".parquet")
 
 
-def find_jsbsim_root(given: str | None, beside: Path) -> Path:
-    """Return a JSBSim root: a folder relative to the profile, or the jsbsim wheel.
+def find_jsbsim_root(name: str | None, beside: Path) -> Path:
+    """Return a JSBSim root: a folder relative to the profile or, without a name, that of the jsbsim wheel.
 
     Raises
     ------
     ConfigError
-        When the folder is not a JSBSim root, or the jsbsim package is not installed.
+        If the folder is not a JSBSim root, or the jsbsim package is not installed.
     """
-    if given is None:
-        found = find_spec("jsbsim")
-        if found is None or found.origin is None:
+    if name is None:
+        package = find_spec("jsbsim")
+        if package is None or package.origin is None:
             raise ConfigError("the package jsbsim is not installed")
-        return Path(found.origin).parent
-    root = (beside / given).resolve()
+        return Path(package.origin).parent
+    root = (beside / name).resolve()
     missing = [name for name in ("aircraft", "engine", "systems") if not (root / name).is_dir()]
     if missing:
-        raise ConfigError(f"jsbsim_root = {given!r} has no folder {' and no folder '.join(missing)}")
+        raise ConfigError(f"jsbsim_root = {name!r} has no folder {' and no folder '.join(missing)}")
     return root
 
 
@@ -45,7 +45,7 @@ def list_root_aircraft(root: Path) -> list[str]:
 
 
 def has_guidance(model: Path) -> bool:
-    """Return whether a model has the guidance system of the bench; an unreadable model has none."""
+    """Return whether a model includes the guidance system of the bench; False if it cannot be read."""
     try:
         return "guidance" in system_files(model)
     except FlightError:
@@ -53,7 +53,7 @@ def has_guidance(model: Path) -> bool:
 
 
 def place_antenna(table: ExperimentTable) -> tuple[float, float, float]:
-    """Return the GNSS antenna of a profile without an aircraft of the bench [m], b."""
+    """Return the GNSS antenna relative to the IMU, for external truth [m], b."""
     assert isinstance(table, ScriptTable | TrajectoryTable)
     place = table.antenna
     return (float(place.forward_m), float(place.right_m), float(place.down_m))
@@ -121,4 +121,4 @@ EXTERNAL: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, P
     "script": (ScriptTable, _read_script),
     "trajectory": (TrajectoryTable, _read_trajectory),
 }
-"""Key of a profile -> the table of its file, and the function that reads its flight."""
+"""Key that marks an external truth in a profile -> the type of the file, and the function that reads it."""

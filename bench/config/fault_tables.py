@@ -1,4 +1,4 @@
-"""The ``[[fault]]`` tables of a profile: what goes wrong on board, and when -> ``bench.specs.Fault``."""
+"""The ``[[fault]]`` tables of a profile: what fails on board, and when."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
 
 
 def parse_satellite(name: str) -> tuple[int, int]:
-    """Return system and number of a satellite by its RINEX name.
+    """Return the system code and the number of a satellite from its RINEX name.
 
     Raises
     ------
     ValueError
-        When it is no such name.
+        If the name is not that of a satellite.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def parse_satellite(name: str) -> tuple[int, int]:
     """
     system, last = _SYSTEMS.get(name[:1], (0, 0))
     if not (len(name) == 3 and name[1:].isdecimal() and 1 <= int(name[1:]) <= last):
-        raise ValueError(f"{name!r} is no satellite: G01 to G32 are GPS, R01 to R24 GLONASS")
+        raise ValueError(f"{name!r} is not a satellite: G01 to G32 are GPS, R01 to R24 GLONASS")
     return system, int(name[1:])
 
 
@@ -69,11 +69,11 @@ if TYPE_CHECKING:
     Noisy = str
 else:
     Timed = Literal[("gnss", *INSTRUMENTS)]
-    """Sensors whose rows have a time of arrival."""
+    """Sensors whose records have a time of arrival."""
     Counted = Literal[("gnss", *INSTRUMENTS, "imu")]
-    """Sensors that put out samples."""
+    """Sensors that output samples."""
     Noisy = Literal[("gnss", *INSTRUMENTS, "gyro", "accel")]
-    """Sensors that have noise of their own."""
+    """Sensors with their own noise."""
 
 
 class _FaultTable(Table):
@@ -89,16 +89,16 @@ class SatellitesLostTable(_FaultTable):
 
 
 class JammingTable(_FaultTable):
-    """C/N0 of all satellites is lowered: noise grows, and what falls below the threshold is lost."""
+    """C/N0 of all satellites is lowered: noise grows, and signals below the threshold are lost."""
 
     kind: Literal["jamming"]
     cn0_loss_db: Annotated[float, between(0.1, 60)]
 
 
 class SpoofingTable(_FaultTable):
-    """The receiver is made to believe another place: north, east, down.
+    """The position that the receiver computes is moved: north, east, down.
 
-    The velocity follows the ramp when the false signals are coherent: code and Doppler fit each other.
+    If the false signals are coherent, code and Doppler agree and the velocity follows the ramp.
     """
 
     kind: Literal["spoofing"]
@@ -108,7 +108,7 @@ class SpoofingTable(_FaultTable):
 
 
 class PseudorangeTable(_FaultTable):
-    """The pseudoranges of named satellites grow, their Doppler does not."""
+    """The pseudoranges of named satellites are off, their Doppler is not."""
 
     kind: Literal["pseudorange"]
     satellites: Satellites
@@ -117,7 +117,7 @@ class PseudorangeTable(_FaultTable):
 
 
 class SatelliteClockTable(_FaultTable):
-    """The clocks of named satellites run away: pseudoranges and Doppler alike."""
+    """The clocks of named satellites drift: pseudoranges and Doppler are off."""
 
     kind: Literal["satellite-clock"]
     satellites: Satellites
@@ -125,7 +125,7 @@ class SatelliteClockTable(_FaultTable):
 
 
 class ReceiverClockTable(_FaultTable):
-    """The clock of the receiver is off by a step."""
+    """The receiver clock jumps."""
 
     kind: Literal["receiver-clock"]
     step_m: Metres
@@ -136,7 +136,7 @@ _INSTRUMENT_STEPS: tuple[type[_FaultTable], ...] = tuple(
     create_model(
         f"{row.record.__name__}StepTable",
         __base__=_FaultTable,
-        __doc__=f"The {row.title} is off by a step.",
+        __doc__=f"The output of the {row.title} jumps.",
         kind=(Literal[kind], ...),
         **{f"step_{row.step}": (Metres, ...)},  # type: ignore[call-overload]
     )
@@ -145,29 +145,29 @@ _INSTRUMENT_STEPS: tuple[type[_FaultTable], ...] = tuple(
 
 
 class GyroStepTable(_FaultTable):
-    """The bias of the gyros is off by a step: x, y, z."""
+    """The biases of the gyros jump: x, y, z."""
 
     kind: Literal["gyro-step"]
     step_deg_h: Annotated[tuple[_DegH, _DegH, _DegH], ROWS]
 
 
 class AccelStepTable(_FaultTable):
-    """The bias of the accelerometers is off by a step: x, y, z."""
+    """The biases of the accelerometers jump: x, y, z."""
 
     kind: Literal["accel-step"]
     step_mg: Annotated[tuple[_Mg, _Mg, _Mg], ROWS]
 
 
 class FrozenTable(_FaultTable):
-    """The output sticks at its last value; times go on."""
+    """The output keeps its last value; its times go on."""
 
     kind: Literal["frozen"]
     sensor: Noisy
-    axes: Axes | None = None  # of gyro or accel, all when left out
+    axes: Axes | None = None  # of gyro or accel; all if left out
 
 
 class NoiseBurstTable(_FaultTable):
-    """More white noise, so many times that of the unit."""
+    """White noise grows by a factor."""
 
     kind: Literal["noise-burst"]
     sensor: Noisy
@@ -175,7 +175,7 @@ class NoiseBurstTable(_FaultTable):
 
 
 class LatencyTable(_FaultTable):
-    """What is measured arrives later."""
+    """Measurements arrive later."""
 
     kind: Literal["latency"]
     sensor: Timed
@@ -183,7 +183,7 @@ class LatencyTable(_FaultTable):
 
 
 class DroppedTable(_FaultTable):
-    """Samples are left out, at random."""
+    """Samples are lost at random."""
 
     kind: Literal["dropped"]
     sensor: Counted
@@ -191,7 +191,7 @@ class DroppedTable(_FaultTable):
 
 
 class RepeatedTable(_FaultTable):
-    """Samples come twice, at random."""
+    """Samples are repeated at random."""
 
     kind: Literal["repeated"]
     sensor: Counted
@@ -220,7 +220,7 @@ else:
     FaultTable = reduce(or_, FAULTS)
 
 _SENSOR = {kind: row.name for kind, row in _STEPPED.items()} | {"gyro-step": "gyro", "accel-step": "accel"}
-"""Kinds that strike one sensor; those without a key ``sensor`` strike the gnss otherwise."""
+"""Kind -> the sensor it affects; other kinds without a key ``sensor`` affect the gnss."""
 
 _NEEDS_SKY = {
     "satellites-lost": "satellites",
@@ -229,40 +229,40 @@ _NEEDS_SKY = {
     "satellite-clock": "pseudoranges",
     "receiver-clock": "clock",
 }
-"""Kinds for a receiver at measurement level -> what one at position level has not."""
+"""Kind for a measurement-level receiver -> what a position-level receiver does not have."""
 
 _STEPS = dict.fromkeys(
     ["step_deg_h", "step_mg", "step_m", *(f"step_{row.step}" for row in _STEPPED.values())]
 )
-"""Keys of a step, whatever its unit."""
+"""Keys of a step, in any unit."""
 
 
 def find_sensor(table: _FaultTable) -> str:
-    """Return the sensor a fault strikes."""
+    """Return the sensor that a fault affects."""
     named: str | None = getattr(table, "sensor", None)
     return named or _SENSOR.get(table.kind, "gnss")  # type: ignore[attr-defined]
 
 
 def read_faults(rows: Sequence[Mapping[str, Any]]) -> tuple[Fault, ...]:
-    """Return the faults of a profile as flown, as a ``result.json`` holds it.
+    """Return the faults in SI from the ``fault`` rows of a profile in ``result.json``.
 
     Raises
     ------
     ValueError
-        When they are none.
+        If a row is not a valid fault.
     """
-    one = TypeAdapter[Any](Annotated[FaultTable, Field(discriminator="kind")])
-    return tuple(make_fault(one.validate_python(row)) for row in rows)
+    adapter = TypeAdapter[Any](Annotated[FaultTable, Field(discriminator="kind")])
+    return tuple(make_fault(adapter.validate_python(row)) for row in rows)
 
 
 def make_fault(table: FaultTable) -> Fault:
     """Return a fault in SI."""
-    given = {key: value for key, value in table if value is not None}
-    step = next((_to_si(key, given[key]) for key in _STEPS if key in given), ())
-    ramp = _to_si("ramp_mps", given["ramp_mps"]) if "ramp_mps" in given else (0.0,) * len(step)
-    said = [
+    values = {key: value for key, value in table if value is not None}
+    step = next((_to_si(key, values[key]) for key in _STEPS if key in values), ())
+    ramp = _to_si("ramp_mps", values["ramp_mps"]) if "ramp_mps" in values else (0.0,) * len(step)
+    details = [
         quantity(key, value)
-        for key, value in given.items()
+        for key, value in values.items()
         if key not in ("kind", "sensor", "start_s", "duration_s")
         and value != type(table).model_fields[key].default
     ]
@@ -272,53 +272,53 @@ def make_fault(table: FaultTable) -> Fault:
         sensor=sensor,
         start=float(table.start_s),
         end=float(table.start_s + table.duration_s),
-        text=f"{table.kind} of {sensor}" + (f": {', '.join(said)}" if said else ""),
-        satellites=tuple(parse_satellite(name) for name in given.get("satellites", ())),
+        text=f"{table.kind} of {sensor}" + (f": {', '.join(details)}" if details else ""),
+        satellites=tuple(parse_satellite(name) for name in values.get("satellites", ())),
         step=step or (0.0,) * len(ramp),
         ramp=ramp,
-        loss=float(given.get("cn0_loss_db", 0.0)),
-        delay=float(given.get("added_s", 0.0)),
-        times=float(given.get("times", 0.0)),
-        share=float(given.get("share", 1.0)),
-        coherent=bool(given.get("coherent", True)),
-        axes=tuple("xyz".index(axis) for axis in given.get("axes", "xyz")),
+        loss=float(values.get("cn0_loss_db", 0.0)),
+        delay=float(values.get("added_s", 0.0)),
+        times=float(values.get("times", 0.0)),
+        share=float(values.get("share", 1.0)),
+        coherent=bool(values.get("coherent", True)),
+        axes=tuple("xyz".index(axis) for axis in values.get("axes", "xyz")),
     )
 
 
 def _to_si(key: str, value: float | Sequence[float]) -> tuple[float, ...]:
-    values = value if isinstance(value, Sequence) else (value,)
-    return tuple(to_si(key, float(part)) for part in values)
+    parts = value if isinstance(value, Sequence) else (value,)
+    return tuple(to_si(key, float(part)) for part in parts)
 
 
 def check_faults(
     tables: Sequence[FaultTable], on_board: Mapping[str, Any], length: float | None
 ) -> list[str]:
-    """Say which faults are not possible with these units, last beyond the flight, or stand there twice.
+    """Return one line for each fault that is impossible on this aircraft, ends too late, or overlaps another.
 
     Parameters
     ----------
     tables : sequence
-        As in the file.
+        The fault tables of a profile.
     on_board : mapping
-        Kind of sensor -> its spec, None where there is none.
+        Kind of sensor -> its spec, or None if there is none on board.
     length : float or None
-        Of the flight [s]; None where only flying it tells.
+        Duration of the flight [s]; None if it is not known before the flight.
     """
-    found = []
+    problems = []
     for number, table in enumerate(tables, 1):
         place = f"[[fault]] {number} ({table.kind}): "
         end = table.start_s + table.duration_s
         if length is not None and end > length:
-            found.append(f"{place}its end at {end:g} s is outside the flight, 0 to {length:g} s")
-        found += [f"{place}{line}" for line in _check_fault(table, on_board)]
+            problems.append(f"{place}its end at {end:g} s is outside the flight, 0 to {length:g} s")
+        problems += [f"{place}{line}" for line in _check_fault(table, on_board)]
         for other, earlier in enumerate(tables[: number - 1], 1):
             same = earlier.kind == table.kind and find_sensor(earlier) == find_sensor(table)
             overlap = earlier.start_s < end and table.start_s < earlier.start_s + earlier.duration_s
             if same and overlap and not hasattr(table, "satellites"):
-                found.append(
+                problems.append(
                     f"{place}{quantity('start_s', table.start_s)} overlaps [[fault]] {other}, the same fault"
                 )
-    return found
+    return problems
 
 
 def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
@@ -328,26 +328,26 @@ def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
         return [f"there is no {sensor} in [sensors]"] if sensor not in ("imu", "gyro", "accel") else []
     steps = [key for key in (*_STEPS, "ramp_mps") if hasattr(table, key)]
     if steps and not any(any(_to_si(key, getattr(table, key))) for key in steps):
-        return [f"{' and '.join(steps)}: nothing happens; give one of them a value other than 0"]
+        return [f"{' and '.join(steps)}: all are 0; give at least one another value"]
     if isinstance(table, FrozenTable) and table.axes is not None and sensor not in ("gyro", "accel"):
-        return [f"axes are those of sensor = 'gyro' or 'accel'; the {sensor} is frozen as a whole"]
+        return [f"axes are for sensor = 'gyro' or 'accel'; the {sensor} freezes as a whole"]
     if isinstance(unit, GnssSpec) and table.kind in _NEEDS_SKY and unit.sky is None:
         return [
             f"gnss = {unit.name!r} is a position-level receiver without {_NEEDS_SKY[table.kind]}; "
-            "take one with [sky], such as 'sky-l1'"
+            "choose one with [sky], such as 'sky-l1'"
         ]
     if isinstance(table, NoiseBurstTable) and not _has_noise(unit, sensor):
-        return [f"{unit.name!r} has no white noise of its {sensor} to multiply"]
+        return [f"{unit.name!r} has no white noise in its {sensor} to multiply"]
     names = getattr(table, "satellites", ())
     if names and isinstance(unit, GnssSpec) and unit.sky is not None:
         from bench.signals import orbits
 
         gps = orbits.nominal_gps() if unit.sky.gps is None else unit.sky.gps
         glonass = orbits.nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
-        flown = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
+        numbers = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
         for name in names:
             system, number = parse_satellite(name)
-            if number not in flown[system]:
+            if number not in numbers[system]:
                 return [f"satellites: {name} is not among the satellites of gnss = {unit.name!r}"]
     return []
 

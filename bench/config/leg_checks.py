@@ -1,4 +1,4 @@
-"""What must hold between the legs of a profile, its aircraft and its air: a line per thing that is wrong."""
+"""Checks of the legs, start and wind of a profile against its aircraft; one line for each problem."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bench.wording import quantity
 
 
 def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
-    """Check the start, and each leg against the aircraft and what is before it."""
-    found = _check_start(table, aircraft)
+    """Check the start, and each leg against the aircraft and the legs before it."""
+    problems = _check_start(table, aircraft)
     after = "ground" if table.start.on_ground else "air"
     start = LegStart(aircraft, table.start.alt_m, make_runway(table), after)
     for number, leg in enumerate(build_legs(table), 1):
-        found += [f"[[leg]] {number} ({leg.kind}): {what}" for what in check_leg(leg, start)]
+        problems += [f"[[leg]] {number} ({leg.kind}): {problem}" for problem in check_leg(leg, start)]
         start = replace(start, alt=leg.alt_after(start), after=leg.leaves)
-    return found
+    return problems
 
 
 def build_legs(table: ProfileTable) -> tuple[Leg, ...]:
@@ -30,7 +30,7 @@ def build_legs(table: ProfileTable) -> tuple[Leg, ...]:
 
 
 def make_runway(table: ProfileTable) -> Runway | None:
-    """Return the runway of a profile, which a start on the ground makes."""
+    """Return the runway of a profile: its [runway], or the place of a start on the ground."""
     row = table.runway or (table.start if table.start.on_ground else None)
     if row is None:
         return None
@@ -44,10 +44,10 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
         wrong = []
         if start.speed_mps is not None:
             wrong.append(
-                f"[start] {quantity('speed_mps', start.speed_mps)}: on_ground = true has no airspeed"
+                f"[start] {quantity('speed_mps', start.speed_mps)} is not used with on_ground = true"
             )
         if table.runway is not None:
-            wrong.append("[runway] is not needed: on_ground = true makes it of [start]")
+            wrong.append("[runway] is not needed: with on_ground = true [start] is the runway")
         if aircraft.runway is None:
             wrong.append(
                 f"[start] on_ground = true: the {aircraft.name} has no [runway] in its aircraft.toml"
@@ -62,7 +62,7 @@ def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
 
 
 def fill_in_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
-    """Return the profile with the airspeed of its start: what it says, or the trim nearest in altitude."""
+    """Return the profile with a start airspeed: its own, or that of the trim nearest in altitude."""
     start = table.start
     if start.on_ground or start.speed_mps is not None or not aircraft.trims:
         return table
@@ -71,7 +71,7 @@ def fill_in_speed(table: ProfileTable, aircraft: AircraftSpec) -> ProfileTable:
 
 
 def choose_first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
-    """Return the airspeed the flight begins with; on the ground that of the first climb [m/s]."""
+    """Return the airspeed at the start or, on the ground, of the climb after take-off [m/s]."""
     if table.start.speed_mps is not None:
         return float(table.start.speed_mps)
     climbs = (leg.speed for leg in build_legs(table) if isinstance(leg, TakeOff))
@@ -79,18 +79,20 @@ def choose_first_speed(table: ProfileTable, aircraft: AircraftSpec) -> float:
 
 
 def check_air(table: ProfileTable) -> list[str]:
-    """Check the layers of the wind, and that gusts come one after the other."""
+    """Check the layers of the wind, and that gusts do not overlap."""
     wrong = []
     wind = table.wind
     if wind.layers and wind.speed_mps:
-        wrong.append(f"[wind] {quantity('speed_mps', wind.speed_mps)}: layers take its place; leave one out")
+        wrong.append(
+            f"[wind] {quantity('speed_mps', wind.speed_mps)}: not used with layers; leave one of them out"
+        )
     alts = [row.alt_m for row in wind.layers]
     for number, alt in enumerate(alts):
         if alt in alts[:number]:
-            wrong.append(f"[wind] layers[{number}] {quantity('alt_m', alt)} is there twice")
+            wrong.append(f"[wind] layers[{number}] {quantity('alt_m', alt)} is given twice")
     for number, gust in enumerate(table.gust, 1):
         if not (gust.north_mps or gust.east_mps or gust.up_mps):
-            wrong.append(f"[[gust]] {number}: needs a north_mps, east_mps or up_mps that is not 0")
+            wrong.append(f"[[gust]] {number}: needs a north_mps, east_mps or up_mps other than 0")
     ordered = sorted(table.gust, key=lambda row: row.start_s)
     for earlier, later in itertools.pairwise(ordered):
         end = earlier.start_s + earlier.rise_s + earlier.hold_s + earlier.fall_s

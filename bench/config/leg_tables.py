@@ -1,4 +1,4 @@
-"""The ``[[leg]]`` tables of a profile, in the units of the file, made from what each leg declares."""
+"""The types of the ``[[leg]]`` tables of a profile, built from the keys that each leg class declares."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from bench.units import to_si
 
 
 class DeclaredTable(Table):
-    """A leg, or a row in one."""
+    """A leg, or a row of an array in a leg."""
 
     made: ClassVar[type[Any]]
 
     def build(self) -> Any:
-        """Return it in SI."""
+        """Return the leg or row in SI."""
         keys = {entry.field: entry.key.name for entry in keys_of(self.made)}
         return self.made(**{field: _to_si(key, getattr(self, key)) for field, key in keys.items()})
 
@@ -38,7 +38,7 @@ class DeclaredTable(Table):
 
 
 def build_leg_type(legs: Iterable[type[Leg]]) -> Any:
-    """Return the type of ``[[leg]]``, an array of tables that are each of one of these kinds."""
+    """Return the type of the array ``[[leg]]``; each row has one of these kinds."""
     tables = [_make_table_type(leg, kind=(Literal[leg.kind], ...)) for leg in legs]
     return _make_array_type(_annotate(functools.reduce(operator.or_, tables), Field(discriminator="kind")))
 

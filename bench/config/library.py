@@ -1,4 +1,4 @@
-"""Where profiles, aircraft and datasheets are found by name, and what there is."""
+"""Find profiles, aircraft and datasheets by name, and list them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bench.wording import quantity, suggest
 _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
 JSBSIM = "jsbsim:"
-"""How the name of an aircraft of the jsbsim wheel begins."""
+"""Prefix of the names of aircraft of the jsbsim wheel."""
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -39,7 +39,7 @@ class _Limits(Table):
 
 
 class _Position(Table):
-    """A place on board, relative to the centre of gravity."""
+    """A position on board relative to the centre of gravity."""
 
     forward_m: Annotated[float, between(-100, 100)]
     right_m: Annotated[float, between(-100, 100)]
@@ -59,7 +59,7 @@ class _Runway(Table):
 
 
 class _Trim(Table):
-    """A steady level flight."""
+    """Altitude and airspeed of a steady level flight."""
 
     alt_m: Altitude
     speed_mps: Speed
@@ -81,12 +81,12 @@ class _AircraftTable(Table):
 
 
 def find_profile(name: str) -> tuple[Path, str]:
-    """Return the file of a profile, given by its path or shipped name, and what messages call it.
+    """Return the file of a profile, found by path or shipped name, and its name in messages.
 
     Raises
     ------
     ConfigError
-        When there is no such profile.
+        If there is no such profile.
     """
     if name.endswith(".toml"):
         return Path(name), name
@@ -104,12 +104,12 @@ class _ForeignTable(_AircraftTable):
 
 
 def find_aircraft(name: str, beside: Path) -> Path:
-    """Return the folder of an aircraft: beside the profile, in the repository or in the installed copy.
+    """Find the folder of an aircraft: beside the profile, in the repository or in the installed package.
 
     Raises
     ------
     ConfigError
-        When it is not found; the message lists the places searched.
+        If the aircraft is not found; the message lists the folders searched.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_'")
@@ -125,12 +125,12 @@ def find_aircraft(name: str, beside: Path) -> Path:
 
 
 def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
-    """Return the aircraft of a folder; its ``systems`` are searched where aircraft are.
+    """Read the aircraft of a folder; its ``systems`` are searched beside it and where aircraft are.
 
     Raises
     ------
     ConfigError
-        One message per thing that is wrong with its files.
+        One message for each problem in the files.
     """
     name = folder.name
     shown = f"{name}/aircraft.toml"
@@ -149,14 +149,14 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
 
 
 def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftSpec:
-    """Return the aircraft ``jsbsim:NAME`` of the jsbsim wheel or of another JSBSim root.
+    """Read the aircraft ``jsbsim:NAME`` of the jsbsim wheel or of another JSBSim root.
 
-    What guidance needs is in ``aircraft/jsbsim/NAME.toml`` beside the profile, or shipped.
+    Its limits, antenna and guidance gains are in ``aircraft/jsbsim/NAME.toml`` (own or shipped).
 
     Raises
     ------
     ConfigError
-        One message per thing that is missing or wrong.
+        One message for each thing that is missing or wrong.
     """
     name = name.removeprefix(JSBSIM)
     folder = external_truth.find_jsbsim_root(root, beside)
@@ -170,8 +170,8 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
     if file is None:
         shipped = sorted({path.stem for place in places for path in place.glob("*.toml")})
         raise ConfigError(
-            f"aircraft = {JSBSIM + name!r} has no gains here: write aircraft/jsbsim/{name}.toml beside the "
-            f"profile, with limits, antenna and guidance as those of {', '.join(shipped)}"
+            f"aircraft = {JSBSIM + name!r} has no gains: write aircraft/jsbsim/{name}.toml beside the "
+            f"profile, with limits, antenna and guidance as in those of {', '.join(shipped)}"
         )
     shown = f"jsbsim/{name}.toml"
     table = check_table(_ForeignTable, read_toml(file, shown), shown)
@@ -197,7 +197,7 @@ def _make_aircraft(
             )
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
-        raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is no table of it")
+        raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is not a table of this file")
     systems = [place / "systems" for place in (folder.parent, *_list_aircraft_folders(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:
@@ -224,7 +224,7 @@ def _make_aircraft(
 
 
 def _from_imu(place: _Position, imu: _Position) -> tuple[float, float, float]:
-    """Return a place on board relative to the IMU [m], b."""
+    """Return a position on board relative to the IMU [m], b."""
     return (place.forward_m - imu.forward_m, place.right_m - imu.right_m, place.down_m - imu.down_m)
 
 
@@ -240,7 +240,7 @@ def _make_runway(table: _Runway) -> RunwaySpec:
 
 
 def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
-    """Return the datasheet of a sensor, and what messages call it.
+    """Return the file of a datasheet, and its name in messages.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     Raises
     ------
     ConfigError
-        When there is no such file.
+        If there is no such file.
     """
     if name.endswith(".toml"):
         if not (beside / name).is_file():
@@ -275,27 +275,27 @@ def _list_aircraft_folders(beside: Path | None = None) -> list[Path]:
 class KeyEntry(NamedTuple):
     """A key of a leg."""
 
-    name: str  # of a row in an array: points.lat_deg
+    name: str  # with the array it is in: points.lat_deg
     words: str
     unit: str
-    low: float | None  # in that unit, as are high and default
+    low: float | None  # in ``unit``, as are high and default
     high: float | None
-    choices: tuple[str, ...]  # what a text may be
-    default: float | str | None  # None: it may be left out, or is required
+    choices: tuple[str, ...]  # allowed texts
+    default: float | str | None  # None: optional without a default, or required
     required: bool
 
 
 class CatalogEntry(NamedTuple):
-    """What can be asked for by its name."""
+    """A profile, aircraft, leg, sensor or estimator that is selected by name."""
 
     name: str
     title: str
     kind: str  # "profile", "aircraft", "leg", "estimator", "export", or a kind of sensor: "imu" ...
-    note: str = ""  # what it can do, where its figures are from, and which of them are assumed
+    note: str = ""  # limits, source of the figures, assumed figures, fixed options
     keys: tuple[KeyEntry, ...] = ()  # of a leg
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it by the names of its fields."""
+        """Return the fields by name, for JSON."""
         return {**self._asdict(), "keys": [key._asdict() for key in self.keys]}
 
 
@@ -308,30 +308,30 @@ def list_profiles() -> list[CatalogEntry]:
 
 
 def list_aircraft(beside: Path | None = None) -> list[CatalogEntry]:
-    """Return every aircraft that a profile can ask for, sorted by name."""
-    found = {}
+    """Return every aircraft that a profile can name, sorted by name."""
+    sheets = {}
     for place in reversed(_list_aircraft_folders(beside)):
         for path in place.glob("*/aircraft.toml"):
-            found[path.parent.name] = read_toml(path, f"{path.parent.name}/aircraft.toml")
+            sheets[path.parent.name] = read_toml(path, f"{path.parent.name}/aircraft.toml")
         for path in place.glob("jsbsim/*.toml"):
-            found[f"{JSBSIM}{path.stem}"] = read_toml(path, f"jsbsim/{path.name}")
+            sheets[f"{JSBSIM}{path.stem}"] = read_toml(path, f"jsbsim/{path.name}")
     return [
         CatalogEntry(name, str(sheet.get("title", "")), "aircraft", _describe_aircraft(sheet))
-        for name, sheet in sorted(found.items())
+        for name, sheet in sorted(sheets.items())
     ]
 
 
 def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
-    """Say in a line what an aircraft can do, where it is from, and what of it is assumed."""
+    """Return one line with the limits of an aircraft, its source, and its assumed tables."""
     limits = sheet.get("limits", {})
-    said = [f"class {sheet.get('class')}"]
-    said.append(f"{limits.get('min_speed_mps', 0):g} to {limits.get('max_speed_mps', 0):g} m/s")
-    said += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
-    said.append("takes off and lands" if "runway" in sheet else "in the air only")
-    said += ["IMU off the centre of gravity"] if "imu" in sheet else []
-    said += [f"source: {sheet['source']}"] if "source" in sheet else []
-    said += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []
-    return "; ".join(said)
+    parts = [f"class {sheet.get('class')}"]
+    parts.append(f"{limits.get('min_speed_mps', 0):g} to {limits.get('max_speed_mps', 0):g} m/s")
+    parts += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
+    parts.append("takes off and lands" if "runway" in sheet else "in the air only")
+    parts += ["IMU off the centre of gravity"] if "imu" in sheet else []
+    parts += [f"source: {sheet['source']}"] if "source" in sheet else []
+    parts += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []
+    return "; ".join(parts)
 
 
 def list_sensors() -> list[CatalogEntry]:
@@ -345,7 +345,7 @@ def list_sensors() -> list[CatalogEntry]:
 
 
 def list_legs() -> list[CatalogEntry]:
-    """Return every leg that a profile can ask for, sorted by name."""
+    """Return every kind of leg, sorted by name."""
     return [
         CatalogEntry(leg.kind, str(leg.__doc__).partition("\n")[0], "leg", keys=tuple(_list_keys(leg)))
         for leg in sorted(legs.LEGS, key=lambda leg: leg.kind)
@@ -363,7 +363,7 @@ def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return every built-in estimator, with the options that its name fixes."""
+    """Return every built-in estimator, with the options that its name implies."""
     return [
         CatalogEntry(
             name, row.title, "estimator", ", ".join(quantity(key, value) for key, value in row.fixed.items())
@@ -373,8 +373,8 @@ def list_estimators() -> list[CatalogEntry]:
 
 
 def _describe_datasheet(kind: str, sheet: Mapping[str, Any]) -> str:
-    """Say in a line how far the figures of a datasheet can be trusted."""
+    """Return one line with the grade of a datasheet, its confidence, and its assumed and missing figures."""
     known = ", ".join(str(sheet[key]) for key in ("class", "confidence") if key in sheet)
     assumed = [str(name) for name in sheet.get("assumed", [])]
-    said = {"assumed": assumed, "absent": list_missing_figures(kind, sheet)}
-    return "; ".join([known, *(f"{what}: {', '.join(names)}" for what, names in said.items() if names)])
+    lists = {"assumed": assumed, "absent": list_missing_figures(kind, sheet)}
+    return "; ".join([known, *(f"{what}: {', '.join(names)}" for what, names in lists.items() if names)])

@@ -1,4 +1,4 @@
-"""A log of a user: what was recorded, how it was mounted, what filters are told -> ``LogSpec`` in SI."""
+"""Read the TOML file of a log: recorded files, mounting, assumed datasheets, start, estimators."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
 
 FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
-"""How a file of a log may be written; a table is CSV, Parquet or MATLAB."""
+"""Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
 _TABLES = (".csv", ".parquet", ".mat")
 _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".ulg": "ulog",
@@ -31,7 +31,7 @@ _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".mcap": "mcap",
     ".pos": "rtklib",
 }
-"""Ending of a file -> its format, where a log does not say it; a folder is a ROS 2 bag."""
+"""Ending of a file -> its format, if the log does not name it; a folder is a ROS 2 bag."""
 _TOPICS = ("ulog", "rosbag", "mcap")
 
 _Angle = Annotated[float, between(-360, 360)]
@@ -53,7 +53,7 @@ _Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
 
 
 class _FileTable(Table):
-    """A file, how it is written, what it calls its columns, and how its clock is off."""
+    """A file, its format, its column names, and the offset of its clock."""
 
     file: str
     format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
@@ -63,7 +63,7 @@ class _FileTable(Table):
 
 
 class ImuTable(_FileTable):
-    """The IMU: from its axes to forward, right, down by roll, pitch, yaw, then by the misalignment."""
+    """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
 
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
     misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
@@ -71,7 +71,7 @@ class ImuTable(_FileTable):
 
 
 class GnssTable(_FileTable):
-    """The GNSS receiver: where its antenna is, from the same point as the IMU, and which fixes count."""
+    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     velocity_offset_s: _Shift = 0.0
@@ -83,7 +83,7 @@ class BaroTable(_FileTable):
 
 
 class LogAssumedTable(Table):
-    """The datasheets the filters believe."""
+    """The datasheets that the filters assume."""
 
     imu: str
     gnss: str | None = None
@@ -91,16 +91,16 @@ class LogAssumedTable(Table):
 
 
 class LogSensorsTable(Table):
-    """What is told of the sensors."""
+    """What is known of the sensors."""
 
     assumed: LogAssumedTable
 
 
 class LogAlignmentTable(AlignmentTable):
-    """What the estimators are told of the start.
+    """What the estimators know of the initial state; they find the rest by alignment.
 
-    ``given``: position and velocity of a fix, and this attitude. ``level``: the position of a standstill.
-    ``course``: nothing. What is not told they have to find.
+    ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
+    ``course``: nothing.
     """
 
     kind: Literal["given", "level", "course"] = "course"
@@ -113,7 +113,7 @@ class LogAlignmentTable(AlignmentTable):
 
 
 class LogEvaluationTable(EvaluationTable):
-    """Every so manyth fix is kept from the filters and judges them; 0 keeps none."""
+    """Withhold every n-th fix from the filters to judge them by; 0 withholds none."""
 
     withhold: Annotated[int, NOT_NEGATIVE] = 5
 
@@ -138,18 +138,18 @@ class SourceSpec:
     path: Path
     format: str = "table"
     topic: str | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> what the file calls it
+    columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
     time_offset: float = 0.0  # added to its times [s]
 
 
 @dataclass(frozen=True, slots=True)
 class StartSpec:
-    """What the estimators are told of the start."""
+    """What the estimators know of the initial state."""
 
     alignment: str  # "given", "level" or "course"
-    at: float  # not before, since the first row of the IMU [s]
-    align_for: float  # level: longest standstill to use, course: length of the stretch [s]
-    drift_sd: float  # course: of the angle from course to nose [rad]
+    at: float  # earliest start, since the first row of the IMU [s]
+    align_for: float  # level: longest standstill to use, course: length of the track to use [s]
+    drift_sd: float  # course: sd of the angle between track and heading [rad]
     attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
     tilt_sd: float  # given [rad]
     heading_sd: float  # given [rad]
@@ -157,18 +157,18 @@ class StartSpec:
 
 @dataclass(frozen=True, slots=True)
 class LogSpec:
-    """A recording and how it is to be used."""
+    """A recording and how to use it, in SI."""
 
     name: str
     title: str
     imu: SourceSpec
     gnss: SourceSpec | None
     baro: SourceSpec | None
-    mounting: tuple[float, float, float]  # roll, pitch, yaw of the axes of the IMU in b [rad]
-    misalignment: tuple[float, float, float]  # of what the mounting gives, in b [rad]
+    mounting: tuple[float, float, float]  # roll, pitch, yaw of the IMU axes in b [rad]
+    misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
     antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
-    velocity_offset: float  # from the time of a fix to that of its velocity [s]
-    quality: tuple[int, ...]  # of the fixes to use; none: all
+    velocity_offset: float  # time of the velocity minus time of the fix [s]
+    quality: tuple[int, ...]  # of the fixes to use; empty: all
     assumed: AssumedSpecs
     start: StartSpec
     estimators: tuple[EstimatorChoice, ...]
@@ -179,7 +179,7 @@ class LogSpec:
 
 
 def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands: bool = False) -> LogSpec:
-    """Return a log file in SI, checked; what it names is looked for beside it.
+    """Read and check a log file; the files it names are searched beside it.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     Raises
     ------
     ConfigError
-        All that is wrong with the file and the files it names, one message each.
+        One message for each problem in the file and the files it names.
     """
     path = Path(name)
     document = read_toml(path, name)
@@ -201,17 +201,17 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     beside, place = path.parent, f"{name}: "
-    given = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
-    sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in given.items()}
+    tables = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
+    sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
     assumed: dict[str, Any] = {}
-    for kind in given:
-        asked = getattr(table.sensors.assumed, kind)
-        if asked is None and given[kind] is not None:
+    for kind in tables:
+        datasheet = getattr(table.sensors.assumed, kind)
+        if datasheet is None and tables[kind] is not None:
             wrong.append(
-                f"{place}[sensors.assumed] {kind} is missing: which datasheet do the filters believe?"
+                f"{place}[sensors.assumed] {kind} is missing: name the datasheet that the filters assume"
             )
         with collect_errors(wrong, f"{place}[sensors.assumed] "):
-            sheet = None if asked is None else find_datasheet(kind, asked, beside)
+            sheet = None if datasheet is None else find_datasheet(kind, datasheet, beside)
             with collect_errors(wrong):
                 assumed[kind] = None if sheet is None else SENSORS[kind](*sheet)
     choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
@@ -259,9 +259,9 @@ def _find_source(
     if not path.exists():
         wrong.append(f"{what}: no such file beside the log")
     elif form is None:
-        wrong.append(f"{what}: its ending tells no format; set format to {', '.join(FORMATS)}")
+        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
     elif path.is_dir() and form != "rosbag":
-        wrong.append(f"{what} is a folder; only a ROS 2 bag is one")
+        wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
     elif form == "table" and path.suffix.lower() not in _TABLES:
         wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")
     elif form != "table" and row.columns:
@@ -273,38 +273,38 @@ def _find_source(
     return None
 
 
-_OF_A_GIVEN = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
+_GIVEN_KEYS = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
 
 
 def _check_start(table: LogTable) -> list[str]:
-    """Check that the start is neither told too little nor what would not be read."""
+    """Check that the start has what its alignment needs, and nothing that would have no effect."""
     asked = table.alignment
     kind = f"kind = {asked.kind!r}"
-    told = [key for key in _OF_A_GIVEN if getattr(asked, key) is not None]
+    present = [key for key in _GIVEN_KEYS if getattr(asked, key) is not None]
     wrong = []
     if asked.kind == "given":
         wrong += [
-            f"[alignment] {key} is missing; {kind} needs it" for key in _OF_A_GIVEN[:3] if key not in told
+            f"[alignment] {key} is missing; {kind} needs it" for key in _GIVEN_KEYS[:3] if key not in present
         ]
-        wrong += [f"[alignment] duration_s is not read with {kind}"] if asked.duration_s is not None else []
+        wrong += [f"[alignment] duration_s has no effect with {kind}"] if asked.duration_s is not None else []
     else:
-        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in told]
+        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in present]
     if asked.kind != "course" and asked.drift_deg is not None:
         wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
     if table.gnss is None:
-        wrong.append("[gnss] is missing: the start needs a position, and the judgement needs the fixes")
+        wrong.append("[gnss] is missing: the start needs a position, and the evaluation needs fixes")
     return wrong
 
 
 def _make_start(row: LogAlignmentTable) -> StartSpec:
-    told = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
-    usual = 10.0 if row.kind == "course" else 60.0  # as in a profile
+    attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
+    default = 10.0 if row.kind == "course" else 60.0  # as in a profile
     return StartSpec(
         alignment=row.kind,
         at=float(row.at_s),
-        align_for=float(usual if row.duration_s is None else row.duration_s),
+        align_for=float(default if row.duration_s is None else row.duration_s),
         drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
-        attitude=_to_radians(told),
+        attitude=_to_radians(attitude),
         tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
         heading_sd=math.radians(2.0 if row.heading_sd_deg is None else row.heading_sd_deg),
     )

@@ -1,4 +1,4 @@
-"""A profile file -> ``bench.specs.Profile``: defaults, then the file, then the overrides."""
+"""Read a profile and return it in SI; overrides win over the file, the file over the defaults."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ from bench.specs import (
 )
 
 _OUTSIDE = ("file:", "command:")
-_DRIFT_DEG = 10.0  # a crosswind of a sixth of the airspeed; 1 sigma of what nobody told the filter
+_DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter
 DEFAULT_DAY = date(2026, 1, 1)
-"""When a flight is flown that does not say it."""
+"""Date of a flight whose profile gives none."""
 
 
 def load_profile(
@@ -59,14 +59,14 @@ def load_profile(
     estimators: Sequence[str] | None = None,
     allow_commands: bool = False,
 ) -> Profile:
-    """Return a profile in SI, checked.
+    """Read and check a profile; return it in SI.
 
     Parameters
     ----------
     name : str
         Name of a shipped profile, or the path of a ``.toml`` file.
     overrides : mapping
-        Dotted keys of the file to values that win over it: ``{"sensors.imu": "x", "leg.0.laps": 2}``.
+        Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.0.laps": 2}``.
         The entries of a list are counted from 0.
     seed : int
         Replaces both ``seed`` and ``turbulence_seed`` of the file.
@@ -74,34 +74,35 @@ def load_profile(
         Estimators to evaluate instead of all of the profile's: labels of the profile, built-in names or
         ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
     allow_commands : bool
-        The file itself may name a ``command:``, a program that is started; ``estimators`` always may.
+        Let the file name a ``command:``, a program that is started; ``estimators`` may always name one.
 
     Raises
     ------
     ConfigError
-        All that is wrong with the file, the overrides and the files it names, one message each.
+        One message for each problem in the file, the overrides and the files it names.
     """
     path, shown = find_profile(str(name))
     document = read_toml(path, shown)
     overrides = dict(overrides or {})
     if seed is not None:
-        both = overrides.pop("seed", seed)  # an override wins, of both
-        document |= {"seed": both} | ({} if "trajectory" in document else {"turbulence_seed": both})
+        used_seed = overrides.pop("seed", seed)  # an override wins
+        document |= {"seed": used_seed}
+        document |= {} if "trajectory" in document else {"turbulence_seed": used_seed}
     for key, value in overrides.items():
         document = _override(document, key, value)
     beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.check_options(document)]
-    flown_by = [key for key in ("aircraft", "script", "trajectory") if key in document]
-    if len(flown_by) > 1:
-        raise ConfigError(f"{shown}: {' and '.join(flown_by)}: a profile has only one of them")
-    external = external_truth.EXTERNAL.get(flown_by[0]) if flown_by else None
+    truth_keys = [key for key in ("aircraft", "script", "trajectory") if key in document]
+    if len(truth_keys) > 1:
+        raise ConfigError(f"{shown}: {' and '.join(truth_keys)}: a profile has only one of them")
+    external = external_truth.EXTERNAL.get(truth_keys[0]) if truth_keys else None
     aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if external is None else None
     units = document.get("sensors")
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
     if units is None and external is not None:
         units = external[0].model_fields["sensors"].default.model_dump()
         on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
-    believed = units.get("assumed") if isinstance(units, Mapping) else None
-    assumed = _find_sensors(believed, beside, f"{shown}: [sensors.assumed] ", wrong)
+    assumed_names = units.get("assumed") if isinstance(units, Mapping) else None
+    assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
         table: ExperimentTable = check_table(
@@ -123,7 +124,7 @@ def load_profile(
     across += (
         checks.check_rates(table, on_board) + checks.check_outages(table) + checks.check_alignment(table)
     )
-    across += checks.check_sensors(table, on_board, felt="trajectory" not in document)
+    across += checks.check_sensors(table, on_board, has_air="trajectory" not in document)
     across += fault_tables.check_faults(
         table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
     )
@@ -166,7 +167,7 @@ def _parse_index(rows: object, part: str, key: str) -> int:
 def _find_aircraft(
     document: Mapping[str, Any], beside: Path, place: str, wrong: list[str]
 ) -> AircraftSpec | None:
-    """Read an aircraft, or add to ``wrong`` why not; what is no text is left to the check of its table."""
+    """Read the aircraft of a profile, or add the problems to ``wrong``; None if it names none."""
     name, root = document.get("aircraft"), document.get("jsbsim_root")
     if isinstance(name, str):
         with collect_errors(wrong, place):
@@ -181,27 +182,27 @@ def _find_aircraft(
 
 
 def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> dict[str, Any]:
-    """Read the datasheets a table names, as ``_find_aircraft`` does; kinds it does not name are None."""
-    found: dict[str, Any] = dict.fromkeys(SENSORS)
+    """Read the datasheets that a table names; None for the others. Problems are added to ``wrong``."""
+    specs: dict[str, Any] = dict.fromkeys(SENSORS)
     for kind in SENSORS:
         name = names.get(kind) if isinstance(names, Mapping) else None
         if isinstance(name, str):
             with collect_errors(wrong, place):
                 path, shown = find_datasheet(kind, name, beside)
                 with collect_errors(wrong):
-                    found[kind] = SENSORS[kind](path, shown)
-    return found
+                    specs[kind] = SENSORS[kind](path, shown)
+    return specs
 
 
 def choose_estimators(
     shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_commands: bool
 ) -> tuple[EstimatorChoice, ...]:
-    """Return the estimators to run: those of a file, or those asked for instead.
+    """Return the estimators to run: those of a file, or those requested instead.
 
     Raises
     ------
     ConfigError
-        When two have one label, none is asked for, or the file itself would start a program.
+        If two share a label, the request is empty, or the file would start a program without permission.
     """
     choices = tuple(own)
     if estimators is not None:
@@ -209,9 +210,11 @@ def choose_estimators(
         choices = _number_labels([by_label.get(name) or make_choice(name) for name in estimators])
         twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
         if twice:
-            raise ConfigError(f"{shown}: two of the estimators asked for are labelled {twice[0]!r}")
+            raise ConfigError(f"{shown}: two of the requested estimators have the label {twice[0]!r}")
         if not choices:
-            raise ConfigError(f"{shown}: no estimator is asked for; leave it out to run those of the profile")
+            raise ConfigError(
+                f"{shown}: no estimator is requested; leave the list out to run those of the profile"
+            )
     if not allow_commands and (wrong := checks.check_commands(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return choices
@@ -220,13 +223,13 @@ def choose_estimators(
 def make_choice(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
-    """Return an estimator by its use, under its own name when no label is given."""
+    """Return the choice of an estimator; without a label it is named after its use."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
     return EstimatorChoice(use, label or _make_label(use), dict(options or {}), beside)
 
 
 def _make_label(use: str) -> str:
-    """Return what an estimator is called when nobody says: a class, file or program by its own name."""
+    """Return the default label of an estimator: the name of its class, file or program."""
     kind, _, rest = use.rpartition(":")
     if use.startswith(_OUTSIDE):
         kind, _, rest = use.partition(":")
@@ -236,16 +239,16 @@ def _make_label(use: str) -> str:
 
 
 def _number_labels(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice, ...]:
-    """Return the choices with a number behind the label of a file or program that is taken."""
-    taken: Counter[str] = Counter()
-    found = []
+    """Return the choices; a file or program whose label is used already gets a number behind it."""
+    counts: Counter[str] = Counter()
+    numbered = []
     for choice in choices:
-        taken[choice.label] += 1
-        count = taken[choice.label]
+        counts[choice.label] += 1
+        count = counts[choice.label]
         if count > 1 and choice.use.startswith(_OUTSIDE):
             choice = replace(choice, label=f"{choice.label}-{count}")
-        found.append(choice)
-    return tuple(found)
+        numbered.append(choice)
+    return tuple(numbered)
 
 
 def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
@@ -314,10 +317,10 @@ def _make_sensors(
 
 
 def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, Any]:
-    """Return the height of the ground, and that of the IMU above it at rest [m].
+    """Return the height of the ground, and the height of the IMU above it at rest [m].
 
-    A trajectory table is that of a vehicle that stays on the ground; of an aircraft without runway figures
-    no wheel is known to touch it.
+    The vehicle of a trajectory table stays on the ground. An aircraft without runway figures never rests on
+    it: its landing gear is not known.
     """
     if not isinstance(table, ProfileTable) or aircraft is None:
         return {} if isinstance(table, TrajectoryTable) else {"rest_height": -math.inf}
@@ -327,7 +330,7 @@ def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[
 
 
 def _choose_day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
-    """Return the day of the flight: that of the profile, else of the receiver's sky, else the usual one."""
+    """Return the day of the flight: from the profile, else from the receiver's [sky], else the default."""
     gnss = on_board["gnss"]
     if table.date is None and gnss is not None and gnss.sky is not None:
         return cast(date, gnss.sky.day)
@@ -345,7 +348,7 @@ def _place_static_port(aircraft: AircraftSpec | None) -> tuple[float, float, flo
 def _make_document(
     table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice], day: date
 ) -> dict[str, Any]:
-    """Return the profile as flown: the file with the overrides and every default filled in."""
+    """Return the profile as flown: the file with overrides and all defaults filled in."""
     document: dict[str, Any] = {
         "title": name,
         **table.model_dump(mode="json", exclude_none=True, by_alias=True),
@@ -354,8 +357,8 @@ def _make_document(
     if "turbulence_seed" in type(table).model_fields:
         document.setdefault("turbulence_seed", table.seed)
     sensors = document["sensors"]
-    own = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
-    sensors["assumed"] = own | sensors["assumed"]
+    on_board = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
+    sensors["assumed"] = on_board | sensors["assumed"]
     document["estimator"] = [
         {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
     ]

@@ -1,4 +1,4 @@
-"""The tables of a profile file, with what each key may hold, in the units of the file."""
+"""The tables of a profile file: keys, limits and defaults, in the units of the file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _check_turbulence(value: object) -> object:
 
 
 def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
-    """Refuse what an option cannot be: a date, NaN or infinity."""
+    """Refuse values that an option cannot have: dates, NaN and infinity."""
 
     def check(item: object) -> None:
         if isinstance(item, Mapping):
@@ -47,7 +47,7 @@ def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
             for inner in item:
                 check(inner)
         elif not isinstance(item, (bool, int, str)) and not (isinstance(item, float) and math.isfinite(item)):
-            raise PydanticCustomError("message", "must hold finite numbers, texts and true or false only")
+            raise PydanticCustomError("message", "must hold only finite numbers, texts, true or false")
 
     check(value)
     return value
@@ -76,7 +76,7 @@ def _check_year(value: date) -> date:
 
 
 def _parse_date(value: object) -> object:
-    """Take the text of a profile as flown, which is JSON, for a date; leave what is none to its check."""
+    """Convert an ISO date from the JSON of a flown profile; leave anything else to the validator."""
     if isinstance(value, str):
         with suppress(ValueError):
             return date.fromisoformat(value)
@@ -87,9 +87,9 @@ Date = Annotated[date, BeforeValidator(_parse_date), AfterValidator(_check_year)
 
 
 class StartTable(Table):
-    """Where the flight begins: ellipsoidal height, heading of the nose, true airspeed.
+    """Start of the flight: position with ellipsoidal height, heading, true airspeed.
 
-    On the ground it stands on a runway whose threshold and heading these are, and has no airspeed.
+    On the ground the aircraft stands at the threshold of a runway, along its heading, and has no airspeed.
     """
 
     lat_deg: Annotated[float, between(-90, 90)]
@@ -109,7 +109,7 @@ class LayerTable(Table):
 
 
 class WindTable(Table):
-    """Wind, by the direction it blows from, steady or in layers; turbulence by name or Milspec severity."""
+    """Wind, by the direction it blows from, constant or in layers; turbulence by name or Milspec severity."""
 
     from_deg: Annotated[float, between(0, 360)] = 0.0
     speed_mps: Annotated[float, between(0, 40)] = 0.0
@@ -119,7 +119,7 @@ class WindTable(Table):
 
 
 class GustTable(Table):
-    """A 1 - cosine gust: the velocity it adds to the air at its peak, and how long it rises, stays, falls."""
+    """A 1 - cosine gust: air velocity at its peak, and how long it rises, holds and falls."""
 
     start_s: Annotated[float, between(0, 86400)]
     north_mps: Annotated[float, between(-40, 40)] = 0.0
@@ -131,7 +131,7 @@ class GustTable(Table):
 
 
 class RunwayTable(Table):
-    """The threshold and the direction of the runway; the ground all around is as high as it is."""
+    """The threshold and the direction of the runway; the ground is flat at its height."""
 
     lat_deg: Annotated[float, between(-90, 90)]
     lon_deg: Annotated[float, between(-180, 180)]
@@ -146,7 +146,7 @@ if TYPE_CHECKING:
     USUAL_UNITS: Any
 else:
     AssumedTable = create_model("AssumedTable", __base__=Table, imu=(str | None, None), **_AIDING)
-    """The datasheets the filters believe, where they differ from the units on board."""
+    """The datasheets that the filters assume, where they differ from the sensors on board."""
     SensorsTable = create_model(
         "SensorsTable",
         __base__=Table,
@@ -155,9 +155,9 @@ else:
         qnh_hpa=(Annotated[float, between(850, 1100)] | None, None),
         assumed=(AssumedTable, AssumedTable()),
     )
-    """The units on board, each a catalog name or the path of a datasheet."""
+    """The sensors on board, each a catalog name or the path of a datasheet."""
     USUAL_UNITS = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
-    """Units of a profile with an external truth, when its file names none."""
+    """Sensors of a profile with an external truth that names none."""
 
 
 class OutageTable(Table):
@@ -168,7 +168,7 @@ class OutageTable(Table):
 
 
 class InitialErrorSdTable(Table):
-    """How well the start is known: position and velocity north, east, down."""
+    """Standard deviations of the initial errors; position and velocity are north, east, down."""
 
     pos_m: Metres3 = (3.0, 3.0, 5.0)
     vel_mps: Metres3 = (0.2, 0.2, 0.2)
@@ -177,9 +177,9 @@ class InitialErrorSdTable(Table):
 
 
 class AlignmentTable(Table):
-    """What the estimators are told of the start, and what they have to find by themselves.
+    """What the estimators know of the initial state; they find the rest by alignment.
 
-    ``given``: all of it. ``level``: the position of a standstill. ``course``: nothing.
+    ``given``: all of it. ``level``: the position at standstill. ``course``: nothing.
     """
 
     kind: Literal["given", "level", "course"] = "given"
@@ -196,14 +196,14 @@ class EstimatorTable(Table):
 
 
 class EvaluationTable(Table):
-    """End of the alignment window, and how often solutions are wanted."""
+    """End of the alignment window, and output rate of the solutions."""
 
     from_s: Annotated[float, between(0, 86400)] = 60.0
     output_hz: Annotated[float, between(0.1, 400)] = 10.0
 
 
 class AntennaTable(Table):
-    """GNSS antenna relative to the IMU, where no aircraft says it."""
+    """GNSS antenna relative to the IMU, for an external truth."""
 
     forward_m: Annotated[float, between(-100, 100)] = 0.0
     right_m: Annotated[float, between(-100, 100)] = 0.0
@@ -211,7 +211,7 @@ class AntennaTable(Table):
 
 
 class ExperimentTable(Table):
-    """What every profile says, however its truth comes about."""
+    """The keys that all profiles share, whatever their truth is made of."""
 
     title: str | None = None
     rate_hz: Literal[100, 200, 400] = 200
@@ -228,7 +228,7 @@ class ExperimentTable(Table):
 
 
 class ProfileTable(ExperimentTable):
-    """The file of a profile with legs, in its own units."""
+    """The file of a profile with legs."""
 
     aircraft: str
     jsbsim_root: str | None = None
@@ -242,12 +242,12 @@ class ProfileTable(ExperimentTable):
 
 @functools.cache
 def make_profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
-    """Return the model of a profile with legs of these kinds."""
+    """Return the type of a profile file with legs of these kinds."""
     return create_model("ProfileTable", __base__=ProfileTable, leg=(build_leg_type(legs), ...))
 
 
 class _ExternalTable(ExperimentTable):
-    """An external truth; the usual units are on board when the file names none."""
+    """A profile with an external truth; it has default sensors."""
 
     sensors: SensorsTable = USUAL_UNITS
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = (
@@ -257,7 +257,7 @@ class _ExternalTable(ExperimentTable):
 
 
 class ScriptTable(_ExternalTable):
-    """The file of a profile that is a JSBSim script: a name of the jsbsim wheel or a path."""
+    """The file of a profile that flies a JSBSim script: a name in the jsbsim wheel or a path."""
 
     script: str
     jsbsim_root: str | None = None
@@ -266,6 +266,6 @@ class ScriptTable(_ExternalTable):
 
 
 class TrajectoryTable(_ExternalTable):
-    """The file of a profile that is a table of a trajectory."""
+    """The file of a profile whose truth is a trajectory table."""
 
     trajectory: str

@@ -1,4 +1,4 @@
-"""The ``[sky]`` table of a GNSS datasheet: measurement level, in the units of its file -> ``SkySpec``."""
+"""The ``[sky]`` table of a GNSS datasheet: satellites and errors of a measurement-level receiver."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)
-_GPS_STALE, _GLONASS_STALE = 4 * 3600.0, 1800.0  # furthest ephemeris a flight may use [s]
+_GPS_STALE, _GLONASS_STALE = (
+    4 * 3600.0,
+    1800.0,
+)  # largest distance of an ephemeris from the start of a flight [s]
 
 Figure = Annotated[float, between(0, 1e6)]
 Strength = Annotated[float, between(0, 70)]
@@ -26,12 +29,12 @@ Eight = Annotated[tuple[float, float, float, float, float, float, float, float],
 
 
 class SkyTable(Table):
-    """Satellites, antenna, receiver, and the errors of ranges; an error that is left out is off."""
+    """Satellites, antenna, receiver, and measurement errors; an error that is left out is off."""
 
     start: datetime  # GPS time of the first instant of the flight
     almanac: str | None = None  # YUMA file, GPS only
     navigation: Annotated[tuple[str, ...], ROWS] = ()  # RINEX files
-    klobuchar: Eight | None = None  # of the navigation file when left out; none with nominal satellites
+    klobuchar: Eight | None = None  # default: from the navigation file; zero for nominal satellites
     systems: Literal["gps", "glonass", "both", "auto"] = "both"
     bands: Literal[1, 2] = 1
     elevation_mask_deg: Annotated[float, between(3, 60)]
@@ -66,19 +69,19 @@ class SkyTable(Table):
 
 
 def read_sky(table: SkyTable, beside: Path) -> SkySpec:
-    """Return the sky of a datasheet, in SI, with its satellites.
+    """Return the [sky] of a datasheet in SI, with its satellites.
 
     Parameters
     ----------
     table : SkyTable
-        As in the file.
+        The table as read from the file.
     beside : Path
-        Folder of the datasheet, where its almanac and navigation files are.
+        Folder of the datasheet, which holds its almanac and navigation files.
 
     Raises
     ------
     ConfigError
-        One message per thing that is wrong with the table or its files, without the datasheet's name.
+        One message for each problem in the table or its files, without the name of the datasheet.
     """
     wrong: list[str] = []
     processes = {
@@ -95,7 +98,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     if table.start.tzinfo is not None:
         wrong.append(f"[sky] start = {table.start} must have no time zone: it is GPS time")
     if table.almanac is not None and table.navigation:
-        wrong.append("[sky] almanac and navigation are two sources of one thing; give one of them")
+        wrong.append("[sky] give either almanac or navigation, not both")
     midnight = (table.start.date() - _EPOCH).days * _DAY
     clock = table.start.time()
     of_day = clock.hour * 3600.0 + clock.minute * 60.0 + clock.second + 1e-6 * clock.microsecond
@@ -107,12 +110,12 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     if wrong:
         raise ConfigError(*wrong)
     klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
-    apart = ("start", "almanac", "navigation", "klobuchar")
-    given: dict[str, Any] = si_fields({key: value for key, value in table if key not in apart})
-    given = {name: 0.0 if value is None else value for name, value in given.items()}
-    given["clock_g"] /= STANDARD_GRAVITY  # it is given per g
+    converted = ("start", "almanac", "navigation", "klobuchar")
+    figures: dict[str, Any] = si_fields({key: value for key, value in table if key not in converted})
+    figures = {name: 0.0 if value is None else value for name, value in figures.items()}
+    figures["clock_g"] /= STANDARD_GRAVITY  # the file gives it per g
     return SkySpec(
-        **given,
+        **figures,
         day=table.start.date(),
         gps_t0=of_day,
         gps=gps,
@@ -124,7 +127,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
 def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
 ) -> tuple[KeplerSets | None, KeplerSets | GlonassSets | None, Sequence[float] | None]:
-    """Read the satellites of GPS and GLONASS and the ionosphere; None stands for the nominal ones."""
+    """Read GPS and GLONASS orbits and the ionosphere parameters; None stands for the nominal ones."""
     from bench.exchange import almanac, rinex
 
     if table.almanac is not None:

@@ -1,4 +1,4 @@
-"""A TOML file as checked tables, and one line for each thing that is wrong with it."""
+"""Read TOML files into checked tables; one line for each problem."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _T = TypeVar("_T", bound=BaseModel)
 
 @contextmanager
 def collect_errors(wrong: list[str], place: str = "") -> Iterator[None]:
-    """Add the messages of a ConfigError to a list, after the place they belong to, and go on."""
+    """Catch a ConfigError and add its messages to a list, each behind the text ``place``."""
     try:
         yield
     except ConfigError as error:
@@ -27,7 +27,7 @@ def collect_errors(wrong: list[str], place: str = "") -> Iterator[None]:
 
 
 class Table(BaseModel):
-    """A table of a TOML file: no unknown key, no guessed type, no NaN, no infinity."""
+    """A table of a TOML file: no unknown keys, no type conversion, no NaN or infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -52,11 +52,11 @@ def _not_negative(value: float) -> float:
 NOT_NEGATIVE = AfterValidator(_not_negative)
 
 ROWS = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-"""Take the array of a TOML file for a tuple."""
+"""Convert the array of a TOML file to a tuple."""
 
 
 MOST_BYTES = 10_000_000
-"""Of a TOML file."""
+"""Largest TOML file that is read [byte]."""
 
 
 def read_toml(path: Path, shown: str) -> dict[str, Any]:
@@ -65,11 +65,11 @@ def read_toml(path: Path, shown: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        When it cannot be read, is too large or is not TOML; ``shown`` is what the message calls it.
+        If the file cannot be read, is too large or is not TOML. Messages call it ``shown``.
     """
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for
-            raise ConfigError(f"{shown}: no file")
+        if path.exists() and not path.is_file() and not path.is_dir():  # reading a pipe would block
+            raise ConfigError(f"{shown}: not a regular file")
         with path.open("rb") as file:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
@@ -88,12 +88,12 @@ def read_toml(path: Path, shown: str) -> dict[str, Any]:
 
 
 def check_table(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
-    """Return the document as a checked model.
+    """Validate a document and return it as a table.
 
     Raises
     ------
     ConfigError
-        One message per thing that is wrong, each with its place in the file ``shown``.
+        One message for each problem, with its place in the file ``shown``.
     """
     try:
         return model.model_validate(document)
@@ -125,8 +125,8 @@ def _explain(model: type[BaseModel], detail: ErrorDetails) -> str:
 
 
 def _split_location(loc: Sequence[int | str]) -> tuple[str, str]:
-    """Split a location into its table, as it stands in the file, and the key in it."""
-    if len(loc) == 2 and isinstance(loc[1], int):  # the row of a list of tables is no table
+    """Split a location into the name of its table, as written in the file, and the key."""
+    if len(loc) == 2 and isinstance(loc[1], int):  # a row of a list that should be a table but is not
         return "", _name_table(loc)
     if isinstance(loc[-1], int):
         return _name_table(loc[:-2]), f"{loc[-2]}[{loc[-1]}]"
@@ -142,7 +142,7 @@ def _name_table(loc: Sequence[int | str]) -> str:
 
 
 def _list_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
-    """Return the keys of the table at a location of a model."""
+    """Return the known keys of the table at a location of a model."""
     for part in loc:
         if isinstance(part, int):
             continue

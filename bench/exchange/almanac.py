@@ -52,7 +52,7 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
     Raises
     ------
     ConfigError
-        One line with file and line number, when the file is malformed, truncated or empty.
+        If the file is malformed, truncated or empty: one line with file and line number.
     """
     shown = path.name if shown is None else shown
     rows: list[dict[str, float]] = []

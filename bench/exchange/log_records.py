@@ -44,7 +44,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     Raises
     ------
     ConfigError
-        When a file cannot be read, has no such columns or holds what cannot be: one line with file and row.
+        If a file cannot be read, has no such columns or holds what cannot be: one line with file and row.
     """
     assert spec.gnss is not None
     imu_rows, gnss_rows = _read_rows(spec.imu, "imu"), _read_rows(spec.gnss, "gnss")

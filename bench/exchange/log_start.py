@@ -23,7 +23,7 @@ def find_start(recording: LogRecords, spec: LogSpec) -> InitialState:
     Raises
     ------
     ConfigError
-        When there is no such fix.
+        If there is no such fix.
     """
     told, fixes = spec.start, recording.fixes
     arm_b = np.asarray(spec.antenna_b)

@@ -35,7 +35,7 @@ def read_mat(path: Path) -> dict[str, Value]:
     Raises
     ------
     ConfigError
-        When it is none, of version 7.3, broken, or larger than it may be when unpacked.
+        If it is none, of version 7.3, broken, or larger than it may be when unpacked.
     """
     shown = path.name
     found: dict[str, Value] = {}

@@ -58,7 +58,7 @@ def load(choice: EstimatorChoice) -> Estimator:
     Raises
     ------
     EstimatorError, ConfigError
-        When there is no such file or program, or an option is wrong: one line.
+        If there is no such file or program, or an option is wrong: one line.
     """
     if choice.use.startswith(FILE):
         path = choice.beside / choice.use.removeprefix(FILE)
@@ -85,7 +85,7 @@ class CommandEstimator:
     Raises
     ------
     EstimatorError
-        When there is no such program or the command is not complete.
+        If there is no such program or the command is not complete.
     """
 
     def __init__(

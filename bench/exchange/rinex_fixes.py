@@ -103,7 +103,7 @@ class RinexFixes:
         Raises
         ------
         OSError
-            If the disk does not take it.
+            If the file cannot be written.
         """
         raw, fixes, dop = self.observations, self.fixes, self.dop
         lla = earth.to_datum(fixes.lla, datum)

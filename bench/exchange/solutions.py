@@ -86,7 +86,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     Raises
     ------
     ConfigError
-        When it cannot be read or is no solution; one line says which row, 1 being the first below the header.
+        If it cannot be read or is no solution; one line says which row, 1 being the first below the header.
     """
     shown = path.name
     try:

@@ -94,7 +94,7 @@ def read_table(
     Raises
     ------
     ConfigError
-        When the file cannot be read, is too large or has no such columns: one line.
+        If the file cannot be read, is too large or has no such columns: one line.
     """
     shown, aliases, wanted = path.name, aliases or {}, list[str]()
     import pyarrow as pa

@@ -91,7 +91,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
     Raises
     ------
     ConfigError
-        When the table cannot be read or no truth can be made of it; one line says which row.
+        If the table cannot be read or no truth can be made of it; one line says which row.
     """
     table = read_table(spec.path, KINDS, ("velocity",), MOST_ROWS)
     rows = _check_rows(table, spec.path.name)

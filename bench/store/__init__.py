@@ -1,4 +1,4 @@
-"""What lies on disk: results folders (Parquet, JSON), their provenance, and the truth cache."""
+"""Results folders (Parquet and JSON), their provenance, and the cache of flown truth."""
 
 from __future__ import annotations
 

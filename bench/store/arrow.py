@@ -1,4 +1,4 @@
-"""The records of a result as tables of Arrow and pandas, in the columns of its Parquet files."""
+"""The records of a result as Arrow tables and pandas DataFrames, with the columns of its Parquet files."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from bench.store.results import list_aiding
 
 
 def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa.Table:
-    """Return one record of a result as a table of Arrow.
+    """Return one record of a result as an Arrow table.
 
     Parameters
     ----------
     result : RunResult
-        Of `bench.run`, `bench.navigate_log` or `bench.load`.
+        As `bench.run`, `bench.navigate_log` or `bench.load` returns it.
     record : str
         "errors", "solutions" or "innovations" of the estimators; "truth", "air" or "controls" of the flight;
-        "imu", "gnss", "observations", "baro" ... of the sensors, "drawn" for their errors, "sky"; "events".
+        "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the errors drawn for them; "sky";
+        "events".
     estimator : str or None
-        Its rows alone; of all estimators, with a first column ``estimator``, when None.
+        Return only the rows of this estimator; None returns those of all, with a first column ``estimator``.
 
     Returns
     -------
     table : pyarrow.Table
-        A row per instant. Names of columns end in their unit, SI and radians; the metadata of a field hold
+        One row per instant. Column names end in their unit (SI and radians); the metadata of a field holds
         ``unit`` and ``frame``. A state that an estimator does not have is null.
 
     Raises
@@ -56,12 +57,12 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
 
 
 def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> Any:
-    """Return one record of a result as a DataFrame of pandas; parameters and errors as for `to_arrow`.
+    """Return one record of a result as a pandas DataFrame; parameters and errors as for `to_arrow`.
 
     Raises
     ------
     bench.errors.BenchError
-        If pandas is not installed, too.
+        Also if pandas is not installed.
     """
     try:
         import pandas  # noqa: F401
@@ -75,7 +76,7 @@ def _to_table(record: object) -> pa.Table:
 
 
 def _list_records(result: RunResult) -> dict[str, object]:
-    """Return the records that are of no estimator, by name."""
+    """Return the records that belong to the flight and its sensors, not to an estimator, by name."""
     found: dict[str, object] = {"events": result.events}
     if (truth := result.truth) is not None:
         found |= {"truth": truth, "air": truth.air, "controls": truth.controls}

@@ -1,4 +1,4 @@
-"""The columns of files: those that records declare, and those of which a record itself gives the number."""
+"""The columns of the files: those a record class declares, and those whose number depends on the record."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Layout = Mapping[str, Column]
 """Field of a record -> its columns."""
 
 _CODED = columns_of(Innovations)
-INNOVATIONS: Layout = {"sensor" if name == "code" else name: told for name, told in _CODED.items()}
-"""With the name of the sensor in each row, instead of its code."""
+INNOVATIONS: Layout = {"sensor" if name == "code" else name: column for name, column in _CODED.items()}
+"""Innovations in a file: each row holds the name of the sensor instead of its code."""
 TRUTH: Layout = columns_of(Trajectory)
 MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
 
@@ -26,7 +26,7 @@ _BANDED = {"frequency": "hz", "pseudorange": "m", "range_rate": "mps", "cn0": "d
 
 
 def flatten(record: object) -> tuple[object, Layout]:
-    """Return what holds the rows of a record, a field for each of its columns, and these columns."""
+    """Return an object with one field for each column of a record, and the layout of these columns."""
     if isinstance(record, Trajectory):
         no_interval = np.full((1, 3), np.nan)  # the first instant ends no interval
         rows = {name: getattr(record, name) for name in TRUTH}
@@ -56,7 +56,7 @@ def observation_layout(bands: int) -> Layout:
 
 
 def drawn_layout(on_board: Sequence[str]) -> Layout:
-    """Return the layout of what was drawn, the errors of some instruments by their names."""
+    """Return the layout of the drawn sensor errors, with the biases of the instruments on board."""
     return columns_of(SensorTruth) | {name: INSTRUMENTS[name].bias for name in on_board}
 
 
@@ -70,7 +70,7 @@ def solution_layout(extra_names: Sequence[str]) -> Layout:
     return layout
 
 
-def _rename_columns(told: Column, names: Sequence[str], measured: Sequence[str]) -> Column:
-    """Return a column whose names the record gives, with the units that others end in."""
-    units = tuple(unit_of(name) or "1" for name in measured)
-    return replace(told, names=tuple(names), units=units, shape=(len(names),))
+def _rename_columns(column: Column, names: Sequence[str], with_unit: Sequence[str]) -> Column:
+    """Return a column under new names; its units are those that the names in ``with_unit`` end in."""
+    units = tuple(unit_of(name) or "1" for name in with_unit)
+    return replace(column, names=tuple(names), units=units, shape=(len(names),))

@@ -1,4 +1,4 @@
-"""Where results may go: what is there already is replaced only when asked, and only if it is ours."""
+"""Folders for results: an existing one is replaced only on request, and only if bench wrote it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from bench.errors import ConfigError
 from bench.store.results import RESULT, results_folder
 
 
-def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None:
-    """Raise ConfigError when results cannot go to a folder; before anything is flown.
+def check_folder(folder: Path, *, force: bool, replaceable: bool | None = None) -> None:
+    """Raise ConfigError if results cannot be written to a folder; call it before anything is flown.
 
-    ``ours`` says whether what is there may be replaced; None: when it is a results folder.
+    ``replaceable`` says whether the present content may be replaced; None: if it is a results folder.
     """
     try:
         folder.stat()
@@ -26,14 +26,14 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
     if folder.is_dir():
         empty = not any(folder.iterdir())
         if not force and not empty:
-            what = "results folder" if ours is None else "folder"
+            what = "results folder" if replaceable is None else "folder"
             raise ConfigError(f"{folder}: the {what} exists; --force replaces it, -o names another")
-        if ours is False and not empty:
-            raise ConfigError(f"{folder}: not replaced, it is no export")
-        if ours is None and not empty and not (folder / RESULT).is_file():
-            raise ConfigError(f"{folder}: not replaced, it is no results folder (no {RESULT} in it)")
+        if replaceable is False and not empty:
+            raise ConfigError(f"{folder}: not replaced, it is not an export")
+        if replaceable is None and not empty and not (folder / RESULT).is_file():
+            raise ConfigError(f"{folder}: not replaced, it is not a results folder (no {RESULT} in it)")
     elif folder.exists() or folder.is_symlink():
-        raise ConfigError(f"{folder}: the results folder cannot be there, it is a file")
+        raise ConfigError(f"{folder}: a file is there; a results folder needs a name that is free")
     above = next(place for place in folder.absolute().parents if place.exists())
     try:
         tempfile.TemporaryDirectory(dir=above).cleanup()
@@ -43,14 +43,14 @@ def check_folder(folder: Path, *, force: bool, ours: bool | None = None) -> None
 
 @contextlib.contextmanager
 def make_folder(folder: Path, *, force: bool) -> Iterator[Path]:
-    """Give a folder to write results to; it takes its place when all went well, or nothing does.
+    """Provide a new folder to write results to; it appears under its name only if everything succeeds.
 
     Raises
     ------
     ConfigError
-        When another run made the folder meanwhile.
+        If another run made the folder meanwhile.
     OSError
-        When the disk does not take it.
+        If the folder cannot be written.
     """
     replace = force or folder.is_dir()  # an empty one
     try:

@@ -1,4 +1,4 @@
-"""Records in Parquet files, with the unit and frame of each column in its metadata; the door to pyarrow."""
+"""Parquet and CSV files of records; the metadata of each column holds its unit and frame."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ DAMAGED = (
     RecursionError,
     OSError,
 )
-"""What reading a file that is damaged, or none of ours, raises."""
+"""What reading raises if a file is damaged or was not written by bench."""
 
 
 def write(path: Path, record: object, layout: Layout | None = None, **facts: Any) -> None:
-    """Write the columns of a record, or the fields that a layout names, with facts as JSON metadata.
+    """Write a record, or the fields of it that a layout names, with ``facts`` as JSON metadata.
 
     Raises
     ------
     OSError
-        When the disk does not take it.
+        If the file cannot be written.
     """
     rows, columns = (record, layout) if layout is not None else flatten(record)
     pq.write_table(to_table(rows, columns, facts), path, compression="zstd", use_dictionary=False)
 
 
 def write_csv(path: Path, record: object, layout: Layout) -> None:
-    """Write the fields of a record that a layout names as CSV: a header, then every digit a number has.
+    """Write the fields of a record that a layout names as CSV, with a header and all digits of each number.
 
-    Truth values are 1 and 0, what is missing is ``nan``. Errors as for `write`.
+    Booleans are 1 and 0, missing values ``nan``. Errors as for `write`.
     """
     table = to_table(record, layout, {})
     for k, field in enumerate(table.schema):
@@ -53,12 +53,12 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
 
 
 def write_frame(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of numbers (N,) by name, as they are; errors as for `write`."""
+    """Write named columns of numbers (N,) without metadata; errors as for `write`."""
     pq.write_table(pa.table(dict(columns)), path, compression="zstd", use_dictionary=False)
 
 
 def write_text(path: Path, rows: Any) -> None:
-    """Write rows of numbers (N, k) as text: no header, a space between, every digit a number has.
+    """Write rows of numbers (N, k) as text: no header, separated by a space, with all digits.
 
     Errors as for `write`.
     """
@@ -69,7 +69,7 @@ def write_text(path: Path, rows: Any) -> None:
 
 
 def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Table:
-    """Return the fields of a record that a layout names as a table of Arrow, unit and frame in each field."""
+    """Return the fields of a record that a layout names as an Arrow table, with unit and frame metadata."""
     fields, arrays = [], []
     for name, columns in layout.items():
         value = getattr(record, name)
@@ -86,7 +86,7 @@ def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Tab
 
 
 def read(path: Path, layout: Layout) -> dict[str, Any]:
-    """Return the fields of a layout, by name, in the shapes of their record."""
+    """Read the fields of a layout, by name, in the shapes that their record declares."""
     table = pq.read_table(path)
     return {name: _get_field(table, columns.names, columns.shape) for name, columns in layout.items()}
 
@@ -97,7 +97,7 @@ def read_names(path: Path) -> Sequence[str]:
 
 
 def read_facts(path: Path) -> Mapping[str, Any]:
-    """Return what a file says of itself beside its columns."""
+    """Return the facts that `write` stored beside the columns of a file."""
     return json.loads(pq.read_schema(path).metadata[b"bench"])  # type: ignore[no-any-return]
 
 

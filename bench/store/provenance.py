@@ -1,4 +1,4 @@
-"""Which software made a result, and on what machine."""
+"""The software and the machine that made a result."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import bench
 from bench.places import PACKAGE
 
 PACKAGES = ("numpy", "scipy", "numba", "jsbsim")
-"""Distributions whose version can move a number."""
+"""Packages whose version can change a result."""
 
 
 def provenance() -> dict[str, object]:
@@ -30,7 +30,7 @@ def provenance() -> dict[str, object]:
 
 
 def hash_spec(spec: Any) -> str:
-    """Return the hash of a frozen dataclass of specs and all its figures, whatever file they were read in."""
+    """Return a hash of all values of a spec (a frozen dataclass); the file they came from does not matter."""
     text = json.dumps(dataclasses.asdict(spec), sort_keys=True, default=_to_plain)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -40,13 +40,13 @@ def _to_plain(value: Any) -> Any:
 
 
 def list_versions() -> dict[str, str]:
-    """Return the versions of bench, Python and every package whose version can move a number."""
+    """Return the versions of bench, Python and every package in `PACKAGES`."""
     packages = {name: version(name) for name in PACKAGES}
     return {"bench": bench.__version__, "python": platform.python_version(), **packages}
 
 
 def _find_commit() -> str | None:
-    """Return the commit of the tree bench runs from, with ``-dirty`` when files differ from it."""
+    """Return the commit of the source tree, with ``-dirty`` if files differ from it; None outside a tree."""
     tree = PACKAGE.parent
     if not (tree / ".git").exists():
         return None

@@ -1,4 +1,4 @@
-"""A results folder: written as a whole or not at all, and read back."""
+"""Write a results folder, completely or not at all, and read it back."""
 
 from __future__ import annotations
 
@@ -50,24 +50,24 @@ _T = TypeVar("_T")
 
 @contextmanager
 def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Give a temporary folder beside the wanted one, and put it in its place when all went well.
+    """Provide a temporary folder beside the wanted one and rename it if everything succeeds.
 
     Parameters
     ----------
     folder : Path
-        Where the results shall be.
+        The results folder.
     replace : bool
         Replace an existing folder.
 
     Yields
     ------
     partial : Path
-        The folder to write to. After an exception, Ctrl-C included, it is gone.
+        The folder to write to. It is removed after an exception, Ctrl-C included.
 
     Raises
     ------
     FileExistsError
-        When the folder exists and is not to be replaced.
+        If the folder exists and ``replace`` is false.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
@@ -92,12 +92,12 @@ def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
 def save(folder: Path, result: RunResult) -> None:
     """Write one run and its records into an existing, empty folder: Parquet tables, then ``result.json``.
 
-    A recording has no truth and nothing that was drawn.
+    A result from recorded data has no truth and no drawn sensor errors.
 
     Raises
     ------
     OSError
-        When the disk does not take it.
+        If the file cannot be written.
     """
     sensed = result.sensed
     assert sensed is not None
@@ -123,17 +123,17 @@ def save(folder: Path, result: RunResult) -> None:
 
 
 _SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
-"""Fields of a result in its ``result.json``; what else is there is `RunResult.more`."""
+"""Fields of a result in ``result.json``; its other entries are `RunResult.more`."""
 
 
 def list_aiding(data: SensorData) -> dict[str, Any]:
-    """Return the records of GNSS and the instruments on board, by the name of their tables."""
+    """Return the GNSS and instrument records on board, by the name of their table."""
     receiver = {"gnss": data.fixes, "observations": data.observations}
     return {name: record for name, record in receiver.items() if record is not None} | data.instruments
 
 
 def _describe_record(record: object, data: SensorData) -> dict[str, Any]:
-    """Return what the file of a record says beside its columns."""
+    """Return the facts that the file of a record holds beside its columns."""
     if isinstance(record, GnssObservations):
         return {
             "bands": record.pseudorange.shape[1],
@@ -152,7 +152,7 @@ def add_solution(
     Raises
     ------
     OSError
-        When the disk does not take it.
+        If the file cannot be written.
     """
     summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     _save_solution(folder, label, solution)
@@ -179,13 +179,13 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     Returns
     -------
     result : RunResult
-        As it was, except that a metric that was not finite is None. The truth and the sensors are read when
-        they are asked for.
+        The result as saved, except that a metric that was not finite is None. Truth and sensors are read on
+        first use.
 
     Raises
     ------
     FileNotFoundError
-        When it is no results folder.
+        If the folder is not a results folder.
     """
     folder = Path(folder)
     summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
@@ -199,7 +199,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
 
 
 class FolderRecords(Mapping[str, Any]):
-    """The truth and the sensors of a results folder, each read when it is first asked for."""
+    """The truth and the sensors of a results folder, each read on first use."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._read = folder.absolute(), dict[str, Any]()
@@ -211,7 +211,7 @@ class FolderRecords(Mapping[str, Any]):
             try:
                 self._read[name] = _READERS[name][1](self._folder)
             except KeyError as error:
-                raise ConfigError(f"{self._folder}: cannot be read: there is no {error} in it") from None
+                raise ConfigError(f"{self._folder}: cannot be read: {error} is missing") from None
         return self._read[name]
 
     def __contains__(self, name: object) -> bool:
@@ -252,15 +252,15 @@ def load_sensors(
 
 
 def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
-    """Read back what the estimators of a results folder were given, and what was drawn for it.
+    """Read back the sensor data of a results folder, the initial state and the drawn sensor errors.
 
-    Of the satellites of a sky only what a receiver computes comes back, with its observations.
+    The satellites of a sky come back only as the receiver computes them, in its observations.
     """
     folder = Path(folder)
     imu, fixes, instruments = load_sensors(folder)
     on_board: dict[str, Any] = dict(instruments)
     start = load_start(folder)
-    asked = [
+    outputs = [
         parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for _, path in _find_files(folder, "solution")
     ]
     data = SensorData(
@@ -269,7 +269,7 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
         **on_board,
         antenna_b=np.array(start["antenna_b_m"]),
         specs=read_assumed_specs(start),
-        output_t=next((t for t in asked if np.isfinite(t).all()), np.empty(0)),
+        output_t=next((t for t in outputs if np.isfinite(t).all()), np.empty(0)),
         observations=load_observations(folder),
         ground_alt=start["ground_alt_m"],
         date=start["date"],
@@ -285,8 +285,8 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
 
 
 def _load_drawn(path: Path) -> SensorTruth:
-    there = parquet.read_names(path)
-    on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in there]
+    names = parquet.read_names(path)
+    on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in names]
     fields = parquet.read(path, columns.drawn_layout(on_board))
     bias = {name: fields.pop(name).reshape(len(fields["t"]), -1) for name in on_board}
     return SensorTruth(**fields, bias=bias)
@@ -296,7 +296,7 @@ _READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
     "truth": (TRUTH, load_truth),
     "sensed": (START, load_sensed),
 }
-"""Record of a result -> file without which a folder does not have it, and its reader."""
+"""Record of a result -> the file a folder must have to hold it, and the function that reads it."""
 
 
 def _load(path: Path, record: type[_T]) -> _T:
@@ -304,7 +304,7 @@ def _load(path: Path, record: type[_T]) -> _T:
 
 
 def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None:
-    """Read the GNSS observations of a results folder back; None when its receiver gave only fixes."""
+    """Read the GNSS observations of a results folder back; None if its receiver gave only fixes."""
     path = Path(folder) / OBSERVATIONS
     if not path.exists():
         return None
@@ -319,12 +319,12 @@ def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None
 
 
 def write_json(path: Path, value: object) -> None:
-    """Write a value as JSON, atomically; what is not a finite number becomes null.
+    """Write a value to a JSON file, atomically; NaN and infinity become null.
 
     Raises
     ------
     OSError
-        When the disk does not take it; the file is then as it was.
+        If the file cannot be written; an existing file is left unchanged.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -335,7 +335,7 @@ def write_json(path: Path, value: object) -> None:
 
 
 def to_json(value: object) -> str:
-    """Write a value as JSON; what is not a finite number becomes null.
+    """Return a value as JSON text; NaN and infinity become null.
 
     Examples
     --------
@@ -385,5 +385,5 @@ def _load_errors(path: Path) -> ErrorSeries:
 
 
 def _find_files(folder: Path, kind: str) -> list[tuple[str, Path]]:
-    """Return label and file of every estimator that has a file of one kind."""
+    """Return label and file of each estimator that has a file of the given kind."""
     return [(path.stem.removeprefix(f"{kind}-"), path) for path in sorted(folder.glob(f"{kind}-*.parquet"))]

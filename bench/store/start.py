@@ -1,4 +1,4 @@
-"""What an estimator is told beside the measurements: the start, the antenna, the assumed datasheets."""
+"""What an estimator gets besides the measurements: initial state, antenna, assumed datasheets."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from bench.data import InitialState, SensorData
 from bench.specs import AssumedSpecs
 
 START = "sensors-start.json"
-_ORBITS = ("gps", "glonass")  # of a sky: what of them a receiver knows is in its observations
+_ORBITS = ("gps", "glonass")  # true orbits of a sky; the receiver knows only those in its observations
 
 
 def make_start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
-    """Return what an estimator is told, in SI and radians, as an object of JSON.
+    """Return initial state, antenna and assumed datasheets as a JSON object, in SI and radians.
 
     ``initial``: time, position, velocity, attitude and their covariance (9, 9) of (pos_n m, vel_n m/s,
-    phi_n rad) errors; null is not known. ``antenna_b_m``: GNSS antenna from the IMU, forward, right, down.
-    ``ground_alt_m``: ellipsoidal height of the runway. ``assumed``: the datasheets, fields as in
-    `bench.specs`, by kind of sensor. ``date``: decimal year.
+    phi_n rad) errors; null means not known. ``antenna_b_m``: GNSS antenna from the IMU, forward, right, down.
+    ``ground_alt_m``: ellipsoidal height of the runway. ``assumed``: the datasheets by kind of sensor, with
+    the fields of `bench.specs`. ``date``: decimal year.
     """
     lat, lon, alt = initial.lla
     assumed = dataclasses.asdict(data.specs)
@@ -55,41 +55,41 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
 
 
 def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Read what the estimators of a results folder were told, as `make_start_document` makes it.
+    """Read the document that `make_start_document` made for the estimators of a results folder.
 
     Raises
     ------
     FileNotFoundError
-        When the folder has no such file.
+        If the folder has no such file.
     """
     document: Mapping[str, Any] = json.loads((Path(folder) / START).read_text(encoding="utf-8"))
     return document
 
 
 def read_initial_state(document: Mapping[str, Any]) -> InitialState:
-    """Return the start of a `make_start_document`; what is not known is NaN with infinite variance."""
-    told = document["initial"]
-    cov = np.array(told["cov"], float)
+    """Return the initial state in a start document; unknown values are NaN with infinite variance."""
+    start = document["initial"]
+    cov = np.array(start["cov"], float)
     return InitialState(
-        t=told["t_s"],
-        lla=np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float),
-        vel_n=np.array(told["vel_n_mps"], float),
-        q_nb=np.array(told["q_nb"], float),
+        t=start["t_s"],
+        lla=np.array([start["lat_rad"], start["lon_rad"], start["alt_m"]], float),
+        vel_n=np.array(start["vel_n_mps"], float),
+        q_nb=np.array(start["q_nb"], float),
         cov=np.where(np.isnan(cov), np.inf, cov),
-        alignment=told["alignment"],
-        align_for=told["align_for_s"],
-        drift_sd=told["drift_sd_rad"],
+        alignment=start["alignment"],
+        align_for=start["align_for_s"],
+        drift_sd=start["drift_sd_rad"],
     )
 
 
 def read_assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
-    """Return the datasheets of a `make_start_document`; the orbits of a sky are not in it."""
+    """Return the assumed datasheets in a start document; it does not hold the orbits of a sky."""
     specs: AssumedSpecs = _convert(AssumedSpecs, document["assumed"])
     return specs
 
 
 def _convert(kind: Any, value: Any) -> Any:
-    """Return a value of JSON as what a field of a spec is declared to be; a field that is missing is None."""
+    """Convert a JSON value to the declared type of a spec field; missing fields become None."""
     if value is None:
         return None
     if isinstance(kind, UnionType):
@@ -97,12 +97,12 @@ def _convert(kind: Any, value: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind, localns=_NOT_STORED)
         missing = {f.name: None for f in dataclasses.fields(kind) if f.name not in value}
-        given = {name: _convert(hints[name], inner) for name, inner in value.items()}
-        return kind(**missing, **given)  # type: ignore[operator]
+        present = {name: _convert(hints[name], inner) for name, inner in value.items()}
+        return kind(**missing, **present)  # type: ignore[operator]
     if get_origin(kind) is tuple:
         return tuple(_convert(get_args(kind)[0], inner) for inner in value)
     return date.fromisoformat(value) if kind is date else value
 
 
 _NOT_STORED = {"KeplerSets": object, "GlonassSets": object}
-"""Types of the orbits of a sky."""
+"""Types of the orbits of a sky, which are not stored."""

@@ -1,8 +1,8 @@
-"""Truth is flown once: by content hash, written atomically, read memory-mapped, nothing unpickled.
+"""The cache of flown truth: found by content hash, written atomically, read memory-mapped, never unpickled.
 
-A flight comes in pieces and goes to the files in pieces, so that a long one needs no more
-memory than a short one. A piece is a `Trajectory` that begins with the instant at which the
-one before ends; in all but `SHARED` it holds only what is later than that instant.
+A flight is flown and written in pieces, so that a long one needs no more memory than a short one. A piece is
+a `Trajectory` that begins at the last instant of the piece before. The columns in `SHARED` repeat that
+instant; all others hold only later rows.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _PARTS = ("air", "controls", "events")
 _PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
 _Array = np.ndarray[Any, Any]
 SHARED = ("t", "lla", "vel_n", "q_nb")
-"""Columns in which a piece repeats the last row of the one before."""
+"""Columns in which a piece repeats the last row of the piece before."""
 
 _SOURCES = (
     "flight",
@@ -56,20 +56,20 @@ _SOURCES = (
 
 
 def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
-    """Return the truth of a flight: from the cache, or flown and kept there.
+    """Return the truth of a flight from the cache; fly and store it first if it is not there.
 
     Parameters
     ----------
     spec : FlightSpec, ScriptSpec or TableSpec
-        All that the truth depends on, besides the files it names and the software.
+        Everything the truth depends on, besides the files it names and the software.
     fly : callable
-        Flies it and returns its pieces; one is enough. Called when the cache has no such truth, or a
-        damaged one; and again when what it flew could not be kept.
+        Flies and returns the pieces, at least one. Called if the truth is not in the cache or is damaged
+        there, and a second time if it could not be stored.
 
     Returns
     -------
     truth : Trajectory
-        Bit-identical to the pieces of ``fly`` put together; its columns are mapped from the cache's files.
+        Bit-identical to the joined pieces of ``fly``; its columns are memory-mapped from the cache.
     """
     entry = cache_folder("truth") / truth_key(spec)
     truth = _map_truth(entry) if _is_sound(entry) else None
@@ -81,7 +81,7 @@ def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Traje
 def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
     """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `cached_truth`.
 
-    What is not in the cache is flown and kept there first.
+    A flight that is not in the cache is flown and stored first.
     """
     entry = cache_folder("truth") / truth_key(spec)
     yield from _read_pieces(entry) if _is_sound(entry) or _fly_into(entry, fly) else fly()
@@ -90,19 +90,19 @@ def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Itera
 def cached_summary(
     spec: Flight,
     fly: Callable[[], Iterable[Trajectory]],
-    say: Callable[[Iterable[Trajectory]], dict[str, Any]],
+    summarize: Callable[[Iterable[Trajectory]], dict[str, Any]],
     sources: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what ``say`` makes of the pieces of a truth: made once, and kept beside the truth.
+    """Return the summary of a truth: computed once, then stored beside the truth.
 
     Parameters
     ----------
     spec, fly
-        As for `cached_truth`; the truth is flown and kept first when the cache does not have it.
-    say : callable
-        Makes an object of JSON from the pieces.
+        As for `cached_truth`; a truth that is not in the cache is flown and stored first.
+    summarize : callable
+        Makes a JSON object from the pieces.
     sources : sequence of str
-        Files of the package that ``say`` depends on, besides those the truth depends on.
+        Files of the package that ``summarize`` depends on, besides those the truth depends on.
     """
     entry = cache_folder("truth") / truth_key(spec)
     digest = hashlib.sha256()
@@ -110,20 +110,20 @@ def cached_summary(
         digest.update((PACKAGE / name).read_bytes())
     path = entry / f"summary-{digest.hexdigest()[:32]}.json"
     if _is_sound(entry):
-        with contextlib.suppress(OSError, ValueError):  # absent or damaged: it is made anew
-            kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            return kept
-    text = json.dumps(say(truth_pieces(spec, fly)))
-    with contextlib.suppress(OSError):  # the truth could not be kept, nor can this
+        with contextlib.suppress(OSError, ValueError):  # absent or damaged: compute it again
+            stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            return stored
+    text = json.dumps(summarize(truth_pieces(spec, fly)))
+    with contextlib.suppress(OSError):  # the truth could not be stored either
         beside = path.with_suffix(f".{os.getpid()}")
         beside.write_text(text, encoding="utf-8")
         beside.replace(path)
-    said: dict[str, Any] = json.loads(text)
-    return said
+    summary: dict[str, Any] = json.loads(text)
+    return summary
 
 
 def truth_key(spec: Flight) -> str:
-    """Return the hash of everything truth depends on: the flight, the files it names, the software."""
+    """Return a hash of everything a truth depends on: the flight, the files it names, the software."""
     values, files = _list_inputs(spec)
     digest = hashlib.sha256()
     digest.update(json.dumps({**values, "versions": list_versions()}, sort_keys=True).encode())
@@ -137,7 +137,7 @@ def truth_key(spec: Flight) -> str:
 
 
 def _list_inputs(spec: Flight) -> tuple[dict[str, Any], list[Path]]:
-    """Return what a flight says of itself, and the files and folders it is made from."""
+    """Return the values of a flight spec, and the files and folders it reads."""
     values = {"kind": type(spec).__name__, **dataclasses.asdict(spec)}
     if isinstance(spec, FlightSpec):
         aircraft, foreign = values["aircraft"], values["aircraft"]["foreign"]
@@ -163,7 +163,7 @@ def _list_files(root: Path) -> list[Path]:
 
 
 def _get_columns(truth: Trajectory) -> dict[str, _Array]:
-    """Return every numeric column of a trajectory by its name: ``lla``, ``air.t`` ..."""
+    """Return the numeric columns of a trajectory by name: ``lla``, ``air.t`` ..."""
     parts: dict[str, Any] = {"": truth} | {part: getattr(truth, part) for part in _PARTS}
     return {
         f"{part}.{field.name}".lstrip("."): getattr(record, field.name)
@@ -174,7 +174,7 @@ def _get_columns(truth: Trajectory) -> dict[str, _Array]:
 
 
 def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]) -> Trajectory:
-    """Return the trajectory of the columns that `_get_columns` names."""
+    """Return the trajectory that has these columns, named as `_get_columns` names them."""
     rows: dict[str, dict[str, Any]] = {part: {} for part in ("", *_PARTS)}
     for label, array in arrays.items():
         part, _, name = label.rpartition(".")
@@ -185,7 +185,7 @@ def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[
 
 
 def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
-    """Return the truth that pieces make up; a piece begins with the instant at which the one before ends."""
+    """Return the pieces of a truth joined to one trajectory."""
     first, *rest = pieces
     if not rest:
         return first
@@ -199,11 +199,11 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
 
 
 def _fly_into(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
-    """Fly a truth into the cache and say whether it could be kept."""
+    """Fly a truth into the cache; return whether it could be stored."""
     try:
         _write_entry(entry, fly)
         _remove_unused(entry.parent)
-    except OSError as error:  # no room, no right to write
+    except OSError as error:  # disk full, or no permission
         _LOG.warning("truth is not cached in %s: %s", entry.parent, error.strerror or error)
         return False
     return True
@@ -226,7 +226,7 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
         (scratch / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
         hashes = {path.name: _hash_file(path) for path in scratch.iterdir()}
         (scratch / _INDEX).write_text(json.dumps(hashes), encoding="utf-8")
-        shutil.rmtree(entry, ignore_errors=True)  # damaged, or another process was as fast
+        shutil.rmtree(entry, ignore_errors=True)  # damaged, or just written by another process
         scratch.rename(entry)
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -234,7 +234,7 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
 
 
 class _Column:
-    """A .npy file that grows by rows; their number comes last, into the room numpy leaves for it."""
+    """A .npy file to which rows are appended; closing it writes their number into the header."""
 
     def __init__(self, path: Path, like: _Array) -> None:
         self._file = path.open("wb")
@@ -260,7 +260,7 @@ class _Column:
 
 
 def _is_sound(entry: Path) -> bool:
-    """Say whether an entry is there, its files are those that were written, and none is a pickle."""
+    """Return whether an entry exists, its files have their hashes, and none holds a pickle."""
     try:
         hashes = json.loads((entry / _INDEX).read_text(encoding="utf-8"))
         if not hashes or any(_hash_file(entry / name) != wanted for name, wanted in hashes.items()):
@@ -269,7 +269,7 @@ def _is_sound(entry: Path) -> bool:
             _map_column(entry, name)
     except (OSError, ValueError, AttributeError):
         return False
-    with contextlib.suppress(OSError):  # a cache shared read-only still serves
+    with contextlib.suppress(OSError):  # a read-only shared cache is still used
         os.utime(entry)
     return True
 
@@ -279,7 +279,7 @@ def _list_columns(entry: Path) -> list[str]:
 
 
 def _map_column(entry: Path, name: str) -> _Array:
-    """Return a column of an entry, mapped: what is not looked at is not in memory."""
+    """Return a memory-mapped column of an entry; rows that are not read take no memory."""
     rows: _Array = np.load(entry / f"{name}.npy", mmap_mode="r", allow_pickle=False)
     return rows
 
@@ -290,7 +290,7 @@ def _read_texts(entry: Path) -> dict[str, list[str]]:
 
 
 def _map_truth(entry: Path) -> Trajectory | None:
-    """Return the truth of an entry, mapped from its files, or None when they do not hold one."""
+    """Return the truth of an entry, memory-mapped, or None if its files do not hold one."""
     try:
         return _make_trajectory(
             {name: _map_column(entry, name) for name in _list_columns(entry)}, _read_texts(entry)
@@ -300,14 +300,13 @@ def _map_truth(entry: Path) -> Trajectory | None:
 
 
 def _read_pieces(entry: Path) -> Iterator[Trajectory]:
-    """Yield the truth of an entry in pieces, the events with the last one.
+    """Yield the truth of an entry in pieces; the last one holds the events.
 
-    The files are mapped anew for each piece: a page that was looked at is memory of the
-    process for as long as its map lives.
+    The files are mapped again for each piece: a page once read stays in memory as long as its map lives.
     """
     names, texts = _list_columns(entry), _read_texts(entry)
     end = len(_map_column(entry, "t")) - 1
-    taken = dict.fromkeys(_PARTS, 0)
+    used = dict.fromkeys(_PARTS, 0)
     for start in range(0, max(end, 1), _PIECE):
         stop = min(start + _PIECE, end)
         until = np.inf if stop == end else _map_column(entry, "t")[stop]
@@ -318,9 +317,9 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
         arrays = {}
         for name in names:
             part = name.rpartition(".")[0]
-            rows = slice(taken[part], ready[part]) if part else slice(start, stop + (name in SHARED))
+            rows = slice(used[part], ready[part]) if part else slice(start, stop + (name in SHARED))
             arrays[name] = np.array(_map_column(entry, name)[rows])
-        taken = ready
+        used = ready
         yield _make_trajectory(arrays, texts if stop == end else {"kind": [], "text": []})
 
 

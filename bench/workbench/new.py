@@ -42,7 +42,7 @@ def new_estimator(name: str, *, console: Console) -> None:
     Raises
     ------
     ConfigError
-        When the name is no name for a module, stands for another one, or a file is there already; nothing
+        If the name is no name for a module, stands for another one, or a file is there already; nothing
         is written then.
     """
     cls = "".join(part.capitalize() for part in name.split("_"))

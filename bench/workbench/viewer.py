@@ -37,9 +37,9 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
     Raises
     ------
     ConfigError
-        When there is no recording.
+        If there is no recording.
     ViewerError
-        When the viewer cannot be started or fails.
+        If the viewer cannot be started or fails.
     """
     recording = find_recording(folder)
     command = [str(_find_viewer()), str(recording), "--bind", _LOCAL]
@@ -63,7 +63,7 @@ def find_recording(folder: Path | None) -> Path:
     Raises
     ------
     ConfigError
-        When there is none.
+        If there is none.
     """
     if folder is None:
         results = [path for path in RUNS.glob(f"*/{RESULT}") if (path.parent / RECORDING).is_file()]

@@ -223,14 +223,14 @@ WRONG = [
     ),
     (
         ["run", "short.toml", "-o", "short.toml"],
-        "error: short.toml: the results folder cannot be there, it is",
+        "error: short.toml: a file is there; a results folder needs",
     ),
     (["run", "short.toml", "-o", "short.toml/a"], "error: short.toml/a: no folder can be made in "),
     (
         ["run", "short.toml", "-o", "a" * 300],
         f"error: {'a' * 300}: no folder can be made there: File name too long",
     ),
-    (["run", "short.toml", "-o", ".", "--force"], "error: .: not replaced, it is no results folder"),
+    (["run", "short.toml", "-o", ".", "--force"], "error: .: not replaced, it is not a results folder"),
     (["view"], "error: runs: no recording in any folder; 'bench run figure-eight' makes one"),
     (["view", "x"], "error: x: no flight.rrd in it"),
     (["check", "--baselines", "x"], "error: x: no baseline"),
@@ -398,7 +398,7 @@ def test_what_is_wrong_with_an_estimator_of_ones_own_is_said(
 def test_two_estimators_of_one_label_are_refused(here, capsys):
     status, _, err = say(capsys, "run", "short.toml", "-e", "loose-15", "-e", "loose-15")
     assert status == 2
-    assert "two of the estimators asked for are labelled 'loose-15'" in err
+    assert "two of the requested estimators have the label 'loose-15'" in err
 
 
 def test_an_outage_after_a_flight_of_open_length_is_refused(here, capsys):

@@ -138,7 +138,10 @@ def test_the_other_tables_of_an_imu_become_si(tmp_path):
     [
         ("[gyro]\nnonlinearity_sd_ppm = 50.0", "[gyro] nonlinearity_sd needs range_deg_s above 0"),
         ("[accel]\nnonlinearity_sd_ppm = 50.0", "[accel] nonlinearity_sd needs range_g above 0"),
-        ("[accel]\ndead_zone_ug = 1.0\ndead_zone_mg = 1.0", "dead_zone_ug and dead_zone_mg are one figure"),
+        (
+            "[accel]\ndead_zone_ug = 1.0\ndead_zone_mg = 1.0",
+            "dead_zone_ug and dead_zone_mg are the same figure",
+        ),
         ('[gyro]\ndead_zone_kind = "soft"', "must be 'subtractive' or 'hard'"),
         ("[accel]\ng_sensitivity_sd_deg_h_g = 1.0", "unknown key 'g_sensitivity_sd_deg_h_g'"),
         ("[vibration]\nengine_accel_mg = 1.0", "[vibration] engine shaking needs engine_reference_rpm"),

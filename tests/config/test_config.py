@@ -398,9 +398,12 @@ ONE_THING_WRONG = [
     ),
     (
         {"estimator.0": {"use": "my.lab:Huber", "options": {"k": INF}}},
-        "[[estimator]] 1: options = { ... } must hold finite numbers,",
+        "[[estimator]] 1: options = { ... } must hold only finite numbers,",
     ),
-    ({"estimator.0.use": "los-15"}, "[[estimator]] 1: use = 'los-15' is no built-in estimator. Did you mean"),
+    (
+        {"estimator.0.use": "los-15"},
+        "[[estimator]] 1: use = 'los-15' is not a built-in estimator. Did you mean",
+    ),
     ({"estimator.0.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
     ({"evaluation.output_hz": 7}, "[evaluation] output_hz = 7 Hz must divide rate_hz = 200 Hz"),
     (
@@ -454,8 +457,8 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
     for good, bad, message in (
         ('"uav"', '"jetliner"', "class = 'jetliner' must be 'uav', 'light', 'transport' or 'fighter'"),
         ("speed_mps = 28.0", "speed_mps = 30.0", "[[trim]] 3: speed_mps = 30 m/s is outside [limits]"),
-        ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is no table of it"),
-        ('"runway", "g', '"imu", "g', "assumed names 'imu', which is no table of it"),
+        ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is not a table of this file"),
+        ('"runway", "g', '"imu", "g', "assumed names 'imu', which is not a table of this file"),
     ):
         (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
         assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]
@@ -508,7 +511,7 @@ DATASHEET = [
     ),
     (
         'source = "a"\n[accel]\nbias_instability_ug = 50\nbias_instability_mg = 0.05\nbias_correlation_s = 9',
-        "[accel] bias_instability_ug and bias_instability_mg are one figure; give one of them",
+        "[accel] bias_instability_ug and bias_instability_mg are the same figure; give one of them",
     ),
     (
         'source = "a"\n[gyro]\nbias_instability_deg_h = 1',
@@ -516,9 +519,9 @@ DATASHEET = [
     ),
     (
         'source = "a"\nassumed = ["gyro.bias"]\n[gyro]\nnoise_deg_sqrt_h = 1',
-        "assumed: 'gyro.bias' is no figure of this file",
+        "assumed: 'gyro.bias' is not a figure of this file",
     ),
-    ('source = "a"\n[sources]\n"accel.x" = "b"', "[sources]: 'accel.x' is no figure of this file"),
+    ('source = "a"\n[sources]\n"accel.x" = "b"', "[sources]: 'accel.x' is not a figure of this file"),
     ("source = ", "not valid TOML: Invalid value (at end of document)"),
 ]
 
@@ -551,7 +554,7 @@ def test_a_file_that_is_no_text(tmp_path):
     (tmp_path / "dir.toml").mkdir()
     assert errors(str(tmp_path / "dir.toml")) == ["dir.toml: Is a directory"]
     os.mkfifo(tmp_path / "pipe.toml")
-    assert errors(str(tmp_path / "pipe.toml")) == ["pipe.toml: no file"]
+    assert errors(str(tmp_path / "pipe.toml")) == ["pipe.toml: not a regular file"]
 
 
 def test_a_hostile_file_is_refused_in_bounded_memory_and_depth(tmp_path):

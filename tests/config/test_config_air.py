@@ -215,7 +215,7 @@ def test_what_feels_the_air_is_refused_on_a_table_that_says_nothing_of_it(tmp_pa
     assert config.load_profile(str(path)).sensors.baro.name == "bmp388"
     sensors = {"sensors.imu": "matched-mems", f"sensors.{kind}": name}
     assert wrong(path, overrides=sensors) == [
-        f"own.toml: [sensors] {kind} = {name!r} feels the air, of which a trajectory table says nothing"
+        f"own.toml: [sensors] {kind} = {name!r} needs air data, which a trajectory table does not have"
     ]
 
 

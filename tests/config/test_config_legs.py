@@ -94,14 +94,17 @@ WRONG_AIR = [
     ),
     (
         {"wind.layers": [{"alt_m": 5, "from_deg": 0, "speed_mps": 3}] * 2, "wind.speed_mps": 0},
-        "[wind] layers[1] alt_m = 5 m is there twice",
+        "[wind] layers[1] alt_m = 5 m is given twice",
     ),
-    ({"gust": [{"start_s": 3.0}]}, "[[gust]] 1: needs a north_mps, east_mps or up_mps that is not 0"),
+    ({"gust": [{"start_s": 3.0}]}, "[[gust]] 1: needs a north_mps, east_mps or up_mps other than 0"),
     (
         {"gust": [{"start_s": 3.0, "up_mps": 2.0}, {"start_s": 4.0, "up_mps": 2.0}]},
         "[[gust]] 2: start_s = 4 s is before the end of another at 5 s",
     ),
-    ({"start": {**ON_GROUND, "speed_mps": 5.0}, "leg": RUNWAY_LEGS}, "[start] speed_mps = 5 m/s: on_ground"),
+    (
+        {"start": {**ON_GROUND, "speed_mps": 5.0}, "leg": RUNWAY_LEGS},
+        "[start] speed_mps = 5 m/s is not used with on_ground",
+    ),
     (
         {"start": ON_GROUND},
         "[[leg]] 1 (straight): is flown in the air; a take-off must come before it",

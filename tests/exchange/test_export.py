@@ -428,7 +428,7 @@ def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_pat
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "README.md").write_text("# Mine\n")
     err = complaint(capsys, *to, "-o", str(tmp_path / "mine"), "--force")
-    assert err == f"error: {tmp_path / 'mine'}: not replaced, it is no export\n"
+    assert err == f"error: {tmp_path / 'mine'}: not replaced, it is not an export\n"
     assert "the folder cannot be" not in err
     err = complaint(capsys, *to, "-o", str(run[0]), "--force")
     assert "not replaced" in err
@@ -467,7 +467,7 @@ def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
     err = complaint(capsys, "export", str(tmp_path), "--to", "csv", "-o", str(tmp_path / "out"))
     assert (
         err
-        == f"error: {tmp_path}: no results folder, there is no result.json in it; 'bench run' writes one\n"
+        == f"error: {tmp_path}: not a results folder, there is no result.json in it; 'bench run' writes one\n"
     )
     folder = tmp_path / "run"
     make_run(folder)

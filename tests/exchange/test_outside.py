@@ -305,8 +305,8 @@ def test_a_profile_starts_no_program_unless_told(tmp_path, monkeypatch, capsys):
     assert main(["run", "his.toml"]) == 2
     assert capsys.readouterr().err == (
         "error: his.toml: [[estimator]] 2: 'command:sh -c touch {sensors} {solution}' starts a "
-        "program on this "
-        "machine; --allow-commands lets a profile do so, -e 'command:...' is your own word\n"
+        "program on this machine; --allow-commands lets a profile do so; with -e 'command:...' you name the "
+        "program yourself\n"
     )
     assert main(["run", "his.toml", "-e", "sh"]) == 2  # its label does not make it yours
     assert "--allow-commands" in capsys.readouterr().err

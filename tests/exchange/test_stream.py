@@ -242,4 +242,4 @@ def test_an_address_that_cannot_be_reached_is_named(run, capsys):
 
 def test_no_run_no_stream(tmp_path, capsys):
     assert main(["stream", str(tmp_path), "--udp", "127.0.0.1:5600"]) == 2
-    assert "no results folder" in capsys.readouterr().err
+    assert "not a results folder" in capsys.readouterr().err

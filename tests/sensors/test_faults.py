@@ -492,15 +492,15 @@ def wrong(gnss="sky-l1", **fault):
         ({"kind": "jaming", "cn0_loss_db": 5.0}, "kind = 'jaming' is unknown. Did you mean 'jamming'?"),
         ({"kind": "jamming"}, "[[fault]] 1 (jamming): cn0_loss_db is missing"),
         ({"kind": "jamming", "cn0_loss_db": 99.0}, "cn0_loss_db = 99 dB is outside 0.1 to 60 dB"),
-        ({"kind": "jamming", "cn0_loss_db": 9.0, "gnss": "l1-code"}, "without C/N0; take one with [sky]"),
-        ({"kind": "receiver-clock", "step_m": 9.0, "gnss": "l1-code"}, "without clock; take one with [sky]"),
-        ({"kind": "satellites-lost", "satellites": ["E05"]}, "'E05' is no satellite: G01 to G32"),
+        ({"kind": "jamming", "cn0_loss_db": 9.0, "gnss": "l1-code"}, "without C/N0; choose one with [sky]"),
+        ({"kind": "receiver-clock", "step_m": 9.0, "gnss": "l1-code"}, "without clock; choose one with"),
+        ({"kind": "satellites-lost", "satellites": ["E05"]}, "'E05' is not a satellite: G01 to G32"),
         ({"kind": "satellites-lost", "satellites": ["G31"]}, "G31 is not among the satellites of gnss"),
         ({"kind": "satellites-lost", "satellites": []}, "satellites = [] must have at least 1 entry"),
         ({"kind": "satellites-lost", "satellites": ["G06", "G06"]}, "names a satellite twice"),
-        ({"kind": "spoofing"}, "step_m and ramp_mps: nothing happens; give one of them a value other than 0"),
+        ({"kind": "spoofing"}, "step_m and ramp_mps: all are 0; give at least one another value"),
         ({"kind": "frozen", "sensor": "rope"}, "sensor = 'rope' must be 'gnss', 'baro', 'mag', "),
-        ({"kind": "frozen", "sensor": "baro", "axes": ["x"]}, "axes are those of sensor = 'gyro' or 'accel'"),
+        ({"kind": "frozen", "sensor": "baro", "axes": ["x"]}, "axes are for sensor = 'gyro' or 'accel'"),
         ({"kind": "gyro-step", "step_deg_h": [1.0, 2.0, 3.0], "start_s": 98.0}, "its end at 103 s is"),
         ({"kind": "gyro-step", "step_deg_h": [1.0, 2.0]}, "step_deg_h[2] is missing"),
         ({"kind": "baro-step", "step_m": 1.0, "step_ft": 9.0}, "unknown key 'step_ft'. Did you mean"),
@@ -535,7 +535,7 @@ def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_p
     ideal = 'source = "none"\n[accel]\nnoise_ug_sqrt_hz = 5.0\n'
     (tmp_path / "ideal.toml").write_text(ideal)
     row = {"kind": "noise-burst", "sensor": "gyro", "start_s": 10.0, "duration_s": 5.0, "times": 5.0}
-    with pytest.raises(ConfigError, match="'ideal' has no white noise of its gyro to multiply"):
+    with pytest.raises(ConfigError, match="'ideal' has no white noise in its gyro to multiply"):
         config.load_profile(str(tmp_path / "own.toml"), {"sensors.imu": "ideal.toml", "fault": [row]})
 
 

@@ -258,7 +258,7 @@ def test_a_baseline_of_another_seed_or_without_limits_is_refused(bench_of, tmp_p
     bench_of(usual())
     baseline = record(PROFILE, 5)
     write(tmp_path, baseline | {"seed": 8})
-    with pytest.raises(ConfigError, match="seed = 8 is not the profile's, 7"):
+    with pytest.raises(ConfigError, match="seed = 8 differs from the profile's seed = 7"):
         check(tmp_path)
     write(tmp_path, baseline | {"estimators": {"loose-15": {}}})
     with pytest.raises(ConfigError, match="holds no limit"):

@@ -258,15 +258,15 @@ def test_the_withheld_fixes_never_reach_the_filter(folder):
     spec = load_log(str(folder / "drive.toml"))
     recorded = read_records(spec)
     session = Session(spec, recorded, find_start(recorded, spec))
-    keep, withheld = session.withheld()
+    keep, withheld = session.split_fixes()
     assert len(withheld) == len(session.fixes) // 5
-    data = session.data(keep, session.grid())
+    data = session.make_data(keep, session.make_output_times())
     assert not np.isin(data.fixes.t, withheld.t).any()
     hidden = np.isin(recorded.fixes.t, withheld.t)
     spoiled = replace(
         recorded, fixes=replace(recorded.fixes, lla=np.where(hidden[:, None], 0.5, recorded.fixes.lla))
     )
-    other = Session(spec, spoiled, session.initial).data(keep, session.grid())
+    other = Session(spec, spoiled, session.initial).make_data(keep, session.make_output_times())
     one = estimator.load("loose-15", {})
     assert_array_equal(
         estimator.answer(one, "x", data, session.initial).lla,
@@ -282,10 +282,10 @@ def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
     one = estimator.load("loose-15", {})
     flown = drives.truth()
     t = session.fixes.t
-    for cut in session.cuts(one, "x", 20.0, 3):
+    for cut in session.run_outages(one, "x", 20.0, 3):
         assert cut.duration == pytest.approx(20.0)
         end = cut.start + cut.duration
-        data = session.data((t <= cut.start) | (t > end + 1e-6), np.array([end]))
+        data = session.make_data((t <= cut.start) | (t > end + 1e-6), np.array([end]))
         solution = estimator.answer(one, "x", data, session.initial)
         true = flown.lla[np.searchsorted(flown.t, end + recorded.origin - 1e-6)]
         off = difference_n(solution.lla[0], true)
@@ -330,8 +330,8 @@ def outcome(path):
     spec = load_log(str(path))
     recorded = read_records(spec)
     session = Session(spec, recorded, find_start(recorded, spec))
-    keep, withheld = session.withheld()
-    data = session.data(keep, np.concatenate([session.grid(), withheld.t]))
+    keep, withheld = session.split_fixes()
+    data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
     one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
     solution = estimator.answer(one, "x", data, session.initial)
     _, metrics = judge(solution, withheld, data, spec.evaluation_from)
@@ -375,9 +375,9 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
         assert (off < 4 * drives.POS_SD).all()  # the arm is 1.2 m
         return
     session = Session(spec, recorded, initial)
-    keep, _ = session.withheld()
+    keep, _ = session.split_fixes()
     solution = estimator.answer(
-        estimator.load("loose-15", {}), "x", session.data(keep, session.grid()), initial
+        estimator.load("loose-15", {}), "x", session.make_data(keep, session.make_output_times()), initial
     )
     ((_, end, _),) = solution.events.of("alignment")
     k = int(np.searchsorted(solution.t, end))
@@ -575,7 +575,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('file = "imu.csv"', 'file = "drive.toml"'), "its ending tells no format"),
+        (('file = "imu.csv"', 'file = "drive.toml"'), "its ending does not show the format"),
         (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
         (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
         (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap"),
@@ -586,7 +586,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         ((KIND, 'kind = "given"'), "roll_deg is missing"),
         ((KIND, f"{KIND}\nroll_deg = 1.0"), "roll_deg is for kind = 'given'"),
         ((KIND, 'kind = "level"\ndrift_deg = 1.0'), "drift_deg is for kind = 'course'"),
-        ((KIND, f"{GIVEN}\nduration_s = 5.0"), "duration_s is not read"),
+        ((KIND, f"{GIVEN}\nduration_s = 5.0"), "duration_s has no effect"),
         ((KIND, f"{GIVEN}\n".replace("30.0", "500.0", 1)), "no usable fix from there on"),
         ((KIND, 'kind = "level"\nat_s = 60.0'), "needs a standstill"),
         (("from_s = 40.0", "from_s = 25.0"), None),
@@ -692,8 +692,8 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         spec = load_log(str(real(tmp_path / name, *changes)))
         recorded = read_records(spec)
         session = Session(spec, recorded, find_start(recorded, spec))
-        keep, withheld = session.withheld()
-        data = session.data(keep, withheld.t)
+        keep, withheld = session.split_fixes()
+        data = session.make_data(keep, withheld.t)
         solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)
         found.append(judge(solution, withheld, data, spec.evaluation_from)[1]["pos_rmse_h_m"])
     assert found[0] < 0.5 * found[1]

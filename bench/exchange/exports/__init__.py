@@ -41,10 +41,10 @@ _WIDTH = 110
 
 
 def check_export_folder(folder: Path, *, force: bool) -> None:
-    """Raise ConfigError if an export cannot go to a folder; one without our README is not replaced."""
+    """Raise ConfigError if an export cannot be written to a folder; only an earlier export is replaced."""
     readme = folder / README
-    ours = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())
-    check_folder(folder, force=force, ours=ours)
+    replaceable = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())
+    check_folder(folder, force=force, replaceable=replaceable)
 
 
 def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
@@ -53,9 +53,9 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     Raises
     ------
     ExportError
-        When the format has no place for what was asked, or needs what is not there: one line.
+        If the format has no place for what was asked, or needs what is not there: one line.
     OSError
-        When the disk does not take it.
+        If the file cannot be written.
     """
     said = FORMATS[kind].write(folder, outgoing, kind)
     clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."

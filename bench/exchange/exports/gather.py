@@ -28,11 +28,11 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
     Raises
     ------
     ExportError
-        When it is no results folder, is damaged, or has no such track: one line.
+        If it is no results folder, is damaged, or has no such track: one line.
     """
     if not (folder / store.RESULT).is_file():
         raise ExportError(
-            f"{folder}: no results folder, there is no {store.RESULT} in it; 'bench run' writes one"
+            f"{folder}: not a results folder, there is no {store.RESULT} in it; 'bench run' writes one"
         )
     with report_damage(folder):
         imu, fixes, instruments = store.load_sensors(folder)

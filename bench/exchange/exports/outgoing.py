@@ -91,7 +91,7 @@ class ExportData:
         Raises
         ------
         ExportError
-            When there is none.
+            If there is none.
         """
         if self.fixes is None:
             raise ExportError("the run has no GNSS receiver, which this format needs")
@@ -120,7 +120,7 @@ class ExportData:
         Raises
         ------
         ExportError
-            When the filters are not told it as a whole, but have to align.
+            If the filters are not told it as a whole, but have to align.
         """
         told = read_initial_state(self.start)
         found = (told.lla, told.vel_n, told.q_nb, np.sqrt(np.diag(told.cov)))
@@ -136,7 +136,7 @@ class ExportData:
         Raises
         ------
         ExportError
-            When the start is not known as a whole.
+            If the start is not known as a whole.
         """
         from bench import earth, rotation
 

@@ -36,7 +36,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     Raises
     ------
     ConfigError
-        When the file is not what it says, broken, or has no such rows: one line.
+        If the file is not what it says, broken, or has no such rows: one line.
     """
     adapter = import_module(_ADAPTERS[form])
     try:

@@ -38,7 +38,7 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
     Raises
     ------
     ConfigError
-        One line with file and line number, when the file is malformed, truncated or empty.
+        If the file is malformed, truncated or empty: one line with file and line number.
     """
     shown = path.name if shown is None else shown
     with open_lines(path, shown) as lines:

@@ -115,7 +115,7 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
     Raises
     ------
     ConfigError
-        One line with file and line number, when the file is malformed, truncated or empty.
+        If the file is malformed, truncated or empty: one line with file and line number.
     """
     shown = path.name if shown is None else shown
     with open_lines(path, shown) as lines:
