@@ -1,4 +1,4 @@
-"""Shape and dtype checks of arrays, with a message that says what would be right."""
+"""Checks of the shape and dtype of arrays; messages say what is expected."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ Shape = tuple[int | None, ...]
 
 
 def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) -> FloatArray:
-    """Return value as a C-ordered float64 array of the given shape, or say why not.
+    """Convert a value to a C-ordered float64 array and check its shape.
 
     Parameters
     ----------
     name : str
-        What the message calls the array.
+        Name of the array in messages.
     value : array_like
         The data.
     shape : tuple of int or None
-        Wanted shape; ``None`` stands for any length.
+        Expected shape; ``None`` stands for any length.
     finite : bool
         Refuse NaN and infinity.
 
     Raises
     ------
     ValueError
-        When the shape differs or, with ``finite``, a value is not finite.
+        If the shape differs or, with ``finite``, a value is not finite.
 
     Examples
     --------
@@ -50,12 +50,12 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
 
 
 def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:
-    """Return value as a C-ordered array of an integer or boolean dtype, or say why not.
+    """Convert a value to a C-ordered array of an integer or boolean dtype and check its shape.
 
     Raises
     ------
     ValueError
-        When the shape differs or a value would change by the conversion.
+        If the shape differs or the conversion would change a value.
     """
     given = np.asarray(value)
     array: NDArray[np.generic] = np.ascontiguousarray(given, dtype=dtype)

@@ -1,10 +1,9 @@
-"""The records that flow through the bench: frozen, read-only columns, one row per instant.
+"""The records of the bench: frozen, read-only columns, one row per instant.
 
-Frames: n is the local level at the current position (north, east, down), b the
-body and IMU axes (forward, right, down), e Earth-fixed, i inertial. Units are SI
-and radians. The truth side is strict at birth (finite, increasing times); sensor
-records and solutions are checked for shape and type only, because NaN, repeated
-times and time going back are data there; the instants asked for increase.
+Frames: n is the local level at the current position (north, east, down), b the body and IMU axes (forward,
+right, down), e Earth-fixed, i inertial. Units are SI and radians. The truth must be finite with increasing
+times. Sensor records and solutions are checked for shape and type only, because NaN, repeated times and time
+going back are data there.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, as_float
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
-from bench.instruments import INSTRUMENTS, Reports
+from bench.instruments import INSTRUMENTS, InstrumentReports
 from bench.moved import moved_from
 from bench.specs import DEFAULT_DATE, AssumedSpecs
 
@@ -29,10 +28,10 @@ STATES = tuple(
     for block, unit in (("pos", "m"), ("vel", "m/s"), ("phi", "rad"))
     for axis in NED
 )
-"""Names and units of the nine errors a covariance is of."""
+"""Names and units of the nine errors in the covariance of a solution."""
 
 
-def _increasing(name: str, t: FloatArray) -> None:
+def _check_increasing(name: str, t: FloatArray) -> None:
     if not (np.diff(t) > 0).all():
         k = int(np.argmax(np.diff(t) <= 0))
         raise ValueError(f"{name} must increase; row {k + 1} has {t[k + 1]:g} s after {t[k]:g} s")
@@ -40,15 +39,15 @@ def _increasing(name: str, t: FloatArray) -> None:
 
 @declared
 class Events(Record):
-    """What happened when: legs, outages, faults, sensor rows left out. An instant has t_end = t."""
+    """Events with start and end: legs, outages, faults, rejected sensor rows. For an instant t_end = t."""
 
     t: FloatArray = column("t_s")  # (N,) start [s]
     t_end: FloatArray = column("t_end_s")  # (N,) end [s]
     kind: tuple[str, ...] = column("kind", kind=str)  # "leg", "gnss_outage", "wind", "timeline", ...
     text: tuple[str, ...] = column("text", kind=str)
 
-    def of(self, kind: str) -> list[tuple[float, float, str]]:
-        """Return (t, t_end, text) of every event of one kind."""
+    def select(self, kind: str) -> list[tuple[float, float, str]]:
+        """Return (t, t_end, text) of all events of one kind."""
         return [
             (float(a), float(b), text)
             for a, b, k, text in zip(self.t, self.t_end, self.kind, self.text, strict=True)
@@ -57,7 +56,7 @@ class Events(Record):
 
     @classmethod
     def from_rows(cls, rows: list[tuple[float, float, str, str]]) -> Events:
-        """Build from (t, t_end, kind, text) rows, sorted by t."""
+        """Make events from rows (t, t_end, kind, text) in any order; they are sorted by time."""
         rows = sorted(rows, key=lambda row: (row[0], row[1]))
         return cls(
             np.array([row[0] for row in rows]),
@@ -68,7 +67,7 @@ class Events(Record):
 
 
 def no_events() -> Events:
-    """Return an empty list of events."""
+    """Return events without rows."""
     return Events(np.empty(0), np.empty(0), (), ())
 
 
@@ -83,18 +82,18 @@ class AirData(Record):
     airspeed_calibrated: FloatArray = column("airspeed_calibrated_mps")  # (A,) [m/s]
     alpha: FloatArray = column("alpha_rad")  # (A,) angle of attack [rad]
     beta: FloatArray = column("beta_rad")  # (A,) sideslip [rad]
-    # (A, 3) velocity of the air mass incl. turbulence [m/s], n
+    # (A, 3) velocity of the air mass, with turbulence [m/s], n
     wind_n: FloatArray = vector("wind", "mps", "n")
     engine_speed: FloatArray = column("engine_speed_rad_s")  # (A,) [rad/s]
 
     def __post_init__(self) -> None:
         self._freeze(finite=True)
-        _increasing("AirData.t", self.t)
+        _check_increasing("AirData.t", self.t)
 
 
 @declared
 class Controls(Record):
-    """Controls as flown, at 20 Hz; surfaces -1 to 1, JSBSim senses (right roll, nose down, nose left)."""
+    """Controls as flown, at 20 Hz; surfaces -1 to 1, signs of JSBSim (right roll, nose down, nose left)."""
 
     t: FloatArray = column("t_s")  # (A,) [s]
     aileron: FloatArray = column("aileron")  # (A,)
@@ -104,24 +103,24 @@ class Controls(Record):
 
     def __post_init__(self) -> None:
         self._freeze(finite=True)
-        _increasing("Controls.t", self.t)
+        _check_increasing("Controls.t", self.t)
 
 
 def no_air() -> AirData:
-    """Return air data without rows: nothing is known of the air."""
+    """Return air data without rows, for a truth without air."""
     n = np.empty(0)
     return AirData(n, n, n, n, n, n, n, np.empty((0, 3)), n)
 
 
 def no_controls() -> Controls:
-    """Return controls without rows: nothing is known of them."""
+    """Return controls without rows, for a truth without controls."""
     n = np.empty(0)
     return Controls(n, n, n, n, n)
 
 
 @declared
 class Trajectory(Record):
-    """The truth: motion of the IMU, with the exact increments an error-free IMU would give."""
+    """The truth: motion of the IMU, and the exact increments that an error-free IMU would report."""
 
     t: FloatArray = column("t_s")  # (N,) since the start of the run [s]
     # (N, 3) geodetic latitude, longitude [rad], ellipsoidal height [m]
@@ -139,7 +138,7 @@ class Trajectory(Record):
     def __post_init__(self) -> None:
         between = (len(self.t) - 1, 3)
         self._freeze(finite=True, besides={"dtheta_b": between, "dvel_b": between})
-        _increasing("Trajectory.t", self.t)
+        _check_increasing("Trajectory.t", self.t)
 
 
 @declared
@@ -148,7 +147,7 @@ class ImuData(Record):
 
     t: FloatArray = column("t_s")  # (N,) end of the interval [s]
     dt: FloatArray = column("dt_s")  # (N,) length of the interval [s]
-    valid: BoolArray = column("valid", kind=bool)  # (N,) what the unit itself flags
+    valid: BoolArray = column("valid", kind=bool)  # (N,) as flagged by the IMU itself
     dtheta_b: FloatArray = vector("dtheta", "rad", "b")  # (N, 3) [rad], b
     dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N, 3) [m/s], b
 
@@ -161,7 +160,7 @@ class GnssFixes(Record):
     t_arrival: FloatArray = column("t_arrival_s")  # (M,) when the fix reaches the filter [s]
     valid: BoolArray = column("valid", kind=bool)  # (M,)
     lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) [rad, rad, m]
-    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n; NaN where it reports none
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n; NaN if not reported
     cov_pos_n: FloatArray = matrix(STATES[0:3], "n")  # (M, 3, 3) reported [m^2], n
     cov_vel_n: FloatArray = matrix(STATES[3:6], "n")  # (M, 3, 3) reported [m^2/s^2], n
     satellites: IntArray = column("satellites", kind=int)  # (M,) number used
@@ -173,7 +172,7 @@ GPS, GLONASS = 0, 1
 
 @declared
 class GnssObservations(Record):
-    """What a receiver measures and computes of each satellite, a row per satellite and epoch."""
+    """Measurements of a receiver with the computed satellite states, a row per satellite and epoch."""
 
     t: FloatArray = column("t_s")  # (K,) validity of the epoch [s]
     t_arrival: FloatArray = column("t_arrival_s")  # (K,) [s]
@@ -186,12 +185,12 @@ class GnssObservations(Record):
     # (K, 3) at transmission, by the broadcast ephemeris [m], e at transmission
     sat_pos_e: FloatArray = vector("sat_pos", "m", "e at transmission")
     sat_vel_e: FloatArray = vector("sat_vel", "mps", "e at transmission")  # (K, 3) [m/s], e at transmission
-    sat_clock: FloatArray = column("sat_clock_m")  # (K,) with relativity; to be added to a pseudorange [m]
-    sat_clock_rate: FloatArray = column("sat_clock_rate_mps")  # (K,) to be added to a range rate [m/s]
-    # (K,) of the first band, to be taken off its pseudorange [m]
+    sat_clock: FloatArray = column("sat_clock_m")  # (K,) with relativity; add it to a pseudorange [m]
+    sat_clock_rate: FloatArray = column("sat_clock_rate_mps")  # (K,) add it to a range rate [m/s]
+    # (K,) of the first band; subtract it from its pseudorange [m]
     group_delay: FloatArray = column("group_delay_m")
-    sd_pseudorange: FloatArray = column("sd_pseudorange_m")  # (K,) claimed, of the corrected pseudorange [m]
-    sd_range_rate: FloatArray = column("sd_range_rate_mps")  # (K,) claimed [m/s]
+    sd_pseudorange: FloatArray = column("sd_pseudorange_m")  # (K,) assumed, of the corrected pseudorange [m]
+    sd_range_rate: FloatArray = column("sd_range_rate_mps")  # (K,) assumed [m/s]
     epoch_start: IntArray  # (M + 1,) first row of each epoch, then K
     klobuchar: FloatArray  # (8,) broadcast alpha 0-3, beta 0-3
     gps_t0: float  # GPS time of t = 0, seconds since a GPS midnight [s]
@@ -209,14 +208,14 @@ class GnssObservations(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class SensorData(Reports, Rebuilt):
-    """Everything an estimator may know: measurements, and the specs it is told to assume."""
+class SensorData(InstrumentReports, Rebuilt):
+    """The input of an estimator: measurements, and the datasheets to assume."""
 
     imu: ImuData
     fixes: GnssFixes | None
     antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
     specs: AssumedSpecs
-    output_t: FloatArray  # (M,) instants at which the solution is wanted, each after the one before [s]
+    output_t: FloatArray  # (M,) increasing instants of the solution [s]
     observations: GnssObservations | None = None
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
@@ -224,14 +223,14 @@ class SensorData(Reports, Rebuilt):
     def __post_init__(self) -> None:
         freeze_field(self, "antenna_b", float, (3,), finite=True)
         freeze_field(self, "output_t", float, (None,), finite=True)
-        _increasing("SensorData.output_t", self.output_t)
+        _check_increasing("SensorData.output_t", self.output_t)
 
 
 @dataclass(frozen=True, slots=True)
 class InitialState(Rebuilt):
-    """Where the estimator is told to start, and how well that is known.
+    """Initial state of an estimator with its covariance.
 
-    What it is not told is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
+    What is not given is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
     """
 
     t: float  # [s]
@@ -239,11 +238,11 @@ class InitialState(Rebuilt):
     vel_n: FloatArray  # (3,) [m/s], n
     q_nb: FloatArray  # (4,)
     cov: FloatArray  # (9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
-    alignment: str  # what is told: "given" all, "level" the position of a standstill, "course" nothing
-    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    alignment: str  # values given: "given" all, "level" the position at standstill, "course" none
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
     bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))
-    """(9, 6) of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
+    """(9, 6) covariance of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
 
     def __post_init__(self) -> None:
         shapes = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9), "bias_cov": (9, 6)}
@@ -253,9 +252,9 @@ class InitialState(Rebuilt):
 
 @declared
 class SensorTruth(Record):
-    """What the sensor models drew, on their own times: for the recording and the report, never a filter."""
+    """Slowly varying errors drawn by the sensor models; for the recording and the report, not for filters."""
 
-    t: FloatArray = column("t_s")  # (B,)
+    t: FloatArray = column("t_s")  # (B,) [s]
     gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (B, 3)
     accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (B, 3)
     bias: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -272,16 +271,16 @@ class SensorTruth(Record):
         object.__setattr__(self, "bias", shaped)
 
 
-def nothing_drawn() -> SensorTruth:
-    """Return an empty table: nothing is known of the errors of real sensors."""
+def no_sensor_truth() -> SensorTruth:
+    """Return a table without rows, for real sensors with unknown errors."""
     return SensorTruth(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
 
 @declared
 class SkyView(Record):
-    """Every satellite above the elevation mask of a measurement-level receiver, a row per epoch.
+    """Satellites above the elevation mask of a measurement-level receiver, received or not.
 
-    Received or not. For the recording and the report, never a filter.
+    A row per epoch and satellite. For the recording and the report, not for filters.
     """
 
     t: FloatArray = column("t_s")  # (K,) [s]
@@ -289,7 +288,7 @@ class SkyView(Record):
     sat: IntArray = column("sat", kind=int)  # (K,) number within its system
     azimuth: FloatArray = column("azimuth_rad", frame="n")  # (K,) [rad]
     elevation: FloatArray = column("elevation_rad", frame="n")  # (K,) [rad]
-    cn0: FloatArray = column("cn0_dbhz")  # (K,) on the first carrier [dB-Hz]; NaN: not received
+    cn0: FloatArray = column("cn0_dbhz")  # (K,) on the first carrier [dB-Hz]; NaN if not received
     used: BoolArray = column("used", kind=bool)  # (K,) in the fix of the epoch
 
 
@@ -298,20 +297,20 @@ class Innovations(Record):
     """Measurement minus prediction, a row per scalar component."""
 
     t: FloatArray = column("t_s")  # (K,) [s]
-    sensor: tuple[str, ...]  # names, asked by ``code``
+    sensor: tuple[str, ...]  # names; ``code`` is the index
     # (K,) index into sensor: "gnss_position", "gnss_velocity", "baro"
     code: IntArray = column("sensor", kind=int)
     component: IntArray = column("component", frame="n", kind=int)  # (K,) 0, 1, 2 along n
     z: FloatArray = column("z", units=("of the sensor",), frame="n")  # (K,) [unit of the sensor]
     S: FloatArray = column("S", units=("of the sensor, squared",), frame="n")  # (K,) predicted variance of z
-    nis: FloatArray = column("nis")  # (K,) of the whole sub-vector, repeated on its rows
+    nis: FloatArray = column("nis")  # (K,) of the whole measurement vector, repeated on its rows
     accepted: BoolArray = column("accepted", kind=bool)  # (K,)
 
     @classmethod
     def from_rows(
         cls, sensor: tuple[str, ...], rows: list[tuple[float, int, int, float, float, float, bool]]
     ) -> Innovations:
-        """Return a table from rows (t, code, component, z, S, nis, accepted)."""
+        """Make a table from rows (t, code, component, z, S, nis, accepted)."""
         table = np.array(rows, float).reshape(-1, 7)
         return cls(
             t=table[:, 0],
@@ -332,9 +331,9 @@ def no_innovations() -> Innovations:
 
 @declared
 class NavSolution(Record):
-    """An estimator's answer at ``SensorData.output_t``, after any update at that instant.
+    """Output of an estimator at ``SensorData.output_t``, after all updates at that instant.
 
-    A block that is not estimated has NaN in its values and covariance rows.
+    A block that is not estimated is NaN in its values and in its rows of the covariance.
     """
 
     t: FloatArray = column("t_s")  # (M,) [s]
@@ -366,12 +365,12 @@ class ErrorSeries(Record):
     heading: FloatArray = column("heading_err_rad")  # (M,) heading error, wrapped to +-pi [rad]
     # (M,) of the estimated blocks; NaN where the covariance is not positive definite
     nees: FloatArray = column("nees")
-    states: int  # number of states that nees counts
+    states: int  # number of states in nees
 
 
 @dataclass(frozen=True, slots=True)
 class Sensed(Rebuilt):
-    """One draw of the sensors: what the estimators get, and what they must not see."""
+    """One draw of the sensors: the input of the estimators, and the true errors, which they must not see."""
 
     data: SensorData
     initial: InitialState
@@ -391,27 +390,27 @@ class RunResult(Rebuilt):
     errors: Mapping[str, ErrorSeries]
     solutions: Mapping[str, NavSolution]
     provenance: Mapping[str, Any]  # versions, commit, CPU time
-    more: Mapping[str, Any] = field(default_factory=dict)  # of a log: "log", "validity", "outages"
-    records: Mapping[str, Any] = field(default_factory=dict)  # "spec", "truth", "sensed": what it came from
+    more: Mapping[str, Any] = field(default_factory=dict)  # for a log: "log", "validity", "outages"
+    records: Mapping[str, Any] = field(default_factory=dict)  # input of the run: "spec", "truth", "sensed"
 
     @property
     def truth(self) -> Trajectory | None:
-        """The flight; None of a log."""
+        """The flight; None for a log."""
         return self.records.get("truth")
 
     @property
     def sensed(self) -> Sensed | None:
-        """What the sensors reported, what was drawn for it, and the start of the estimators."""
+        """The reports of the sensors, the errors drawn for them, and the initial state of the estimators."""
         return self.records.get("sensed")
 
     @property
     def sensors(self) -> SensorData | None:
-        """What the estimators were given."""
+        """The input of the estimators."""
         return self.sensed.data if self.sensed else None
 
     @property
     def events(self) -> Events:
-        """Legs and remarks of the flight, outages and faults of the sensors, in order of time."""
+        """Events of the flight and of the sensors, in order of time."""
         both = [record.events for record in (self.truth, self.sensed) if record is not None]
         rows = [row for e in both for row in zip(e.t.tolist(), e.t_end.tolist(), e.kind, e.text, strict=True)]
         return Events.from_rows(rows)
@@ -423,23 +422,23 @@ class RunResult(Rebuilt):
             error = values.get("pos_rmse_h_m")
             sound = values.get("converged", True)
             found.append(f"{label} {error:.3g} m" if sound and error is not None else f"{label} -")
-        made = f"{self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}"
-        return f"<RunResult {made}: {', '.join(found)}>"
+        heading = f"{self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}"
+        return f"<RunResult {heading}: {', '.join(found)}>"
 
     def _repr_html_(self) -> str:
-        """Return the metrics as a table of HTML, a column for each estimator, without those over all time."""
+        """Return the metrics without ``_all`` as an HTML table with a column for each estimator."""
         names = {name: None for values in self.metrics.values() for name in values}
         rows = [["", *self.metrics]]
         for name in names:
             values = [one.get(name) for one in self.metrics.values()]
             if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
-                rows.append([name, *(_shown(value) for value in values)])
+                rows.append([name, *(_format_value(value) for value in values)])
         cells = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
         head = escape(f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}")
         return f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "-" if value is None else str(value)

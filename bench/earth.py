@@ -1,6 +1,6 @@
 """The Earth: ellipsoids, radii, normal gravity, geodetic, Earth-fixed and local coordinates.
 
-Geodesy takes an :class:`Ellipsoid`; gravity and every kernel are WGS 84.
+Geodetic functions take an :class:`Ellipsoid`; gravity and all kernels are WGS 84.
 """
 
 from __future__ import annotations
@@ -110,9 +110,8 @@ def radii(lat: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> tuple[FloatArray, Flo
 def gravity_n(lat: ArrayLike, alt: ArrayLike) -> FloatArray:
     """Return normal gravity resolved in the local level frame.
 
-    Gravity is what a plumb line shows: gravitation plus the centrifugal
-    acceleration of the rotating Earth. A resting accelerometer reads
-    ``-gravity_n``.
+    Gravity is gravitation plus the centrifugal acceleration of the rotating Earth, the direction of a plumb
+    line. An accelerometer at rest reads ``-gravity_n``.
 
     Parameters
     ----------
@@ -128,10 +127,9 @@ def gravity_n(lat: ArrayLike, alt: ArrayLike) -> FloatArray:
 
     Notes
     -----
-    Somigliana's closed form on the ellipsoid and the second-order series in
-    height: NIMA TR8350.2 (3rd ed., 2000), section 4; within 0.1 mGal of the
-    exact normal field up to 12 km. The north component is the linear term of
-    the same field: the plumb line bends with height.
+    Somigliana's closed form on the ellipsoid and the second-order series in height: NIMA TR8350.2 (3rd ed.,
+    2000), section 4; within 0.1 mGal of the exact normal field up to 12 km. The north component is the linear
+    term of the same field, due to the curvature of the plumb line.
 
     Examples
     --------
@@ -169,8 +167,8 @@ def to_geodetic(pos_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
 
     Notes
     -----
-    Bowring's iteration on the reduced latitude (Survey Review 23 (181), 1976); three rounds are
-    below 1e-9 m from 10 km under the ellipsoid to satellite heights. The height is regular at the poles.
+    Bowring's iteration on the reduced latitude (Survey Review 23 (181), 1976). The error after three
+    iterations is below 1e-9 m from 10 km under the ellipsoid to satellite heights, poles included.
     """
     x, y, z = np.moveaxis(np.asarray(pos_e, float), -1, 0)
     a, b, f, e2 = ellipsoid.a, ellipsoid.b, ellipsoid.f, ellipsoid.e2
@@ -185,7 +183,7 @@ def to_geodetic(pos_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
 
 
 def matrix_en(lat: ArrayLike, lon: ArrayLike) -> FloatArray:
-    """Return C_en (..., 3, 3): north, east, down seen in the Earth-fixed frame."""
+    """Return C_en (..., 3, 3), from north, east, down to the Earth-fixed frame, at lat, lon [rad]."""
     lat, lon = np.broadcast_arrays(np.asarray(lat, float), np.asarray(lon, float))
     s, c, sl, cl = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
     zero = np.zeros_like(s)
@@ -194,9 +192,9 @@ def matrix_en(lat: ArrayLike, lon: ArrayLike) -> FloatArray:
 
 
 def difference_n(lla: ArrayLike, lla_ref: ArrayLike) -> FloatArray:
-    """Return the small position difference lla - lla_ref as metres (..., 3) in n at lla_ref.
+    """Return the small position difference lla - lla_ref (..., 3) [m] in frame n at lla_ref.
 
-    First order in the difference: 1 km apart it is right to about 0.1 m. Longitude wraps at 180 deg.
+    First order: the error at a distance of 1 km is about 0.1 m. Longitude wraps at 180 deg.
     """
     here, ref = np.asarray(lla, float), np.asarray(lla_ref, float)
     R_M, R_P = radii(ref[..., 0])
@@ -214,7 +212,7 @@ def difference_n(lla: ArrayLike, lla_ref: ArrayLike) -> FloatArray:
 
 
 def displace(lla: ArrayLike, d_n: ArrayLike) -> FloatArray:
-    """Return lla moved by a small displacement d_n (..., 3) [m], n: the inverse of :func:`difference_n`."""
+    """Return positions lla moved by a small displacement d_n (..., 3) [m], the inverse of `difference_n`."""
     ref, d = np.asarray(lla, float), np.asarray(d_n, float)
     R_M, R_P = radii(ref[..., 0])
     alt = ref[..., 2]
@@ -241,13 +239,13 @@ def local_ned(lla: ArrayLike, origin_lla: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Datum:
-    """A geodetic datum: its ellipsoid, and how its Earth-fixed axes lie relative to those of WGS 84."""
+    """A geodetic datum: ellipsoid and transformation of its Earth-fixed axes to WGS 84."""
 
     name: str
     ellipsoid: Ellipsoid
-    shift: tuple[float, float, float]  # added on the way to WGS 84 [m]
-    rotation: tuple[float, float, float]  # of the axes, coordinate-frame convention [arcsec]
-    scale: float  # [1]
+    shift: tuple[float, float, float]  # translation to WGS 84 [m]
+    rotation: tuple[float, float, float]  # to WGS 84, coordinate-frame convention [arcsec]
+    scale: float  # correction to WGS 84 [1]
 
 
 DATUMS = {
@@ -260,18 +258,18 @@ DATUMS = {
         Datum("SK-42", KRASOVSKY_1940, (23.57, -140.95, -79.80), (0.0, -0.35, -0.79), -0.22e-6),
     )
 }
-"""The datums positions can be put out in (equations #29), by their name."""
+"""Name -> datum for output positions (equations #29)."""
 
 
-def _helmert(datum: Datum) -> tuple[FloatArray, FloatArray]:
-    """Return A, b of ``WGS 84 = A @ datum + b``; rotation angles are small, first order."""
+def _compute_helmert(datum: Datum) -> tuple[FloatArray, FloatArray]:
+    """Return A (3, 3), b (3,) [m] of ``WGS 84 = A @ datum + b``, first order in the rotation angles."""
     x, y, z = np.deg2rad(np.array(datum.rotation) / 3600.0)
     A = (1 + datum.scale) * np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
     return A, np.array(datum.shift)
 
 
 def to_datum(lla: ArrayLike, datum: str) -> FloatArray:
-    """Return WGS 84 geodetic positions (..., 3) [rad, rad, m] as latitude, longitude, height of a datum.
+    """Convert WGS 84 geodetic positions (..., 3) [rad, rad, m] to latitude, longitude, height in a datum.
 
     Examples
     --------
@@ -279,15 +277,15 @@ def to_datum(lla: ArrayLike, datum: str) -> FloatArray:
     >>> print(np.round(np.rad2deg(sk42[:2]), 6), round(float(sk42[2]), 2))
     [50.000176 30.001705] -14.84
     """
-    there = DATUMS[datum]
-    A, b = _helmert(there)
+    target = DATUMS[datum]
+    A, b = _compute_helmert(target)
     pos_e = (to_ecef(lla) - b) @ np.linalg.inv(A).T
-    return to_geodetic(pos_e, there.ellipsoid)
+    return to_geodetic(pos_e, target.ellipsoid)
 
 
 def from_datum(lla: ArrayLike, datum: str) -> FloatArray:
-    """Return latitude, longitude, height (..., 3) of a datum as WGS 84 geodetic [rad, rad, m]."""
-    there = DATUMS[datum]
-    A, b = _helmert(there)
-    pos_e: FloatArray = to_ecef(lla, there.ellipsoid) @ A.T + b
+    """Convert latitude, longitude, height (..., 3) in a datum to WGS 84 geodetic [rad, rad, m]."""
+    target = DATUMS[datum]
+    A, b = _compute_helmert(target)
+    pos_e: FloatArray = to_ecef(lla, target.ellipsoid) @ A.T + b
     return to_geodetic(pos_e)

@@ -1,8 +1,8 @@
-"""How records and specs declare their fields: a column with its unit and frame, a figure with its limits.
+"""Declarations of the fields of records and specs: columns with unit and frame, figures with unit and limits.
 
-A record is a frozen set of columns, one row per instant. Each field says the shape of a row, its unit and its
-frame; checks, files and exports follow from that. A spec is what a datasheet or a profile asks for, in SI;
-each figure says the unit and the limits it has in a file, and the tables of the files follow from that.
+A record is a frozen set of columns, one row per instant. Each field declares the shape of a row, its unit
+and its frame; checks, files and exports are made from that. A spec holds the figures of a datasheet or a
+profile in SI; each figure declares its unit and limits in a file, and the tables of files are made from that.
 """
 
 from __future__ import annotations
@@ -24,43 +24,43 @@ NED, XYZ = ("n", "e", "d"), ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How one field of a record lies in columns of a file, in the order of its flattened rows."""
+    """The columns of a file that hold one field of a record, in the order of its flattened rows."""
 
-    names: tuple[str, ...]  # each ends in its unit; none when the record itself says how many there are
+    names: tuple[str, ...]  # each ends in its unit; empty if their number depends on the record
     units: tuple[str, ...] = ()
     frame: str = ""
-    shape: tuple[int | None, ...] = ()  # of one row; None: the same length in all such fields of the record
+    shape: tuple[int | None, ...] = ()  # of one row; None: any length, equal in all such fields
     kind: type = float  # or bool, int, str
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """How one figure of a spec stands in a file."""
+    """Key, unit, limits and default of one figure of a spec in a file."""
 
     unit: str  # ending of its key; empty for a number without a unit
-    low: float
+    low: float  # in the unit of the file
     high: float
-    reciprocal: bool = False  # the file gives a length or a time, the spec its inverse
-    reported: bool = False  # the unit reports it and a filter divides by it: it must be above 0
-    default: float | None = None  # in SI; None: it has to be given
+    reciprocal: bool = False  # the file gives a length or a time, the spec holds its inverse
+    reported: bool = False  # the instrument reports it and a filter divides by it: it must be above 0
+    default: float | None = None  # in SI; None: required
 
     def key(self, name: str) -> str:
-        """Return the key of the file for the field of a spec."""
+        """Return the key in the file of the field ``name``."""
         return f"{name}_{self.unit}" if self.unit else name
 
 
 @dataclass(frozen=True, slots=True)
 class TriadFigure:
-    """How a figure of three gyros or three accelerometers stands in a datasheet, and the error it is."""
+    """Keys and units of a figure of three gyros or three accelerometers, and the error that it describes."""
 
-    gyro: tuple[str, ...]  # endings its key may have, by the unit of the datasheet; none: gyros have none
-    accel: tuple[str, ...]
+    gyro: tuple[str, ...]  # units its key may end in; empty: gyros do not have this figure
+    accel: tuple[str, ...]  # the same for accelerometers
     key: str  # beginning of its key; empty: the name of the field
-    sought: str  # what a reader looks for on a datasheet; several figures may say it
-    error: str  # what a filter without room for it leaves out, in words; empty: white noise and biases
+    sought: str  # name of the figure on a datasheet; several figures may share it
+    error: str  # name of the error if a filter does not model it; empty: white noise and biases
 
     def keys(self, name: str, triad: str) -> list[str]:
-        """Return the keys of the field of a spec in the table of "gyro" or "accel"."""
+        """Return the possible keys of the field ``name`` in the table "gyro" or "accel"."""
         endings: tuple[str, ...] = getattr(self, triad)
         return [f"{self.key or name}_{ending}" for ending in endings]
 
@@ -80,30 +80,29 @@ def column(
     names : str
         One for each number of a row.
     frame : str
-        Frame the values are resolved in.
+        Frame in which the values are resolved.
     shape : tuple of int or None
-        Of one row.
+        Shape of one row.
     kind : type
         float, bool, int or str.
     units : tuple of str or None
-        Units that no name can end in; None: by the names.
+        Units, if no name can end in them; None: from the endings of the names.
     default : object
-        Of the field; without one it has to be given.
+        Default of the field; without it the field is required.
     """
     if units is None:
         units = tuple(unit_of(name) or "1" for name in names)
-    told = Column(names, units, frame, shape, kind)
-    return field(default=default, metadata={"column": told})
+    return field(default=default, metadata={"column": Column(names, units, frame, shape, kind)})
 
 
 def vector(stem: str, unit: str, frame: str, *, units: tuple[str, ...] | None = None) -> Any:
-    """Declare a field of three components: north, east, down in frame n, else x, y, z."""
+    """Declare a field with three components: north, east, down in frame n, otherwise x, y, z."""
     axes = NED if frame == "n" else XYZ
     return column(*(f"{stem}_{axis}_{unit}" for axis in axes), frame=frame, shape=(3,), units=units)
 
 
 def matrix(states: tuple[tuple[str, str], ...], frame: str) -> Any:
-    """Declare a covariance; its elements are named by their two states, each (name, unit)."""
+    """Declare a covariance of states (name, unit); each element is named by its two states."""
     names = tuple(f"cov_{a}_{b}" for a, _ in states for b, _ in states)
     units = tuple(f"{u} {v}" if u != v else f"({u})^2" for _, u in states for _, v in states)
     return column(*names, frame=frame, shape=(len(states), len(states)), units=units)
@@ -118,12 +117,12 @@ def figure(
     reciprocal: bool = False,
     reported: bool = False,
 ) -> Any:
-    """Declare a figure of a spec: the unit its key ends in, and its limits in that unit.
+    """Declare a figure of a spec: the unit at the end of its key, and its limits in that unit.
 
-    ``default`` is in SI. No unit has a figure beyond 1e6 in any of its units.
+    ``default`` is in SI. No real instrument has a figure above 1e6 in any of these units.
     """
-    told = Figure(unit, low, high, reciprocal, reported, None if default is MISSING else default)
-    return field(default=default, metadata={"figure": told})
+    declaration = Figure(unit, low, high, reciprocal, reported, None if default is MISSING else default)
+    return field(default=default, metadata={"figure": declaration})
 
 
 def triad_figure(
@@ -135,7 +134,7 @@ def triad_figure(
     sought: str = "",
     error: str = "",
 ) -> Any:
-    """Declare a figure of a triad; see :class:`TriadFigure`. 0 is a unit without that error."""
+    """Declare a figure of a triad, see :class:`TriadFigure`; 0 means that the triad has no such error."""
     return field(default=default, metadata={"triad": TriadFigure(gyro, accel, key, sought, error)})
 
 
@@ -143,12 +142,12 @@ def triad_figure(
     frozen_default=True, field_specifiers=(column, vector, matrix, figure, triad_figure, field)
 )
 def declared(cls: type[_T]) -> type[_T]:
-    """Make a frozen dataclass of declared fields."""
+    """Make a frozen dataclass from a class with declared fields."""
     return dataclass(frozen=True, slots=True)(cls)
 
 
 class Rebuilt:
-    """Pickled by its fields, so that a copy is checked and read-only, too."""
+    """Base of records that are pickled by their fields, so that a copy is checked and read-only as well."""
 
     __slots__: tuple[str, ...] = ()
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -158,7 +157,7 @@ class Rebuilt:
 
 
 class Record(Rebuilt):
-    """Columns of equal length, read-only and in C order, checked at birth for shape and type."""
+    """Base of records of columns with equal length: read-only, in C order, checked for shape and type."""
 
     __slots__: tuple[str, ...] = ()
 
@@ -175,16 +174,21 @@ class Record(Rebuilt):
         finite : bool
             Refuse NaN and infinity.
         width : int or None
-            Length of a row whose shape leaves it open.
+            Length of the rows that are declared with any length.
         besides : mapping or None
-            Whole shape of fields that have another number of rows.
+            Full shape of the fields with another number of rows.
+
+        Raises
+        ------
+        ValueError
+            If a column has the wrong shape or type, or the columns differ in length.
         """
         rows: dict[str, int] = {}
         besides = besides or {}
-        for name, told in columns_of(type(self)).items():
-            if told.kind is not str:
-                row = (width if n is None else n for n in told.shape)
-                freeze_field(self, name, told.kind, besides.get(name, (None, *row)), finite=finite)
+        for name, declaration in columns_of(type(self)).items():
+            if declaration.kind is not str:
+                row = (width if n is None else n for n in declaration.shape)
+                freeze_field(self, name, declaration.kind, besides.get(name, (None, *row)), finite=finite)
             if name not in besides:
                 rows[name] = len(getattr(self, name))
         if len(set(rows.values())) > 1:
@@ -200,7 +204,7 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
     Raises
     ------
     ValueError
-        When the shape or the type is wrong or, with ``finite``, a value is not finite.
+        If the shape or type is wrong or, with ``finite``, a value is not finite.
     """
     place, value = f"{type(record).__name__}.{name}", getattr(record, name)
     array: np.ndarray[Any, Any] = (
@@ -214,15 +218,15 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
 
 
 def columns_of(record: type) -> dict[str, Column]:
-    """Return the columns of each declared field of a record, by the field."""
+    """Return the declared columns of a record, by name of the field."""
     return {f.name: f.metadata["column"] for f in fields(record) if "column" in f.metadata}
 
 
 def figures_of(spec: type) -> dict[str, Figure]:
-    """Return the declared figures of a spec, by the field."""
+    """Return the declared figures of a spec, by name of the field."""
     return {f.name: f.metadata["figure"] for f in fields(spec) if "figure" in f.metadata}
 
 
 def triad_figures_of(spec: type) -> dict[str, TriadFigure]:
-    """Return the declared figures of a triad, by the field."""
+    """Return the declared figures of a triad, by name of the field."""
     return {f.name: f.metadata["triad"] for f in fields(spec) if "triad" in f.metadata}

@@ -1,9 +1,9 @@
-"""The aiding instruments beside IMU and GNSS: one declaration each, and everything else loops over them.
+"""The aiding instruments other than GNSS, one declaration each; all other code loops over them.
 
-An instrument is its record, its spec, its place in :class:`Units` and :class:`Reports` and its row in
-:data:`INSTRUMENTS`. To add one, write these here, its model in ``bench/sensors/<model>.py`` and, for filters
-that use it, its row in `bench.navigation.measurements` and its branch in the measurement kernel. Datasheets,
-profiles, faults, files, streams, recordings, needs and alarms follow from the row here.
+An instrument has a record, a spec, a field in :class:`InstrumentSpecs` and :class:`InstrumentReports` and a
+row in :data:`INSTRUMENTS`. To add one, write these here and its model in ``bench/sensors/<model>.py``. For
+filters that use it, add its row in `bench.navigation.measurements` and its branch in the measurement kernel.
+Datasheets, profiles, faults, files, streams, recordings, requirements and alarms follow from the row here.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from bench.fields import XYZ, Column, Record, column, columns_of, declared, figu
 
 @declared
 class InstrumentData(Record):
-    """What every instrument reports beside its value and that value's standard deviation ``sd`` (M,)."""
+    """Columns of every instrument, besides its value and the standard deviation ``sd`` (M,) of the value."""
 
     t: FloatArray = column("t_s")  # (M,) validity [s]
     t_arrival: FloatArray = column("t_arrival_s")  # (M,) when the row reaches the filter [s]
-    valid: BoolArray = column("valid", kind=bool)  # (M,) what the instrument itself flags
+    valid: BoolArray = column("valid", kind=bool)  # (M,) as flagged by the instrument itself
 
 
 @declared
@@ -31,7 +31,7 @@ class BaroData(InstrumentData):
     """Barometric altitude as the instrument reports it."""
 
     alt_baro: FloatArray = column("alt_baro_m")  # (M,) [m]
-    sd: FloatArray = column("sd_m")  # (M,) white noise the instrument claims [m]
+    sd: FloatArray = column("sd_m")  # (M,) white noise by the datasheet [m]
 
 
 @declared
@@ -39,7 +39,7 @@ class MagData(InstrumentData):
     """The magnetic field as a strapped-down magnetometer reports it."""
 
     field_b: FloatArray = vector("field", "t", "b", units=("T", "T", "T"))  # (M, 3) [T], b
-    sd: FloatArray = column("sd_t", units=("T",))  # (M,) white noise per axis the instrument claims [T]
+    sd: FloatArray = column("sd_t", units=("T",))  # (M,) white noise per axis by the datasheet [T]
 
 
 @declared
@@ -47,84 +47,84 @@ class AirspeedData(InstrumentData):
     """True airspeed as the air data computer reports it."""
 
     airspeed_true: FloatArray = column("airspeed_true_mps")  # (M,) [m/s]
-    sd: FloatArray = column("sd_mps")  # (M,) white noise the instrument claims [m/s]
+    sd: FloatArray = column("sd_mps")  # (M,) white noise by the datasheet [m/s]
 
 
 @declared
 class StaticPressureSpec:
-    """An altimeter by what it feels: static pressure, its port, the weather. What there is not is 0."""
+    """Errors of a barometer in terms of pressure: sensor, static port, weather. 0 switches an error off."""
 
     pressure_white_sd: float = figure("pa", default=0.0)  # of the pressure [Pa]
     pressure_bias_sd: float = figure("pa", default=0.0)  # absolute accuracy of the pressure [Pa]
     temperature_sd: float = figure("pa_k", default=0.0)  # pressure per kelvin of the air from 25 degC [Pa/K]
-    # what the air of the day is warmer than standard at every height [K]
+    # excess of the air temperature over the standard atmosphere at every height [K]
     isa_deviation: float = figure("k", -60, 60, default=0.0)
-    isa_deviation_sd: float = figure("k", 0, 20, default=0.0)  # of the same, drawn for each run [K]
-    qnh_sd: float = figure("hpa", 0, 50, default=0.0)  # of the setting at the start [Pa]
-    # of the pressure at sea level since the start [Pa/sqrt(s)]
+    isa_deviation_sd: float = figure("k", 0, 20, default=0.0)  # of that excess, drawn for each run [K]
+    qnh_sd: float = figure("hpa", 0, 50, default=0.0)  # of the altimeter setting at the start [Pa]
+    # random walk of the pressure at sea level [Pa/sqrt(s)]
     qnh_walk: float = figure("hpa_sqrt_h", 0, 50, default=0.0)
-    # of the port, over the dynamic pressure, at no incidence [1]
+    # error of the port over the dynamic pressure, at zero incidence [1]
     position_error: float = figure("", -0.5, 0.5, default=0.0)
     position_error_alpha: float = figure("per_deg", -0.1, 0.1, default=0.0)  # per angle of attack [1/rad]
     position_error_beta2: float = figure(
         "per_deg2", -0.01, 0.01, default=0.0
     )  # per squared sideslip [1/rad^2]
     lag: float = figure("s", 0, 60, default=0.0)  # time constant of ports and lines, first order [s]
-    quantization: float = figure("pa", default=0.0)  # least bit of the pressure [Pa]
+    quantization: float = figure("pa", default=0.0)  # resolution of the pressure [Pa]
 
 
 @declared
 class BaroSpec:
-    """Barometric altitude: white noise and a bias that walks (A-5.3.1, A-5.3.2)."""
+    """Barometric altitude with white noise and a random-walk bias (A-5.3.1, A-5.3.2)."""
 
     name: str
     rate: float = figure("hz", 0.01, 400)  # [Hz]
     white_sd: float = figure("m", reported=True)  # [m]
     bias_sd: float = figure("m", default=0.0)  # of the bias at the start [m]
     bias_walk: float = figure("m_sqrt_s", default=0.0)  # [m/sqrt(s)]
-    quantization: float = figure("m", default=0.0)  # least bit [m]
+    quantization: float = figure("m", default=0.0)  # resolution [m]
     latency: float = figure("s", default=0.0)  # [s]
-    physical: StaticPressureSpec | None = None  # the errors above are then what filters assume
+    physical: StaticPressureSpec | None = None  # if given, only filters assume the errors above
 
 
 @declared
 class MagSpec:
-    """A magnetometer where it is mounted, after its calibration. What it does not have is 0."""
+    """A magnetometer as mounted, after calibration. 0 switches an error off."""
 
     name: str
     rate: float = figure("hz", 0.01, 400)  # [Hz]
     white_sd: float = figure("nt", reported=True)  # each axis [T]
-    # offset left of the unit and of the iron around it, each axis [T]
+    # remaining offset of the sensor and the iron around it, each axis [T]
     hard_iron_sd: float = figure("nt", default=0.0)
-    # each element of the symmetric matrix left of the iron around it [1]
+    # each element of the remaining symmetric matrix of the iron around it [1]
     soft_iron_sd: float = figure("percent", 0, 100, default=0.0)
     scale_factor_sd: float = figure("percent", 0, 100, default=0.0)  # each axis [1]
     misalignment_sd: float = figure("deg", 0, 45, default=0.0)  # of each axis towards each other one [rad]
-    # largest field of an axis, 0 none; beyond it the sample is clipped and flagged [T]
+    # largest field of an axis; beyond it samples are clipped and flagged [T]; 0: no limit
     range: float = figure("ut", default=0.0)
-    quantization: float = figure("nt", default=0.0)  # least bit [T]
+    quantization: float = figure("nt", default=0.0)  # resolution [T]
     latency: float = figure("s", default=0.0)  # [s]
 
 
 @declared
 class AirspeedSpec:
-    """A pitot tube with its differential pressure sensor and the computer that makes true airspeed of it.
+    """A pitot tube with a differential pressure sensor and an air data computer. 0 switches an error off.
 
-    What it does not have is 0; ``bench.signals.air.airspeed_sd`` has the white noise as a speed.
+    ``bench.signals.air.airspeed_sd`` converts the white noise to a speed.
     """
 
     name: str
     rate: float = figure("hz", 0.01, 400)  # [Hz]
     pressure_white_sd: float = figure("pa", default=0.0)  # of the differential pressure [Pa]
     white_sd: float = figure("mps", default=0.0)  # of the true airspeed [m/s]
-    pressure_bias_sd: float = figure("pa", default=0.0)  # zero of the differential pressure [Pa]
+    pressure_bias_sd: float = figure("pa", default=0.0)  # zero offset of the differential pressure [Pa]
     bias_sd: float = figure("mps", default=0.0)  # of the true airspeed [m/s]
     scale_factor_sd: float = figure("percent", 0, 50, default=0.0)  # of the true airspeed [1]
     lag: float = figure("s", 0, 60, default=0.0)  # time constant of tube and lines, first order [s]
-    # largest differential pressure, 0 none; beyond it the sample is clipped and flagged [Pa]
+    # largest differential pressure; beyond it samples are clipped and flagged [Pa]; 0: no limit
     range: float = figure("pa", default=0.0)
-    quantization: float = figure("pa", default=0.0)  # least bit of the differential pressure [Pa]
-    # true airspeed below which the unit flags its samples [m/s]
+    quantization: float = figure("pa", default=0.0)  # resolution of the differential pressure [Pa]
+    # samples below this true airspeed are flagged [m/s]
     min_speed: float = figure("mps", 0, 100, default=0.0)
     latency: float = figure("s", default=0.0)  # [s]
 
@@ -134,12 +134,12 @@ class RadarData(InstrumentData):
     """Height above the ground as a radar altimeter reports it."""
 
     height: FloatArray = column("height_m")  # (M,) [m]
-    sd: FloatArray = column("sd_m")  # (M,) white noise the instrument claims [m]
+    sd: FloatArray = column("sd_m")  # (M,) white noise by the datasheet [m]
 
 
 @declared
 class RadarSpec:
-    """A radar altimeter. What it does not have is 0."""
+    """A radar altimeter. 0 switches an error off."""
 
     name: str
     rate: float = figure("hz", 0.01, 400)  # [Hz]
@@ -148,33 +148,33 @@ class RadarSpec:
     min_height: float = figure("m", default=0.0)  # a sample below it is flagged [m]
     max_tilt: float = figure("deg", 1, 90, default=math.pi / 2)  # a sample tilted beyond is flagged [rad]
     bias_sd: float = figure("m", default=0.0)  # constant in a run [m]
-    quantization: float = figure("m", default=0.0)  # least bit [m]
+    quantization: float = figure("m", default=0.0)  # resolution [m]
     latency: float = figure("s", default=0.0)  # [s]
 
 
 @declared
 class OdometerData(InstrumentData):
-    """Speed over ground along the body as a wheel tells it."""
+    """Speed over ground along the body axis as measured by a wheel."""
 
     speed: FloatArray = column("speed_mps")  # (M,) forward positive [m/s]
-    sd: FloatArray = column("sd_mps")  # (M,) white noise the instrument claims [m/s]
+    sd: FloatArray = column("sd_mps")  # (M,) white noise by the datasheet [m/s]
 
 
 @declared
 class OdometerSpec:
-    """A wheel that counts its turns. What it does not have is 0."""
+    """An odometer that counts the turns of a wheel. 0 switches an error off."""
 
     name: str
     rate: float = figure("hz", 0.01, 400)  # [Hz]
     white_sd: float = figure("mps", reported=True)  # [m/s]
     scale_factor_sd: float = figure("percent", 0, 50, default=0.0)  # of the diameter, constant in a run [1]
-    quantization: float = figure("mps", default=0.0)  # least bit [m/s]
+    quantization: float = figure("mps", default=0.0)  # resolution [m/s]
     latency: float = figure("s", default=0.0)  # [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Units:
-    """The specs of the instruments, on board or assumed; None: there is no such instrument."""
+class InstrumentSpecs:
+    """Specs of the instruments, on board or assumed; None if there is no such instrument."""
 
     baro: BaroSpec | None = None
     mag: MagSpec | None = None
@@ -184,8 +184,8 @@ class Units:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reports:
-    """What the instruments report; None: there is no such instrument."""
+class InstrumentReports:
+    """Records of the instruments; None if there is no such instrument."""
 
     baro: BaroData | None = None
     mag: MagData | None = None
@@ -195,50 +195,50 @@ class Reports:
 
     @property
     def instruments(self) -> dict[str, Any]:
-        """The records that there are, by the name of the instrument."""
+        """The records present, by name of the instrument."""
         found = {name: getattr(self, name) for name in INSTRUMENTS}
         return {name: record for name, record in found.items() if record is not None}
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """How the value of an instrument stands among the plots of the flight."""
+    """Curve of an instrument in the plots of a recording."""
 
-    plot: str  # key of the plot it joins, or of a plot of its own
-    legend: str  # with several components the axes stand in its place
+    plot: str  # key of an existing plot, or of a new one
+    legend: str  # for one component; with several components the axes are named
     unit: str  # of the plot
-    scale: float = 1.0  # of the plot's unit over SI
+    scale: float = 1.0  # factor from SI to the unit of the plot
     dots: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """An aiding instrument: how it is called, what it reports, and what else there is to know of it."""
+    """Declaration of an aiding instrument."""
 
     name: str  # key in [sensors], folder of the catalog, end of file names
     title: str  # in words
     record: type[InstrumentData]
     spec: type
-    says: str  # what its table holds, in words
+    contents: str  # contents of its table, in words
     model: str  # module of `bench.sensors`
     innovation: str  # name of its innovations
-    quantity: str  # what they are of, in words
-    frame: int  # kind of its frames in a stream
-    bias: Column  # its slowly varying error in the table of what was drawn
+    quantity: str  # measured quantity, in words
+    frame: int  # type number of its frames in a stream
+    bias: Column  # its slowly varying error in `bench.data.SensorTruth`
     trace: Trace
     parts: Mapping[str, type] = field(default_factory=dict)  # further tables of its datasheet -> their specs
-    step: str = ""  # unit of the fault "<name>-step"; empty: there is no such fault
-    rounds: bool = True  # its ``quantization`` is that of the value
-    feels_air: Callable[[Any], bool] = lambda spec: False
-    problems: Callable[[Any], list[str]] = lambda spec: []  # what is wrong with a spec, a line each
+    step: str = ""  # unit of the fault "<name>-step"; empty if there is no such fault
+    rounds: bool = True  # ``quantization`` applies to the value
+    feels_air: Callable[[Any], bool] = lambda spec: False  # its errors depend on the air of the flight
+    problems: Callable[[Any], list[str]] = lambda spec: []  # find mistakes in a spec, a line each
 
     @property
     def value(self) -> str:
-        """Field of the record that holds what is measured."""
+        """Field of the record with the measured value."""
         return next(name for name in columns_of(self.record) if name not in _COMMON)
 
     def values(self, record: Any) -> FloatArray:
-        """Return what a record holds, a row per instant and a column per component (M, k)."""
+        """Return the measured values (M, k), a column per component."""
         found: FloatArray = getattr(record, self.value).reshape(len(record), -1)
         return found
 
@@ -261,13 +261,13 @@ class Instrument:
 _COMMON = ("t", "t_arrival", "valid", "sd")
 
 
-def _baro_problems(spec: BaroSpec) -> list[str]:
+def _check_baro(spec: BaroSpec) -> list[str]:
     if spec.physical is not None and spec.quantization:
         return ["[baro] quantization_m is not for a barometer with [physical]: give quantization_pa there"]
     return []
 
 
-def _airspeed_problems(spec: AirspeedSpec) -> list[str]:
+def _check_airspeed(spec: AirspeedSpec) -> list[str]:
     if spec.pressure_white_sd == 0 and spec.white_sd == 0:
         return ["[airspeed] pressure_white_sd_pa or white_sd_mps must be above 0: the unit reports it"]
     return []
@@ -281,7 +281,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             title="barometer",
             record=BaroData,
             spec=BaroSpec,
-            says="barometric altitude; sd_m is the white noise the instrument claims",
+            contents="barometric altitude; sd_m is the white noise the instrument claims",
             model="baro",
             innovation="baro",
             quantity="baro altitude",
@@ -291,14 +291,14 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             parts={"physical": StaticPressureSpec},
             step="m",
             feels_air=lambda spec: spec.physical is not None,
-            problems=_baro_problems,
+            problems=_check_baro,
         ),
         Instrument(
             name="mag",
             title="magnetometer",
             record=MagData,
             spec=MagSpec,
-            says="the magnetic field as the magnetometer reports it; the date of the flight is in start.json",
+            contents="magnetic field as the magnetometer reports it; the date of the flight is in start.json",
             model="magnetometer",
             innovation="magnetometer",
             quantity="magnetic field",
@@ -311,7 +311,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             title="airspeed unit",
             record=AirspeedData,
             spec=AirspeedSpec,
-            says="true airspeed as the air data computer reports it",
+            contents="true airspeed as the air data computer reports it",
             model="airspeed",
             innovation="airspeed",
             quantity="airspeed",
@@ -320,14 +320,14 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             trace=Trace("speed", "airspeed unit", "m/s", dots=True),
             rounds=False,
             feels_air=lambda spec: True,
-            problems=_airspeed_problems,
+            problems=_check_airspeed,
         ),
         Instrument(
             name="radar",
             title="radar altimeter",
             record=RadarData,
             spec=RadarSpec,
-            says="height above the runway as the radar altimeter reports it",
+            contents="height above the runway as the radar altimeter reports it",
             model="radar",
             innovation="radar",
             quantity="radar height",
@@ -341,7 +341,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             title="odometer",
             record=OdometerData,
             spec=OdometerSpec,
-            says="forward speed over ground as a wheel tells it; valid while the wheel is on the ground",
+            contents="forward speed over ground from a wheel; valid while the wheel is on the ground",
             model="odometer",
             innovation="odometer",
             quantity="wheel speed",

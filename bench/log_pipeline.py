@@ -11,7 +11,7 @@ import numpy as np
 from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
-from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, nothing_drawn
+from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError
 from bench.evaluation import outages, validity
 from bench.evaluation.fixes import antenna_errors, judge
@@ -83,7 +83,7 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
         },
         records={
             "spec": spec,
-            "sensed": Sensed(data, session.initial, nothing_drawn(), events),
+            "sensed": Sensed(data, session.initial, no_sensor_truth(), events),
             "withheld": withheld,
         },
     )

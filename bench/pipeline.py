@@ -205,7 +205,7 @@ def _list_records(profile: Profile) -> set[str]:
 
 def _describe_program(solution: NavSolution) -> dict[str, Any]:
     """Return how an external program ended, and the end of its stderr; empty for other estimators."""
-    texts = {kind: [text for _, _, text in solution.events.of(kind)] for kind in ("program", "stderr")}
+    texts = {kind: [text for _, _, text in solution.events.select(kind)] for kind in ("program", "stderr")}
     return {"program": {kind: " ".join(parts) for kind, parts in texts.items()}} if texts["program"] else {}
 
 

@@ -1,8 +1,7 @@
 """Rotations: quaternions, matrices, Euler angles, rotation vectors.
 
-``q_ab`` and ``C_ab`` take a vector from b to a: ``v_a = C_ab @ v_b``. Quaternions
-are Hamilton, scalar first (w, x, y, z). Every function takes one instant or a
-series, one instant per row.
+``q_ab`` and ``C_ab`` take a vector from b to a: ``v_a = C_ab @ v_b``. Quaternions are Hamilton, scalar first
+(w, x, y, z). Every function takes one instant, or a series with one instant per row.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 
-_SMALL2 = 1e-8  # squared angle [rad^2] below which series replace sines; their next terms are below 1e-20
+_SMALL2 = 1e-8  # squared angle [rad^2] below which series replace sines; the next terms are below 1e-20
 
 
 def multiply(q_ab: ArrayLike, q_bc: ArrayLike) -> FloatArray:
@@ -43,7 +42,7 @@ def conjugate(q_ab: ArrayLike) -> FloatArray:
 
 
 def rotate(q_ab: ArrayLike, v_b: ArrayLike) -> FloatArray:
-    """Return v_a (..., 3), the vector v_b seen in frame a."""
+    """Return v_a (..., 3): the vector v_b (..., 3) resolved in frame a."""
     q, v = np.asarray(q_ab, float), np.asarray(v_b, float)
     t = 2.0 * np.cross(q[..., 1:], v)
     rotated: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
@@ -64,7 +63,7 @@ def matrix(q_ab: ArrayLike) -> FloatArray:
 def from_matrix(C_ab: ArrayLike) -> FloatArray:
     """Return q_ab (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
 
-    Shepperd's choice of the largest component, so that no rotation loses digits.
+    Shepperd's method: the largest component comes first, which is accurate for all rotations.
     """
     C = np.asarray(C_ab, float)
     trace = np.trace(C, axis1=-2, axis2=-1)
@@ -145,7 +144,7 @@ def to_rotvec(q_ab: ArrayLike) -> FloatArray:
 
 
 def continuous(q_ab: ArrayLike) -> FloatArray:
-    """Return the series (N, 4) with signs chosen so that neighbours are close."""
+    """Return a series of quaternions (N, 4) without jumps of sign between neighbours."""
     q = np.array(q_ab, float)
     if len(q) > 1:
         turns = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)

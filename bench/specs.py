@@ -1,4 +1,4 @@
-"""What a profile asks for, in SI and radians: aircraft, flight, sensors, estimators; named random streams."""
+"""Specs of an experiment in SI and radians: aircraft, flight, sensors, estimators; named random streams."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from bench.fields import declared, figure, triad_figure
-from bench.instruments import Units
+from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
 
 if TYPE_CHECKING:
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
 DEFAULT_DATE = 2026.0
-"""Date of a flight that does not say it: 1 January 2026 [decimal years]."""
+"""Date of a flight without one in its profile: 1 January 2026 [decimal years]."""
 
 
 def stream(seed: int, run: int, name: str) -> np.random.Generator:
-    """Random stream of one error term ("imu.gyro.white", "gnss.markov", "initial") in one run.
+    """Return the random stream of one error term ("imu.gyro.white", "gnss.markov", "initial") in one run.
 
     Adding, removing or reordering one term leaves the noise of every other bit-identical.
 
@@ -43,36 +43,35 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 
 
 MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
-"""Simple shape in the recording of each class of aircraft."""
+"""Class of aircraft -> simple shape in the recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunwaySpec:
-    """How an aircraft is taken off and landed."""
+    """Figures for take-off and landing of an aircraft."""
 
     height: float  # of the centre of gravity above the ground at rest [m]
     rotate_speed: float  # true airspeed at which the nose is raised [m/s]
     take_off_pitch: float  # [rad]
     approach_speed: float  # true airspeed on the glide path [m/s]
-    flare_height: float  # of the centre of gravity above the ground where the glide is broken off [m]
-    touch_down_sink: float  # the flare aims at [m/s]
+    flare_height: float  # of the centre of gravity above the ground where the flare begins [m]
+    touch_down_sink: float  # sink rate that the flare aims at [m/s]
 
 
 @dataclass(frozen=True, slots=True)
 class ForeignSpec:
-    """What an aircraft of the jsbsim wheel or of the user needs besides."""
+    """Additional figures of an aircraft from the jsbsim wheel or from the user."""
 
     root: Path  # JSBSim root: holds engine/ and systems/
-    properties: Mapping[str, float]  # of the model, set before the start: mixture, gear ...
-    guided: bool = False  # its model has the guidance system of the bench already
+    properties: Mapping[str, float]  # JSBSim properties, set before the start: mixture, gear ...
+    guided: bool = False  # its model already contains the guidance system of the bench
 
 
 @dataclass(frozen=True, slots=True)
 class AircraftSpec:
-    """An aircraft of the bench: its JSBSim model and what guidance and sensors need to know of it.
+    """An aircraft: its JSBSim model and the figures that guidance and sensors need.
 
-    aircraft.toml gives positions relative to the centre of gravity; here antenna and static port are
-    relative to the IMU.
+    Antenna and static port are relative to the IMU here, and to the centre of gravity in aircraft.toml.
     """
 
     name: str
@@ -86,22 +85,22 @@ class AircraftSpec:
     max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
-    foreign: ForeignSpec | None = None  # how it is flown when it was not made for the bench
+    foreign: ForeignSpec | None = None  # how to fly it if it was not made for the bench
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # relative to the IMU [m], b
-    trims: tuple[tuple[float, float], ...] = ()  # altitude [m] and true airspeed [m/s] it is trimmed at
+    trims: tuple[tuple[float, float], ...] = ()  # altitudes [m] and true airspeeds [m/s] to trim it at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
-    configuration: tuple[str, ...] = ()  # what a leg may set of it: "flaps", "gear"
+    configuration: tuple[str, ...] = ()  # parts that a leg may set: "flaps", "gear"
 
     @property
     def guided(self) -> bool:
-        """Whether its model is one for the bench: with the guidance system, and engines without a state."""
+        """Whether its model has the guidance system of the bench and engines without internal state."""
         return self.foreign is None or self.foreign.guided
 
 
 @dataclass(frozen=True, slots=True)
 class Runway:
-    """The beginning of a runway, and the way along it; the ground all around is as high as it is."""
+    """Threshold and heading of a runway; all ground is at the height of the runway."""
 
     lat: float  # [rad]
     lon: float  # [rad]
@@ -111,51 +110,51 @@ class Runway:
 
 @dataclass(frozen=True, slots=True)
 class LegStart:
-    """What a leg begins from, as far as the profile says it."""
+    """Conditions at the start of a leg that are known from the profile."""
 
     aircraft: AircraftSpec
     alt: float  # ellipsoidal [m]
     runway: Runway | None
-    after: str  # what the leg before it leaves
+    after: str  # ``leaves`` of the leg before it
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a flight; `bench.flight.legs` has each kind, a frozen dataclass with its figures in SI."""
+    """A part of a flight; `bench.flight.legs` holds the kinds, frozen dataclasses with figures in SI."""
 
-    kind: ClassVar[str]  # its name in a profile
-    needs: ClassVar[str] = "air"  # where it begins: "air", "ground", or after an "approach" or a "flare"
-    leaves: ClassVar[str] = "air"  # the same of its end
-    any_bank: ClassVar[bool] = False  # it may bank beyond what guidance is expected to come back from
+    kind: ClassVar[str]  # name in a profile
+    needs: ClassVar[str] = "air"  # start: "air", "ground", or after an "approach" or a "flare"
+    leaves: ClassVar[str] = "air"  # its end, in the same words
+    any_bank: ClassVar[bool] = False  # it may bank beyond the limit of guidance
 
     def describe(self) -> str:
-        """Return its figures in words; the airspeed of `bench.flight.legs.keys.AtSpeed` is added."""
+        """Return the figures of the leg in words; `bench.flight.legs.keys.AtSpeed` adds the airspeed."""
         return ""
 
     def check(self, start: LegStart) -> list[str]:
-        """Return what is wrong with it, a line each, besides its keys and where it begins."""
+        """Return mistakes in the figures, a line each; keys and start are checked elsewhere."""
         return []
 
     def alt_after(self, start: LegStart) -> float:
-        """Return the ellipsoidal altitude at its end [m]."""
+        """Return the ellipsoidal altitude at the end of the leg [m]."""
         return start.alt
 
     def fly(self, cockpit: Any) -> Iterator[None]:
         """Write set-points into a `bench.flight.cockpit.Cockpit`, one step per instant of guidance.
 
-        A generator may return in words how it went.
+        The generator may return a remark about the leg as flown.
 
         Raises
         ------
         FlightError
-            When it cannot be flown.
+            If the leg cannot be flown.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class WindLayer:
-    """The wind at one altitude; between altitudes its components go straight, beyond them they stay."""
+    """Wind at one altitude; components are linear between altitudes and constant beyond them."""
 
     alt: float  # ellipsoidal [m]
     wind_from: float  # direction the wind blows from [rad]
@@ -164,18 +163,18 @@ class WindLayer:
 
 @dataclass(frozen=True, slots=True)
 class Gust:
-    """A discrete gust that rises and falls as 1 - cosine."""
+    """A discrete gust with a 1 - cosine rise and fall."""
 
     start: float  # [s]
     rise: float  # [s]
     hold: float  # [s]
     fall: float  # [s]
-    air_n: tuple[float, float, float]  # velocity it adds to the air mass at its peak [m/s], n
+    air_n: tuple[float, float, float]  # velocity added to the air mass at the peak [m/s], n
 
 
 @dataclass(frozen=True, slots=True)
 class FlightSpec:
-    """Everything truth depends on."""
+    """A flight by legs: all that the truth depends on."""
 
     aircraft: AircraftSpec
     rate: float  # truth and IMU output rate [Hz]
@@ -189,16 +188,16 @@ class FlightSpec:
     severity: int  # Milspec turbulence: probability-of-exceedance index, 0 none
     turbulence_seed: int
     legs: tuple[Leg, ...]
-    duration: float | None  # the last leg is held to this instant [s]; None: to its own end
-    on_ground: bool = False  # starts at rest on the runway; speed is then that of the first climb
+    duration: float | None  # the last leg is held until then [s]; None: until it ends
+    on_ground: bool = False  # starts at rest on the runway; ``speed`` is then that of the first climb
     runway: Runway | None = None  # None: the ground is the ellipsoid
-    wind_layers: tuple[WindLayer, ...] = ()  # upwards; they take the place of wind_from and wind_speed
-    gusts: tuple[Gust, ...] = ()  # in order, none before the end of the other
+    wind_layers: tuple[WindLayer, ...] = ()  # upwards; they replace wind_from and wind_speed
+    gusts: tuple[Gust, ...] = ()  # in order, without overlap
     turbulence_model: str = "milspec"  # or "tustin", another discretization of the same spectra
 
     @property
     def label(self) -> str:
-        """What is flown, in words."""
+        """Description of the flight."""
         return f"aircraft {self.aircraft.name}"
 
     @property
@@ -209,20 +208,20 @@ class FlightSpec:
 
 @dataclass(frozen=True, slots=True)
 class ScriptSpec:
-    """A JSBSim script, flown as it is."""
+    """A flight by a JSBSim script, unchanged."""
 
     name: str
     path: Path
     root: Path  # JSBSim root: holds aircraft/, engine/ and systems/
-    aircraft: str  # name of the aircraft it flies
+    aircraft: str  # name of the aircraft
     rate: float  # truth and IMU output rate [Hz]
-    duration: float | None  # the script is stopped there [s]; None: flown to its end
-    turbulence_seed: int  # of JSBSim's random numbers, unless the script sets its own
+    duration: float | None  # the script is stopped then [s]; None: it runs to its end
+    turbulence_seed: int  # seed of JSBSim's random numbers if the script sets none
     category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
 
     @property
     def label(self) -> str:
-        """What is flown, in words."""
+        """Description of the flight."""
         return f"script {self.name}, aircraft {self.aircraft}"
 
     @property
@@ -233,17 +232,17 @@ class ScriptSpec:
 
 @dataclass(frozen=True, slots=True)
 class TableSpec:
-    """A trajectory somebody else made, as a table."""
+    """A trajectory from a table made by other software."""
 
     name: str
     path: Path
     rate: float  # truth and IMU output rate [Hz]
-    duration: float | None  # truth ends there [s]; None: with the table
+    duration: float | None  # the truth ends then [s]; None: at the end of the table
     mesh: str = "uav"  # class of the simple shape in the recording
 
     @property
     def label(self) -> str:
-        """What is flown, in words."""
+        """Description of the flight."""
         return f"trajectory {self.path.name}"
 
 
@@ -259,7 +258,7 @@ _DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
 
 @declared
 class TriadSpec:
-    """Three gyros (unit rad) or three accelerometers (unit m/s). What a unit does not have is 0."""
+    """Three gyros (unit rad) or three accelerometers (unit m/s). 0 switches an error off."""
 
     # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
     random_walk: float = triad_figure(
@@ -283,48 +282,48 @@ class TriadSpec:
     misalignment_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="misalignment", default=0.0
     )
-    # least bit of an increment [unit]
+    # resolution of an increment [unit]
     quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
-    # walk of the rate, K [unit/s/sqrt(s)]
+    # rate random walk K [unit/s/sqrt(s)]
     rate_random_walk: float = triad_figure(
         ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0
     )
-    # half of what the scale factors of both signs differ by [1]
+    # half the difference between the scale factors of positive and negative rates [1]
     scale_asymmetry_sd: float = triad_figure(_SHARES, _SHARES, error="scale factor asymmetry", default=0.0)
-    # largest departure from the best straight line, over the range [1]
+    # largest deviation from the best straight line, over the range [1]
     nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0)
-    # of the squared rate [1/(unit/s)]
+    # coefficient of the squared rate [1/(unit/s)]
     quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0)
-    # of the angle between two sensing axes from 90 deg [rad]
+    # deviation of the angle between two sensing axes from 90 deg [rad]
     nonorthogonality_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="non-orthogonality", default=0.0
     )
-    # turn of the triad in its case, each axis [rad]
+    # rotation of the triad in its case, each axis [rad]
     alignment_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="alignment", default=0.0
     )
-    # gyros: each element, per specific force [unit/s/(m/s^2)]
+    # gyros: each element of the matrix, per specific force [unit/s/(m/s^2)]
     g_sensitivity_sd: float = triad_figure(
         ("deg_h_g", "deg_s_g"), sought="g-sensitivity", error="g-sensitivity", default=0.0
     )
-    # gyros: each element, per squared specific force [unit/s/(m/s^2)^2]
+    # gyros: each element of the matrix, per squared specific force [unit/s/(m/s^2)^2]
     g2_sensitivity_sd: float = triad_figure(
         ("deg_h_g2", "deg_s_g2"), sought="g-sensitivity", error="sensitivity to g squared", default=0.0
     )
-    # bias per kelvin from the reference temperature [unit/s/K]
+    # bias per difference from the reference temperature [unit/s/K]
     temperature_sd: float = triad_figure(
         ("deg_h_k", "deg_s_k"), ("ug_k", "mg_k"), sought="temperature", error="temperature bias", default=0.0
     )
-    # a rate below it reads 0 [unit/s]
+    # rates below this read 0 [unit/s]
     dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
-    dead_zone_kind: str = "subtractive"  # or "hard": a rate above it is whole
-    # largest rate, 0 none; beyond it the sample is clipped and flagged [unit/s]
+    dead_zone_kind: str = "subtractive"  # or "hard": rates above it are unchanged
+    # largest rate; beyond it samples are clipped and flagged [unit/s]; 0: no limit
     range: float = triad_figure(("deg_s",), ("g",), sought="range", default=0.0)
-    # -3 dB of a second-order Butterworth filter of the motion, 0 none [Hz]
+    # -3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter
     bandwidth: float = triad_figure(
         ("hz",), ("hz",), sought="bandwidth", error="bandwidth and delay", default=0.0
     )
-    # of the motion, beyond that of the filter [s]
+    # of the motion, in addition to that of the filter [s]
     delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
 
     @property
@@ -335,44 +334,44 @@ class TriadSpec:
 
 @declared
 class ThermalSpec:
-    """The temperature of an IMU: it follows that of the air and its own heat, from that of the air on."""
+    """Temperature of an IMU: from that of the air to air plus self-heating, with a time constant."""
 
-    reference: float = figure("degc", -60, 150, default=298.15)  # temperature without temperature error [K]
+    reference: float = figure("degc", -60, 150, default=298.15)  # temperature with zero temperature error [K]
     self_heating: float = figure("k", default=0.0)  # final excess over the air [K]
-    time_constant: float = figure("s", default=0.0)  # 0: at once [s]
+    time_constant: float = figure("s", default=0.0)  # [s]; 0: immediate
 
 
 @declared
 class VibrationSpec:
-    """Shaking at the IMU's place in the aircraft; rms of each axis. What there is not is 0."""
+    """Vibration at the IMU, rms of each axis. 0 switches a source off."""
 
-    # at the reference engine speed; grows with its square [rad/s]
+    # at the reference engine speed; proportional to the square of the speed [rad/s]
     engine_gyro: float = figure("deg_s", default=0.0)
     engine_accel: float = figure("mg", default=0.0)  # [m/s^2]
     engine_reference: float = figure("rpm", default=0.0)  # [rad/s]
-    engine_order: float = figure(default=1.0)  # periods per turn of the engine [1]
-    # per m/s of gust rms, of the structural mode [rad/s/(m/s)]
+    engine_order: float = figure(default=1.0)  # periods per revolution of the engine [1]
+    # of the structural mode, per gust rms [rad/s/(m/s)]
     gust_gyro: float = figure("deg_s_per_mps", default=0.0)
     gust_accel: float = figure("mg_per_mps", default=0.0)  # [m/s^2/(m/s)]
-    mode_frequency: float = figure("hz", default=0.0)  # of the structural mode that gusts excite, damped [Hz]
+    mode_frequency: float = figure("hz", default=0.0)  # of the structural mode that gusts excite [Hz]
     mode_damping: float = figure("", 0, 1, default=0.0)  # ratio to critical damping [1]
 
 
 @dataclass(frozen=True, slots=True)
 class ImuSpec:
-    """An IMU as its datasheet describes it."""
+    """An IMU by its datasheet."""
 
     name: str
     gyro: TriadSpec
     accel: TriadSpec
     thermal: ThermalSpec = field(default_factory=ThermalSpec)
     vibration: VibrationSpec = field(default_factory=VibrationSpec)
-    accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: along b
-    accel_arms: tuple[tuple[float, float, float], ...] = ()  # of the x, y, z accelerometer [m], b
+    accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: axes along b
+    accel_arms: tuple[tuple[float, float, float], ...] = ()  # positions of the x, y, z accelerometer [m], b
 
     @property
     def feels_air(self) -> bool:
-        """Whether an error follows the temperature, the gusts or the engine of the flight."""
+        """Whether an error depends on temperature, gusts or engine speed of the flight."""
         v = self.vibration
         shaken = max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
         return shaken or max(self.gyro.temperature_sd, self.accel.temperature_sd) > 0
@@ -380,25 +379,22 @@ class ImuSpec:
 
 @dataclass(frozen=True, slots=True)
 class SkySpec:
-    """Measurement-level GNSS: which satellites fly, how they are received, what errors the ranges have.
-
-    Standard deviations and decays of processes that are off are 0.
-    """
+    """Measurement-level GNSS: constellations, reception, errors of the ranges. 0 switches an error off."""
 
     day: date  # of the flight
     gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
-    gps: KeplerSets | None  # times since that midnight; None: the nominal constellation
-    glonass: KeplerSets | GlonassSets | None  # the same
+    gps: KeplerSets | None  # with times since that midnight; None: nominal constellation
+    glonass: KeplerSets | GlonassSets | None  # with times since that midnight; None: nominal constellation
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
-    systems: str  # that the receiver uses: "gps", "glonass", "both", "auto"
+    systems: str  # used by the receiver: "gps", "glonass", "both", "auto"
     bands: int  # 1, or 2: the ionosphere-free combination
     elevation_mask: float  # lowest elevation used [rad]
-    antenna_mask: float  # lowest elevation above the plane of the antenna that is received [rad]
+    antenna_mask: float  # lowest elevation received, from the plane of the antenna [rad]
     cn0_zenith: float  # along the axis of the antenna, up in the body [dB-Hz]
     cn0_horizon: float  # in the plane of the antenna [dB-Hz]
-    cn0_threshold: float  # of tracking [dB-Hz]
-    second_band_loss: float  # [dB]
-    reacquisition: float  # seen again to measured again [s]
+    cn0_threshold: float  # lowest C/N0 that is tracked [dB-Hz]
+    second_band_loss: float  # of C/N0 against the first band [dB]
+    reacquisition: float  # from signal back to measurements back [s]
     dll_bandwidth: float  # [Hz]
     dll_spacing: float  # early to late [chip]
     fll_bandwidth: float  # [Hz]
@@ -406,12 +402,12 @@ class SkySpec:
     gps_space_sd: float  # ephemeris and satellite clock, along the range [m]
     glonass_space_sd: float  # [m]
     space_correlation: float  # [s]
-    ionosphere_sd: float  # vertical, against the broadcast model [m]
+    ionosphere_sd: float  # vertical residual of the broadcast model [m]
     ionosphere_correlation: float  # [s]
-    troposphere_sd: float  # vertical, against the model [m]
+    troposphere_sd: float  # vertical residual of the model [m]
     troposphere_correlation: float  # [s]
     multipath_zenith_sd: float  # [m]
-    multipath_horizon_sd: float  # added at the horizon, falls by 1/e over 10 deg [m]
+    multipath_horizon_sd: float  # added at the horizon, falls to 1/e over 10 deg [m]
     multipath_correlation: float  # [s]
     clock_offset_sd: float  # of the receiver at the start [m]
     clock_drift_sd: float  # [m/s]
@@ -419,8 +415,8 @@ class SkySpec:
     clock_h_0: float  # white frequency noise, one-sided power-law coefficient [s]
     clock_h_m1: float  # flicker of frequency [1]
     clock_h_m2: float  # random walk of frequency [1/s]
-    clock_g: float  # fractional frequency per specific force along the down axis of the body [s^2/m]
-    false_alarm: float  # of the residual test of one epoch [1]
+    clock_g: float  # g-sensitivity: fractional frequency per specific force along body down [s^2/m]
+    false_alarm: float  # probability of the residual test of one epoch [1]
 
 
 @declared
@@ -435,61 +431,63 @@ class GnssSpec:
     pos_h_markov_sd: float = figure("m", default=0.0)  # [m]
     pos_v_markov_sd: float = figure("m", default=0.0)  # [m]
     vel_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
-    # decorrelation by distance flown, lambda_s [1/m]
+    # inverse decorrelation distance lambda_s [1/m]
     pos_decay_distance: float = figure("km", default=0.0, reciprocal=True)
-    # decorrelation by time, lambda_st [1/s]
+    # inverse decorrelation time lambda_st [1/s]
     pos_decay_time: float = figure("s", default=0.0, reciprocal=True)
-    vel_decay_time: float = figure("s", default=0.0, reciprocal=True)  # lambda_V [1/s]
+    vel_decay_time: float = figure(
+        "s", default=0.0, reciprocal=True
+    )  # inverse decorrelation time lambda_V [1/s]
     latency: float = figure("s", default=0.0)  # from validity to arrival [s]
-    # where the satellites in use change, at that epoch only [m]
+    # jump at an epoch where the satellites in use change, for that epoch only [m]
     pos_h_jump_sd: float = figure("m", default=0.0)
     pos_v_jump_sd: float = figure("m", default=0.0)  # [m]
     vel_jump_sd: float = figure("mps", default=0.0)  # each axis [m/s]
-    # the same, and it decays as the Markov error does [m]
+    # jump at such an epoch that decays like the Markov error [m]
     pos_h_jump_markov_sd: float = figure("m", default=0.0)
     pos_v_jump_markov_sd: float = figure("m", default=0.0)  # [m]
     vel_jump_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
     optimism: float = figure("", 0.05, 20, default=1.0)  # true over reported standard deviation of a fix [1]
-    sky: SkySpec | None = None  # measurement level; the errors above are then what filters assume
+    sky: SkySpec | None = None  # measurement level; only filters then assume the errors above
 
     @property
     def jumps(self) -> bool:
-        """Whether its error jumps where the satellites in use change."""
+        """Whether the error jumps where the satellites in use change."""
         passing = (self.pos_h_jump_sd, self.pos_v_jump_sd, self.vel_jump_sd)
         return any((*passing, self.pos_h_jump_markov_sd, self.pos_v_jump_markov_sd, self.vel_jump_markov_sd))
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is scripted to go wrong in [start, end); what its kind has no use for keeps its default."""
+    """A scripted fault in [start, end); fields that its kind does not use keep their defaults."""
 
     kind: str  # as in the profile
     sensor: str  # "gnss", "imu", "gyro", "accel" or the name of an instrument
     start: float  # [s]
     end: float  # [s]
-    text: str  # in words, as in the profile
-    satellites: tuple[tuple[int, int], ...] = ()  # system and number
-    step: tuple[float, ...] = ()  # from the start on, in SI: n, b or a single value
-    ramp: tuple[float, ...] = ()  # growth of the step, per s
+    text: str  # description, with the figures of the profile
+    satellites: tuple[tuple[int, int], ...] = ()  # (system, number)
+    step: tuple[float, ...] = ()  # constant error in SI: in n, in b or a single value
+    ramp: tuple[float, ...] = ()  # growth of the error per second
     loss: float = 0.0  # of C/N0 [dB]
     delay: float = 0.0  # [s]
-    times: float = 0.0  # noise over the white noise of the unit [1]
-    share: float = 1.0  # of the samples that are struck [1]
+    times: float = 0.0  # noise burst over the white noise of the sensor [1]
+    share: float = 1.0  # fraction of the samples affected [1]
     axes: tuple[int, ...] = (0, 1, 2)  # of a triad
-    coherent: bool = True  # the velocity follows the ramp
+    coherent: bool = True  # the velocity error matches the ramp
 
 
 @dataclass(frozen=True, slots=True)
-class AssumedSpecs(Units):
-    """The datasheets an estimator is told to believe."""
+class AssumedSpecs(InstrumentSpecs):
+    """The datasheets that an estimator assumes."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
 
 
 @dataclass(frozen=True, slots=True)
-class SensorsSpec(Units):
-    """The units on board, what the filters assume of them, and what is scripted to happen."""
+class SensorsSpec(InstrumentSpecs):
+    """The sensors on board, the datasheets that filters assume, initial errors, outages and faults."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
@@ -502,32 +500,32 @@ class SensorsSpec(Units):
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
     date: float = DEFAULT_DATE  # of the flight [decimal years]
-    alignment: str = "given"  # what the estimators are told of the start: "given", "level" or "course"
-    align_for: float = 60.0  # level: longest standstill to use, course: length of the stretch [s]
+    alignment: str = "given"  # initial values given to the estimators: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
     qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
-    rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: it never leaves the ground
+    rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: a ground vehicle
     faults: tuple[Fault, ...] = ()  # as the profile numbers them
 
 
-# --- the estimators and the judgement ------------------------------------------------------------------
+# --- estimators and evaluation ------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """An estimator by its name, ``module:Class``, ``file:`` or ``command:``, and the keywords it takes."""
+    """An estimator by name, ``module:Class``, ``file:`` or ``command:``, and its options."""
 
     use: str
-    label: str  # unique in the profile; names files and report columns
+    label: str  # unique in the profile; in names of files and columns of reports
     options: Mapping[str, Any] = field(default_factory=dict)
-    beside: Path = Path()  # where the relative paths of "file:" and "command:" begin
+    beside: Path = Path()  # base of relative paths in "file:" and "command:"
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """One experiment: a flight, its sensors, the estimators and the judgement."""
+    """One experiment: flight, sensors, estimators and evaluation."""
 
     name: str
     title: str

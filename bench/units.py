@@ -1,7 +1,7 @@
-"""Units of measurement at the edges of the bench, and the constants that several places share.
+"""Units of measurement at the edges of the bench, and constants that several modules share.
 
-Inside, everything is SI and radians. A name at an edge (a TOML key, a column, a metric) ends in its unit;
-what it ends in says what its number is multiplied by.
+Inside, everything is SI and radians. A name at an edge (a TOML key, a column, a metric) ends in its unit, and
+the ending gives the factor to SI.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], exact by definition (3rd CGPM, 1901)
-SAME_INSTANT = 1e-6  # two times closer than this are one instant [s]: far below any step, far above rounding
+SAME_INSTANT = 1e-6  # times closer than this are the same instant [s]: far below any step, far above rounding
 DEG = math.pi / 180.0  # [rad]
 HOUR = 3600.0  # [s]
 
@@ -86,46 +86,46 @@ ENDINGS: Mapping[str, Unit] = {
     "_s": Unit("s"),
     "_k": Unit("K"),
 }
-"""Ending of a name -> its unit; where two fit, the longer one stands first. dB, dB-Hz and chips stay."""
+"""Ending of a name -> its unit; the first that fits counts. dB, dB-Hz and chips are not converted."""
 
 FACTORS: Mapping[str, float] = {unit.symbol: unit.factor for unit in ENDINGS.values()}
-"""Symbol of a unit -> what a number in it is multiplied by to be SI and radians."""
+"""Symbol of a unit -> factor from it to SI and radians."""
 
 _BARE = Unit("")
 
 
 def unit_of(name: str) -> str:
-    """Return the symbol of the unit that a name ends in, or an empty text.
+    """Return the symbol of the unit at the end of a name; empty if there is none.
 
     Examples
     --------
     >>> unit_of("noise_deg_sqrt_h"), unit_of("lat_deg"), unit_of("seed")
     ('deg/sqrt(h)', 'deg', '')
     """
-    return ENDINGS.get(_ending(name), _BARE).symbol
+    return ENDINGS.get(_find_ending(name), _BARE).symbol
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a name without the ending that is its unit, and the symbol of the unit.
+    """Split a name into the part without its unit and the symbol of the unit.
 
     Examples
     --------
     >>> split_unit("vel_n_mps"), split_unit("q_nb_w")
     (('vel_n', 'm/s'), ('q_nb_w', ''))
     """
-    ending = _ending(name)
+    ending = _find_ending(name)
     return name.removesuffix(ending), ENDINGS.get(ending, _BARE).symbol
 
 
 def to_si(key: str, value: Any) -> Any:
-    """Return a number, or a tuple of them, in the unit its key ends in, as SI and radians.
+    """Convert a number, or a tuple of numbers, from the unit at the end of its key to SI and radians.
 
     Examples
     --------
     >>> to_si("qnh_hpa", 1013.25), to_si("pos_m", (1.0, 2.0, 3.0)), to_si("systems", "gps")
     (101325.0, (1.0, 2.0, 3.0), 'gps')
     """
-    unit = ENDINGS.get(_ending(key))
+    unit = ENDINGS.get(_find_ending(key))
     if unit is None or value is None:
         return value
     if isinstance(value, tuple):
@@ -134,19 +134,19 @@ def to_si(key: str, value: Any) -> Any:
 
 
 def from_si(key: str, value: float) -> float:
-    """Return a number in SI in the unit its key ends in.
+    """Convert a number from SI to the unit at the end of its key.
 
     Examples
     --------
     >>> from_si("reference_degc", 298.15), from_si("rate_hz", 10.0)
     (25.0, 10.0)
     """
-    unit = ENDINGS.get(_ending(key), _BARE)
+    unit = ENDINGS.get(_find_ending(key), _BARE)
     return (value - unit.offset) / unit.factor
 
 
 def si_fields(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a table in SI, each under its key without the unit.
+    """Convert the values of a table to SI; the keys lose their units.
 
     Examples
     --------
@@ -156,5 +156,5 @@ def si_fields(table: Mapping[str, Any]) -> dict[str, Any]:
     return {split_unit(key)[0]: to_si(key, value) for key, value in table.items()}
 
 
-def _ending(name: str) -> str:
+def _find_ending(name: str) -> str:
     return next((ending for ending in ENDINGS if name.endswith(ending)), "")

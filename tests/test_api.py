@@ -66,7 +66,7 @@ def test_every_verb_has_its_function():
 
 def test_a_result_is_saved_and_read_back_with_its_truth_and_sensors(profile, tmp_path):
     result = bench.run(profile)
-    assert result.events.of("leg")
+    assert result.events.select("leg")
     folder = bench.save(result, tmp_path / "short")
     assert (folder / "flight.rrd").is_file()
     loaded = bench.load(folder)

@@ -85,7 +85,7 @@ def test_solution_counts_its_names():
 
 def test_events_are_sorted_and_asked_by_kind():
     events = Events.from_rows([(5.0, 6.0, "leg", "b"), (1.0, 2.0, "leg", "a"), (3.0, 3.0, "fault", "c")])
-    assert events.of("leg") == [(1.0, 2.0, "a"), (5.0, 6.0, "b")]
+    assert events.select("leg") == [(1.0, 2.0, "a"), (5.0, 6.0, "b")]
     assert len(no_events()) == 0
 
 

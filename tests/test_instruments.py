@@ -16,7 +16,7 @@ from bench.data import RunResult
 from bench.exchange import exports, frames
 from bench.exchange.exports import column_files
 from bench.fields import columns_of, figures_of
-from bench.instruments import INSTRUMENTS, Reports, Units
+from bench.instruments import INSTRUMENTS, InstrumentReports, InstrumentSpecs
 from bench.navigation.estimator import RECORDS
 from bench.places import PACKAGE
 from bench.recording.content import Content
@@ -47,7 +47,11 @@ def sensed(truth, on_board):
 
 
 def test_every_instrument_has_its_places():
-    assert [f.name for f in fields(Units)] == [f.name for f in fields(Reports)] == list(INSTRUMENTS)
+    assert (
+        [f.name for f in fields(InstrumentSpecs)]
+        == [f.name for f in fields(InstrumentReports)]
+        == list(INSTRUMENTS)
+    )
     assert len({row.frame for row in INSTRUMENTS.values()} | {frames.IMU}) == len(INSTRUMENTS) + 1
     for name, row in INSTRUMENTS.items():
         assert row.name == name

@@ -57,7 +57,7 @@ class Case:
 def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
     """Return the alarms of an estimator: rejected updates by sensor, then events of kind "integrity"."""
     refused = [Alarms(name, name, s.t[~s.accepted]) for name, s in nis.items()]
-    reported = [Alarms(ALARM, text.lower(), np.array([start])) for start, _, text in events.of(ALARM)]
+    reported = [Alarms(ALARM, text.lower(), np.array([start])) for start, _, text in events.select(ALARM)]
     return (*refused, *reported)
 
 

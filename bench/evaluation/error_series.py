@@ -215,7 +215,7 @@ def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool,
     A covariance that is not claimed is not checked either. An event of kind `FAILED` means that there is no
     solution; its text is the reason.
     """
-    failed = solution.events.of(FAILED)
+    failed = solution.events.select(FAILED)
     if failed:
         return False, f"failed: {failed[0][2]}"
     blocks = estimated_blocks(solution)
@@ -268,7 +268,7 @@ def count_aligning_epochs(solution: NavSolution, until: float) -> int:
 def find_covered_epochs(solution: NavSolution) -> BoolArray:
     """Return a mask (M,) of the epochs outside all `NOT_COVERED` events; all epochs if none would be left."""
     rows = np.ones(len(solution), np.bool_)
-    for start, end, _ in solution.events.of(NOT_COVERED):
+    for start, end, _ in solution.events.select(NOT_COVERED):
         rows[(solution.t >= start) & (solution.t <= end)] = False
     return rows if rows.any() else ~rows
 

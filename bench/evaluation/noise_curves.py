@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 from bench.arrays import FloatArray, IntArray
 from bench.data import AirData, Controls, Trajectory, no_events
 from bench.sensors import imu
-from bench.sensors.processes import noise_terms
+from bench.sensors.processes import make_noise_terms
 from bench.signals import allan
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import STANDARD_GRAVITY
@@ -80,14 +80,16 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
     """
     resting = replace(spec, thermal=ThermalSpec(), vibration=VibrationSpec(), accel_cone=0.0, accel_arms=())
     triads = {"gyro": spec.gyro, "accel": spec.accel}
-    found: dict[str, list[AllanCurve]] = {name: [] for name, triad in triads.items() if noise_terms(triad)}
+    found: dict[str, list[AllanCurve]] = {
+        name: [] for name, triad in triads.items() if make_noise_terms(triad)
+    }
     for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
         record, _ = imu.measure(_make_resting_truth(rate, length), resting, seed, 0)
         spans = allan.octaves(len(record), INDEPENDENT)
         spans = spans[(spans / rate >= first) & (spans / rate < last)]
         for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):
             if name in found:
-                step = imu.bias_step(triads[name], 1 / rate)
+                step = imu.choose_bias_step(triads[name], 1 / rate)
                 found[name].append(_measure_curve(name, increments, 1 / rate, spans, triads[name], step))
     return [_join_curves(parts) for parts in found.values()]
 
@@ -131,7 +133,7 @@ def _measure_curve(
     by_axis = allan.overlapping(increments, interval, spans)
     measured: FloatArray = np.sqrt(np.mean(by_axis**2, axis=1))
     tau = np.multiply(spans, interval, dtype=float)
-    terms = noise_terms(triad, step) if triad is not None else {}
+    terms = make_noise_terms(triad, step) if triad is not None else {}
     process = allan.total(*terms.values()) if terms else allan.white(1.0)
     axes = increments.shape[1]
     one_axis = [allan.degrees_of_freedom(process, len(increments), interval, int(m)) for m in spans]

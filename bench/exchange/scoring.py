@@ -18,7 +18,7 @@ from bench.errors import ConfigError
 from bench.evaluation import metrics
 from bench.exchange.exports import report_damage
 from bench.exchange.solutions import check_unit, read_solution, resample
-from bench.sensors.timing import output_times
+from bench.sensors.timing import select_output_times
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
@@ -54,7 +54,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         ]
         outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
         faults = fault_tables.read_faults(profile.get("fault", []))
-        asked = output_times(truth.t, evaluation["output_hz"], outages)
+        asked = select_output_times(truth.t, evaluation["output_hz"], outages)
     if label in run.metrics:
         raise ConfigError(f"{label!r} is in {folder} already; --label names the solution")
     given = read_solution(path, t_0=t_0)

@@ -53,8 +53,8 @@ class Summary:
         self._take("load_factor", -piece.dvel_b[:, 2] / dt / STANDARD_GRAVITY)
         for axis, name in enumerate(("roll", "pitch", "yaw")):
             self._take(f"{name}_rate", w_b[:, axis])
-        self._legs += piece.events.of("leg")
-        self._sanity += piece.events.of("sanity")
+        self._legs += piece.events.select("leg")
+        self._sanity += piece.events.select("sanity")
 
     def _take(self, name: str, values: FloatArray) -> None:
         if len(values):

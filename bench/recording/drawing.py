@@ -175,7 +175,7 @@ def shades(events: Events) -> tuple[Shade, ...]:
     """Return what is hatched: where GNSS is lost, and where faults are scripted."""
     told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
     found = (
-        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.of(kind)))
+        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.select(kind)))
         for key, name, colour, kind in told
     )
     return tuple(shade for shade in found if shade.intervals)

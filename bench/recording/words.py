@@ -54,17 +54,17 @@ def send(
             rr.TextLog.columns(text=text, level=levels),
         )
 
-    legs = [(start, text) for start, _, text in truth.events.of("leg")]
+    legs = [(start, text) for start, _, text in truth.events.select("leg")]
     legs.append((float(truth.t[-1]), ""))
     if legs[:-1]:
         _send_phase(stream, "/phase/leg", legs, {})
     if sensed.data.fixes is not None:
         changes = [(float(truth.t[0]), "available")]
-        for start, end, _ in sensed.events.of("gnss_outage"):
+        for start, end, _ in sensed.events.select("gnss_outage"):
             changes += [(start, "outage"), (end, "available")]
         changes.append((float(truth.t[-1]), ""))
         _send_phase(stream, "/phase/gnss", changes, {"available": (70, 110, 70), "outage": OUTAGE})
-    struck = sensed.events.of("fault")
+    struck = sensed.events.select("fault")
     if struck:
         edges = sorted({float(truth.t[0]), *(edge for start, end, _ in struck for edge in (start, end))})
         changes = [(edge, _faults_at(edge, struck)) for edge in edges if edge < truth.t[-1]]
@@ -158,7 +158,7 @@ def _units(specs: SensorsSpec | AssumedSpecs) -> list[tuple[str, Any]]:
 def _flight(flight: Flight, truth: Motion) -> str:
     length = f"{truth.t[-1] - truth.t[0]:.0f} s"
     if not isinstance(flight, FlightSpec):
-        beyond = len(truth.events.of("sanity"))
+        beyond = len(truth.events.select("sanity"))
         return f"{flight.label}, {length}" + (
             f", {beyond} remarks of sanity among the events" if beyond else ""
         )

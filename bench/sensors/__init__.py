@@ -1,4 +1,4 @@
-"""What the instruments on board would have reported of the true motion."""
+"""Simulation of all sensors on board: their reports of the true motion."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from bench.arrays import FloatArray
 from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
 from bench.instruments import INSTRUMENTS
 from bench.sensors import faults, gnss, imu, initial, sky
-from bench.sensors.timing import output_times
+from bench.sensors.timing import select_output_times
 from bench.specs import SensorsSpec
 
 
 def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
-    """Return one draw of all sensors and of the initial state.
+    """Simulate all sensors and draw the initial state of the estimators.
 
     Parameters
     ----------
     truth : Trajectory
         The motion.
     spec : SensorsSpec
-        The units on board and what is scripted to happen to them.
+        The sensors on board, outages and faults.
     seed, run : int
-        Which draw; the same pair gives the same bits.
+        Select the draw; the same pair gives the same bits.
 
     Returns
     -------
     sensed : Sensed
-        GNSS outages count only with a receiver.
+        GNSS outages are ignored without a receiver.
 
     Raises
     ------
     ValueError
-        When a sensor is faster than the truth, an IMU figure is missing, there is no magnetic model for the
-        date, or a sensor feels the air and the truth says nothing of it.
+        If a sensor is faster than the truth, a figure of the IMU is missing, there is no magnetic model for
+        the date, or a sensor needs the air and the truth has no air data.
     """
     outages = spec.gnss_outages if spec.gnss is not None else ()
     scripted = spec.faults
 
-    def stepped(sensor: str, width: int) -> FloatArray:
-        return faults.steps(bias.t, faults.of(scripted, sensor, f"{sensor}-step"), width)
+    def evaluate_faults(sensor: str, width: int) -> FloatArray:
+        return faults.evaluate_steps(bias.t, faults.select_faults(scripted, sensor, f"{sensor}-step"), width)
 
     imu_data, bias = imu.measure(truth, spec.imu, seed, run)
-    imu_data = faults.imu(imu_data, spec.imu, scripted, seed, run)
+    imu_data = faults.apply_to_imu(imu_data, spec.imu, scripted, seed, run)
     fixes, observations, above = None, None, None
     if spec.gnss is not None and spec.gnss.sky is not None:
         seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
@@ -59,38 +59,38 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         if unit is not None:
             model = import_module(f"bench.sensors.{row.model}")
             record, error = model.report(truth, spec, seed, run)
-            drawn[name] = _drawn_at(bias.t, record.t, error) + stepped(name, row.width)
-            least_bit = unit.quantization if row.rounds else 0.0
-            record = faults.instrument(record, name, row.value, least_bit, scripted, seed, run)
-            records[name] = model.read_out(record, unit) if hasattr(model, "read_out") else record
+            drawn[name] = _interpolate_error(bias.t, record.t, error) + evaluate_faults(name, row.width)
+            resolution = unit.quantization if row.rounds else 0.0
+            record = faults.apply_to_instrument(record, name, row.value, resolution, scripted, seed, run)
+            records[name] = model.limit_output(record, unit) if hasattr(model, "limit_output") else record
     data = SensorData(
         imu=imu_data,
         fixes=fixes,
         antenna_b=np.array(spec.antenna_b),
         specs=spec.assumed,
-        output_t=output_times(truth.t, spec.output_rate, outages),
+        output_t=select_output_times(truth.t, spec.output_rate, outages),
         observations=observations,
         ground_alt=spec.ground_alt,
         **records,
         date=spec.date,
     )
-    happened = [(start, end, "gnss_outage", "GNSS outage") for start, end in outages]
-    happened += [(fault.start, fault.end, "fault", fault.text) for fault in scripted]
+    events = [(start, end, "gnss_outage", "GNSS outage") for start, end in outages]
+    events += [(fault.start, fault.end, "fault", fault.text) for fault in scripted]
     return Sensed(
         data=data,
-        initial=initial.draw(truth, spec, seed, run),
+        initial=initial.draw_initial_state(truth, spec, seed, run),
         truth=SensorTruth(
             bias.t,
-            bias.gyro_b + stepped("gyro", 3),
-            bias.accel_b + stepped("accel", 3),
+            bias.gyro_b + evaluate_faults("gyro", 3),
+            bias.accel_b + evaluate_faults("accel", 3),
             drawn,
         ),
-        events=Events.from_rows(happened),
+        events=Events.from_rows(events),
         sky=above,
     )
 
 
-def _drawn_at(t: FloatArray, sampled: FloatArray, error: FloatArray) -> FloatArray:
-    """Return the error (M, k) or (M,) of an instrument at times t (B,), as (B, k)."""
+def _interpolate_error(t: FloatArray, sampled: FloatArray, error: FloatArray) -> FloatArray:
+    """Interpolate the error (M, k) or (M,) of an instrument to times t (B,); return (B, k)."""
     columns = error.reshape(len(sampled), -1).T
     return np.column_stack([np.interp(t, sampled, column) for column in columns])

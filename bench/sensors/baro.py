@@ -1,4 +1,4 @@
-"""Barometric altitude: ellipsoidal height, a bias that walks, white noise (A-5.3.1, A-5.3.2)."""
+"""Barometric altitude: ellipsoidal height, random-walk bias, white noise (A-5.3.1, A-5.3.2)."""
 
 from __future__ import annotations
 
@@ -8,44 +8,44 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec
 from bench.sensors import static_pressure
-from bench.sensors.timing import epoch_rows
+from bench.sensors.timing import find_epoch_rows
 from bench.specs import SensorsSpec, stream
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:
-    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
+    """Simulate the barometer on board; return its record and its slowly varying error."""
     unit = on_board.baro
-    assert unit is not None  # or nobody asks
+    assert unit is not None  # otherwise `sense` does not call this
     if unit.physical is None:
         return measure(truth, unit, seed, run)
     return static_pressure.measure(truth, unit, on_board.qnh, on_board.static_port_b, seed, run)
 
 
 def measure(truth: Trajectory, spec: BaroSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:
-    """Return what the barometer reports, and the bias it had.
+    """Simulate a barometer; return its record and its bias.
 
     Parameters
     ----------
     truth : Trajectory
         The motion.
     spec : BaroSpec
-        The instrument. The walk is continuous in time: its sd grows by ``bias_walk sqrt(dt)``.
+        The instrument. The bias walks continuously in time: its sd grows by ``bias_walk sqrt(dt)``.
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
     baro : BaroData
-        At t = 1/rate, 2/rate, ..., rounded to the least bit.
+        At t = 1/rate, 2/rate, ..., rounded to the resolution.
     bias : (M,) array
-        Bias at these times [m]; ``bias_sd`` is that at the start of the truth.
+        Bias at these times [m]; ``bias_sd`` applies to the start of the truth.
 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth.
+        If the rate is above that of the truth.
     """
-    rows = epoch_rows("baro", truth.t, spec.rate)
+    rows = find_epoch_rows("baro", truth.t, spec.rate)
     t = truth.t[rows]
     bias = np.zeros(len(t))
     if spec.bias_sd > 0:

@@ -1,4 +1,4 @@
-"""Position-level GNSS: the antenna's position and velocity with white and Markov errors (A-5.2.1/2)."""
+"""Position-level GNSS: position and velocity of the antenna with white and Markov errors (A-5.2.1/2)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
 from bench.sensors import faults
-from bench.sensors.processes import gauss_markov
-from bench.sensors.timing import epoch_rows, in_outage
+from bench.sensors.processes import simulate_gauss_markov
+from bench.sensors.timing import find_epoch_rows, find_outage_rows
 from bench.specs import Fault, GnssSpec, stream
 
-_MASK = float(np.deg2rad(5.0))  # of the satellites whose changes make jumps
+_MASK = float(np.deg2rad(5.0))  # elevation mask of the satellites in use [rad]
 
 SATELLITES_UNKNOWN = -1
-"""What ``GnssFixes.satellites`` holds here: a position-level receiver has no sky to count in."""
+"""Value of ``GnssFixes.satellites``: a position-level receiver has no satellites to count."""
 
 
 def measure(
@@ -29,38 +29,38 @@ def measure(
     run: int,
     scripted: Sequence[Fault] = (),
 ) -> GnssFixes:
-    """Return the fixes of the receiver, those inside an outage left out.
+    """Simulate the fixes of a receiver, without those inside an outage.
 
     Parameters
     ----------
     truth : Trajectory
         The motion of the IMU.
     spec : GnssSpec
-        The receiver. Its Markov errors are kept in metres, are stationary from the first epoch and
-        live on through an outage, so that an outage changes no fix outside itself.
+        The receiver. Its Markov errors are in metres, stationary from the first epoch, and continue through
+        outages, so that an outage changes no fix outside of it.
     antenna_b : (3,) tuple
         Antenna relative to the IMU [m], b.
     outages : tuple of (start, end)
-        Without fixes in [start, end) [s].
+        No fixes in [start, end) [s].
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
     scripted : sequence of Fault
-        What goes wrong.
+        Scripted faults.
 
     Returns
     -------
     fixes : GnssFixes
-        At t = 1/rate, 2/rate, ... The reported covariance is the total of white and Markov errors,
-        its standard deviations over ``optimism``; a receiver knows nothing of its jumps.
+        At t = 1/rate, 2/rate, ... The reported covariance is that of white and Markov errors, with standard
+        deviations divided by ``optimism``. It does not include the jumps.
 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth.
+        If the rate is above that of the truth.
     """
-    rows = epoch_rows("gnss", truth.t, spec.rate)
+    rows = find_epoch_rows("gnss", truth.t, spec.rate)
     t = truth.t[rows]
-    lla, vel_n = antenna(truth, rows, antenna_b)
+    lla, vel_n = compute_antenna_motion(truth, rows, antenna_b)
     pos_white_sd = np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
     pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])
     vel_white_sd = np.full(3, spec.vel_white_sd)
@@ -69,14 +69,14 @@ def measure(
     pos_decay = spec.pos_decay_distance * ground_speed + spec.pos_decay_time
     vel_decay = np.full(len(t), spec.vel_decay_time)
 
-    pos_err_n = _white("gnss.position.white", len(t), pos_white_sd, seed, run)
-    pos_err_n += _markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
-    vel_err_n = _white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
-    vel_err_n += _markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
-    pos_err_n += _jumps("gnss.position", spec, truth, rows, lla, pos_decay, seed, run)
-    vel_err_n += _jumps("gnss.velocity", spec, truth, rows, lla, vel_decay, seed, run)
+    pos_err_n = _draw_white("gnss.position.white", len(t), pos_white_sd, seed, run)
+    pos_err_n += _draw_markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
+    vel_err_n = _draw_white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
+    vel_err_n += _draw_markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
+    pos_err_n += _draw_jumps("gnss.position", spec, truth, rows, lla, pos_decay, seed, run)
+    vel_err_n += _draw_jumps("gnss.velocity", spec, truth, rows, lla, vel_decay, seed, run)
     if scripted:
-        pos_added, vel_added = faults.fix_errors(t, spec, scripted, seed, run)
+        pos_added, vel_added = faults.compute_fix_errors(t, spec, scripted, seed, run)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
 
     count = len(t)
@@ -90,20 +90,21 @@ def measure(
         cov_vel_n=np.tile(np.diag(vel_white_sd**2 + vel_markov_sd**2) / spec.optimism**2, (count, 1, 1)),
         satellites=np.full(count, SATELLITES_UNKNOWN),
     )
-    out = faults.reported(t, scripted, "gnss", seed, run)
-    return faults.put_out(fixes, out.where(~in_outage(truth.t, rows, outages)[out.tag]))
+    out = faults.find_reported_rows(t, scripted, "gnss", seed, run)
+    return faults.select_output(fixes, out.keep(~find_outage_rows(truth.t, rows, outages)[out.tag]))
 
 
-def antenna(
+def compute_antenna_motion(
     truth: Trajectory, rows: IntArray, antenna_b: tuple[float, float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the true position (M, 3) [rad, rad, m] and velocity (M, 3) [m/s, n] of the antenna.
 
     Notes
     -----
-    ``v + C_nb (w_eb_b x l)``; the rate at an instant is the mean of the increments before and after
-    it over their length, right to dt^2 / 6 of its second derivative; at the last instant, the one
-    before, right to dt / 2 of its first. The turn of n between IMU and antenna, l / R, is left out.
+    ``v + C_nb (w_eb_b x l)``. The rate at an instant is the mean of the rates in the intervals before and
+    after it; its error is dt^2 / 6 times the second derivative. At the last instant it is the rate in the
+    interval before, with an error of dt / 2 times the first derivative. The rotation of n between IMU and
+    antenna, l / R, is neglected.
     """
     lever_n = rotation.rotate(truth.q_nb[rows], np.array(antenna_b))
     before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(truth.dtheta_b) - 1)
@@ -117,22 +118,24 @@ def antenna(
     return earth.displace(truth.lla[rows], lever_n), vel_n
 
 
-def _white(name: str, count: int, sd: FloatArray, seed: int, run: int) -> FloatArray:
+def _draw_white(name: str, count: int, sd: FloatArray, seed: int, run: int) -> FloatArray:
     if not sd.any():
         return np.zeros((count, 3))
     return sd * stream(seed, run, name).standard_normal((count, 3))
 
 
-def _markov(name: str, t: FloatArray, rate: FloatArray, sd: FloatArray, seed: int, run: int) -> FloatArray:
-    """Return a Gauss-Markov error (M, 3) that decays at ``rate`` (M,) [1/s] up to each epoch."""
+def _draw_markov(
+    name: str, t: FloatArray, rate: FloatArray, sd: FloatArray, seed: int, run: int
+) -> FloatArray:
+    """Draw a Gauss-Markov error (M, 3) with decay ``rate`` (M,) [1/s] in the interval before each epoch."""
     if not sd.any():
         return np.zeros((len(t), 3))
     decay = np.exp(-rate[1:] * np.diff(t))[:, None]
     noise = stream(seed, run, name).standard_normal((len(t), 1, 3))
-    return sd * gauss_markov(decay, np.ones(1), noise)
+    return sd * simulate_gauss_markov(decay, np.ones(1), noise)
 
 
-def _jumps(
+def _draw_jumps(
     name: str,
     spec: GnssSpec,
     truth: Trajectory,
@@ -142,7 +145,7 @@ def _jumps(
     seed: int,
     run: int,
 ) -> FloatArray:
-    """Return the jumps (M, 3) of A-5.2.1 and A-5.2.2, mu = 1: one part passes, one decays at ``rate``."""
+    """Draw the jumps (M, 3) of A-5.2.1 and A-5.2.2, mu = 1: a part for one epoch, a part that decays."""
     if name == "gnss.position":
         passing = np.array([spec.pos_h_jump_sd, spec.pos_h_jump_sd, spec.pos_v_jump_sd])
         lasting = np.array([spec.pos_h_jump_markov_sd, spec.pos_h_jump_markov_sd, spec.pos_v_jump_markov_sd])
@@ -152,19 +155,19 @@ def _jumps(
     if not (passing.any() or lasting.any()):
         return error
     t = truth.t[rows]
-    at = np.flatnonzero(constellation_changes(t, lla))
-    error[at] += _white(f"{name}.jump", len(at), passing, seed, run)
+    at = np.flatnonzero(find_constellation_changes(t, lla))
+    error[at] += _draw_white(f"{name}.jump", len(at), passing, seed, run)
     forgotten = np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(t))])
-    for k, jump in zip(at, _white(f"{name}.jump.markov", len(at), lasting, seed, run), strict=True):
+    for k, jump in zip(at, _draw_white(f"{name}.jump.markov", len(at), lasting, seed, run), strict=True):
         error[k:] += np.exp(forgotten[k] - forgotten[k:])[:, None] * jump
     return error
 
 
-def constellation_changes(t: FloatArray, lla: FloatArray) -> BoolArray:
-    """Return at which epochs (M,) the satellites in use are others than at the epoch before.
+def find_constellation_changes(t: FloatArray, lla: FloatArray) -> BoolArray:
+    """Return a mask (M,) of the epochs at which the satellites in use differ from the epoch before.
 
-    In use are those of the nominal GPS constellation (A-2.1.2), at midnight GPS time when t = 0, that stand
-    more than 5 deg above the horizon: about a hundred changes a day.
+    The satellites in use are those of the nominal GPS constellation (A-2.1.2), with t = 0 at midnight GPS
+    time, that are more than 5 deg above the horizon. There are about a hundred changes a day.
 
     Parameters
     ----------

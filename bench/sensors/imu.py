@@ -1,10 +1,10 @@
-"""Exact increments in, what an IMU would have reported out.
+"""Simulation of an IMU: measured increments from the exact increments of the truth.
 
-Per triad: motion as it reaches the sensors and they answer to it (`imu_terms.response`), then
-``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.following` (A-5.1.8), clipped to
-the range, then quantization with the remainder carried to the next sample. M holds scale factor errors on
-its diagonal and misalignments beside it. Every random term has its own stream, ``imu.<triad>.<term>``; a
-term that is off draws nothing.
+For each triad: motion at the sensors and their response (`imu_terms.apply_response`), then
+``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
+clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
+errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
+a term that is off draws nothing.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from bench.compiled import kernel
 from bench.data import ImuData, Trajectory
 from bench.sensors import imu_terms, vibration
 from bench.sensors.imu_terms import Draw
-from bench.sensors.processes import bias_stages, gauss_markov
+from bench.sensors.processes import choose_bias_stages, simulate_gauss_markov
 from bench.specs import ImuSpec, TriadSpec, stream
 
-_BIAS_STEP = 0.05  # step of bias processes slower than _FAST, interpolated in between [s]
-_FAST = 1.0  # a bias stage with a shorter correlation time is stepped at every sample [s]
+_BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
+_FAST = 1.0  # a bias stage with a shorter correlation time has a step at every sample [s]
 
 
 class ImuBias(NamedTuple):
-    """The biases that were applied; linear between their instants, first and last of the truth included."""
+    """The applied biases: linear between instants that include the first and last of the truth."""
 
     t: FloatArray  # (B,) [s]
     gyro_b: FloatArray  # (B, 3) [rad/s], b
@@ -43,16 +43,16 @@ def _measure_kernel(
     white: FloatArray,
     random_walk: float,
     lsb: float,
-    following: FloatArray,
+    motion_errors: FloatArray,
     limit: float,
     out: FloatArray,
     valid: BoolArray,
 ) -> None:
     """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
 
-    ``white`` has no rows when the triad has no white noise. The bias is linear between knots, so
-    its value half way through a sample, times dt, is its integral. ``following`` (N-1, 3) may have no
-    rows; beyond ``limit`` (0: none) a rate is clipped and the row of ``valid`` cleared.
+    ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no such errors. The bias is linear
+    between knots, so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit``
+    (0: no limit) is clipped and its row of ``valid`` cleared.
     """
     j = 0
     rest0, rest1, rest2 = 0.0, 0.0, 0.0
@@ -71,10 +71,10 @@ def _measure_kernel(
             e0 += sd * white[k, 0]
             e1 += sd * white[k, 1]
             e2 += sd * white[k, 2]
-        if following.shape[0] > 0:
-            e0 += following[k, 0]
-            e1 += following[k, 1]
-            e2 += following[k, 2]
+        if motion_errors.shape[0] > 0:
+            e0 += motion_errors[k, 0]
+            e1 += motion_errors[k, 1]
+            e2 += motion_errors[k, 2]
         x, y, z = x + e0, y + e1, z + e2
         if limit > 0.0:
             most = limit * dt
@@ -89,131 +89,134 @@ def _measure_kernel(
 
 
 def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuData, ImuBias]:
-    """Return what the IMU reports of the true motion, and the biases it had.
+    """Simulate an IMU; return its record and its biases.
 
     Parameters
     ----------
     truth : Trajectory
-        The motion, N instants, and the air that heats and shakes the unit.
+        The motion at N instants, and the air for temperature and vibration.
     spec : ImuSpec
-        The unit; with all errors 0 the record equals the true increments.
+        The IMU; with all errors 0 the record equals the true increments.
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
     imu : ImuData
-        N - 1 samples; one that a sensor is out of its range in is not valid.
+        N - 1 samples; a sample with a sensor beyond its range is not valid.
     bias : ImuBias
-        Turn-on bias, bias instability, walk and temperature bias, at 20 Hz.
+        Sum of turn-on bias, bias instability, rate random walk and temperature bias, at 20 Hz.
 
     Raises
     ------
     ValueError
-        When a figure lacks the one it needs, or a model is unknown.
+        If a figure requires another one that is missing, or a model is unknown.
     """
-    imu_terms.check(spec)
-    vibration.check(spec.vibration)
+    imu_terms.check_imu(spec)
+    vibration.check_vibration(spec.vibration)
 
-    def streams(part: str) -> Draw:
+    def make_draw(part: str) -> Draw:
         return lambda term: stream(seed, run, f"imu.{part}.{term}")
 
     t = truth.t
-    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, streams("vibration"))
-    felt, N = dvel_b, None
+    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, make_draw("vibration"))
+    force, N = dvel_b, None
     if spec.accel_cone > 0 or spec.accel_arms:
         N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
         arms = np.array(spec.accel_arms) if spec.accel_arms else None
-        felt = imu_terms.along_axes(dtheta_b, dvel_b, np.diff(t), arms, N)
-    reported = _knots(t, _BIAS_STEP)
+        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, np.diff(t), arms, N)
+    slow_rows = _select_knots(t, _BIAS_STEP)
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
-        warmth = imu_terms.temperature(t[reported], truth.air, spec.thermal) - spec.thermal.reference
+        warmth = imu_terms.compute_temperature(t[slow_rows], truth.air, spec.thermal) - spec.thermal.reference
     valid = np.ones(len(t) - 1, bool)
     measured, biases = [], []
-    for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", felt, spec.accel)):
-        increment, bias = _triad(t, motion, dvel_b, triad, reported, warmth, streams(part), valid)
+    for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", force, spec.accel)):
+        increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, make_draw(part), valid)
         measured.append(increment)
         biases.append(bias)
     if N is not None and spec.accel_cone > 0:
         back: FloatArray = np.linalg.inv(N).astype(float)
-        measured[1], biases[1] = imu_terms.turned(back, measured[1]), imu_terms.turned(back, biases[1])
+        measured[1], biases[1] = (
+            imu_terms.rotate_rows(back, measured[1]),
+            imu_terms.rotate_rows(back, biases[1]),
+        )
     imu = ImuData(t=t[1:], dt=np.diff(t), valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
-    return imu, ImuBias(t[reported], biases[0], biases[1])
+    return imu, ImuBias(t[slow_rows], biases[0], biases[1])
 
 
-def _triad(
+def _measure_triad(
     t: FloatArray,
     motion: FloatArray,
     dvel_b: FloatArray,
     spec: TriadSpec,
-    reported: IntArray,
+    slow_rows: IntArray,
     warmth: FloatArray,
     draw: Draw,
     valid: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the measured increments (N-1, 3) and the bias at the reported rows; clear rows of valid."""
+    """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
     M = np.zeros((3, 3))
     if spec.scale_factor_sd > 0:
         np.fill_diagonal(M, spec.scale_factor_sd * draw("scale_factor").standard_normal(3))
     if spec.misalignment_sd > 0:
         angles = spec.misalignment_sd * draw("misalignment").standard_normal(6)
         M[~np.eye(3, dtype=bool)] = angles
-    M += imu_terms.cross_axis(spec, draw)
-    knots, bias = _bias(t, spec, reported, warmth, draw)
-    increment = imu_terms.response(t, motion, spec)
-    following = imu_terms.following(t, increment, dvel_b, spec, draw)
+    M += imu_terms.draw_cross_axis(spec, draw)
+    knots, bias = _draw_bias(t, spec, slow_rows, warmth, draw)
+    increment = imu_terms.apply_response(t, motion, spec)
+    motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draw)
     white = np.empty((0, 3))
     if spec.random_walk > 0:
         white = draw("white").standard_normal((len(t) - 1, 3))
     out = np.empty_like(increment)
     _measure_kernel(
         t, increment, M, knots, bias, white, spec.random_walk, spec.quantization,
-        following, spec.range, out, valid,
+        motion_errors, spec.range, out, valid,
     )  # fmt: skip
-    return out, bias[np.searchsorted(knots, reported)]
+    return out, bias[np.searchsorted(knots, slow_rows)]
 
 
-def _bias(
-    t: FloatArray, spec: TriadSpec, reported: IntArray, warmth: FloatArray, draw: Draw
+def _draw_bias(
+    t: FloatArray, spec: TriadSpec, slow_rows: IntArray, warmth: FloatArray, draw: Draw
 ) -> tuple[IntArray, FloatArray]:
-    """Return rows of t that include the reported ones, and the bias (B, 3) there.
+    """Draw the bias of a triad; return rows of t that include ``slow_rows``, and the bias (B, 3) there.
 
-    Walk and temperature bias are known at the reported rows, whatever else is stepped faster.
+    Rate random walk and temperature bias are computed at ``slow_rows`` and interpolated to faster rows.
     """
-    knots = reported
+    knots = slow_rows
     bias = np.zeros((len(knots), 3))
     if spec.bias_instability > 0:
-        correlation, sd = bias_stages(spec)
+        correlation, sd = choose_bias_stages(spec)
         if correlation.min() < _FAST:
             knots = np.arange(len(t))
         decay = np.exp(-np.diff(t[knots])[:, None] / correlation)
         noise = draw("instability").standard_normal((len(knots), len(sd), 3))
-        bias = gauss_markov(decay, sd, noise)
+        bias = simulate_gauss_markov(decay, sd, noise)
     if spec.turn_on_bias_sd > 0:
         bias += spec.turn_on_bias_sd * draw("turn_on").standard_normal(3)
-    slow = np.zeros((len(reported), 3))
+    slow = np.zeros((len(slow_rows), 3))
     if spec.rate_random_walk > 0:
-        steps = np.sqrt(np.diff(t[reported], prepend=t[0]))[:, None]
-        walk = draw("rate_walk").standard_normal((len(reported), 3))
+        steps = np.sqrt(np.diff(t[slow_rows], prepend=t[0]))[:, None]
+        walk = draw("rate_walk").standard_normal((len(slow_rows), 3))
         slow += spec.rate_random_walk * np.cumsum(steps * walk, axis=0)
     if spec.temperature_sd > 0:
         slow += warmth[:, None] * (spec.temperature_sd * draw("temperature").standard_normal(3))
     if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
-        if len(knots) > len(reported):
-            slow = np.column_stack([np.interp(t[knots], t[reported], column) for column in slow.T])
+        if len(knots) > len(slow_rows):
+            slow = np.column_stack([np.interp(t[knots], t[slow_rows], column) for column in slow.T])
         bias += slow
     return knots, bias
 
 
-def bias_step(spec: TriadSpec, interval: float) -> float:
-    """Return how far apart the instants are that the biases of a triad are lines between [s]."""
-    fast = spec.bias_instability > 0 and bias_stages(spec)[0].min() < _FAST
+def choose_bias_step(spec: TriadSpec, interval: float) -> float:
+    """Return the interval between the instants of the simulated biases of a triad [s]."""
+    fast = spec.bias_instability > 0 and choose_bias_stages(spec)[0].min() < _FAST
     return interval if fast else max(1, round(_BIAS_STEP / interval)) * interval
 
 
-def _knots(t: FloatArray, step: float) -> IntArray:
-    """Return rows of t about ``step`` seconds apart, first and last included."""
+def _select_knots(t: FloatArray, step: float) -> IntArray:
+    """Return rows of t about ``step`` seconds apart, with the first and the last."""
     interval = (t[-1] - t[0]) / (len(t) - 1)
     stride = max(1, round(step / interval))
     return np.append(np.arange(0, len(t) - 1, stride), len(t) - 1)

@@ -1,8 +1,8 @@
-"""The error terms of an IMU beyond noise, bias and the matrix M: what reaches a sensor, and how it answers.
+"""Error terms of an IMU other than noise, bias and the matrix M.
 
-Input side, in this order: the place of each accelerometer and its axis (B-0, size effect), delay and
-bandwidth, dead zone (A-2.4.S). Output side: scale factor by sign, nonlinearity, drift by specific force, bias
-by temperature. Rates are means over a sample, so that squares miss what averages out within one. The angular
+Input side, in this order: position and axis of each accelerometer (B-0, size effect), delay and bandwidth,
+dead zone (A-2.4.S). Output side: scale factor asymmetry, nonlinearity, g-sensitivity, temperature bias. Rates
+are means over a sample, so squared terms do not include motion that averages out within a sample. The angular
 acceleration term C_eps of A-5.1.8 is 0, its default in the register.
 """
 
@@ -15,18 +15,24 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData
-from bench.sensors.processes import lagged
+from bench.sensors.processes import apply_lag
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec
 
 Draw = Callable[[str], np.random.Generator]
 """Name of a term -> its own random stream."""
 
 
-def check(spec: ImuSpec) -> None:
-    """Raise ValueError where a figure needs another one, or cannot be."""
+def check_imu(spec: ImuSpec) -> None:
+    """Check the figures of an IMU against each other.
+
+    Raises
+    ------
+    ValueError
+        If a figure requires another one that is missing, or is impossible.
+    """
     for name, triad in (("gyro", spec.gyro), ("accel", spec.accel)):
         if triad.nonlinearity_sd > 0 and triad.range <= 0:
-            raise ValueError(f"{name}.nonlinearity_sd needs a range above 0: it is a share of it")
+            raise ValueError(f"{name}.nonlinearity_sd needs a range above 0: it is a fraction of it")
         if triad.dead_zone_kind not in ("subtractive", "hard"):
             raise ValueError(
                 f"{name}.dead_zone_kind must be 'subtractive' or 'hard'; got {triad.dead_zone_kind!r}"
@@ -43,11 +49,11 @@ def check(spec: ImuSpec) -> None:
         raise ValueError(f"accel_cone must be 0 to below pi / 2 rad; got {spec.accel_cone:g}")
 
 
-# --- where the sensors sit -----------------------------------------------------------------------------
+# --- positions and axes of the sensors ------------------------------------------------------------------
 
 
 def cone_axes(half_angle: float) -> FloatArray:
-    """Return N (3, 3), whose rows are three sensing axes on a cone about x, frame b; B-0.
+    """Return N (3, 3) with three sensing axes on a cone about x as rows, frame b (B-0).
 
     Examples
     --------
@@ -60,10 +66,10 @@ def cone_axes(half_angle: float) -> FloatArray:
     return np.column_stack([np.full(3, c), s * np.cos(around), s * np.sin(around)])
 
 
-def along_axes(
+def resolve_along_axes(
     dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray | None, N: FloatArray
 ) -> FloatArray:
-    """Return what three accelerometers along the rows of N feel, each at its own place.
+    """Return the increments of three accelerometers along the rows of N, each at its own position.
 
     Parameters
     ----------
@@ -72,30 +78,30 @@ def along_axes(
     dt : (K,) array
         Length of the samples [s].
     arms : (3, 3) array or None
-        Place of each accelerometer [m], b; None: all at the reference point.
+        Position of each accelerometer [m], b; None: all at the reference point.
     N : (3, 3) array
         Unit vectors of the sensing axes, b.
 
     Returns
     -------
     increment : (K, 3) array
-        Of each accelerometer [m/s]: ``f + dw/dt x r + w x (w x r)`` along its axis (B-0). The rate is the
-        mean of a sample, its derivative the central difference, so the error falls with dt^2.
+        Of each accelerometer [m/s]: ``f + dw/dt x r + w x (w x r)`` along its axis (B-0). The rate w is the
+        mean over a sample and its derivative a central difference; the error is of order dt^2.
     """
     out = np.empty_like(dvel_b)
     _along_kernel(dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, out)
     return out
 
 
-def turned(C: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return C times every row (K, 3): ``rows @ C.T`` on one processor."""
+def rotate_rows(C: FloatArray, rows: FloatArray) -> FloatArray:
+    """Multiply every row (K, 3) by C: ``rows @ C.T`` without threads."""
     out = np.empty_like(rows)
-    _turned_kernel(C, rows, out)
+    _rotate_rows_kernel(C, rows, out)
     return out
 
 
 @kernel
-def _turned_kernel(C: FloatArray, rows: FloatArray, out: FloatArray) -> None:
+def _rotate_rows_kernel(C: FloatArray, rows: FloatArray, out: FloatArray) -> None:
     for k in range(rows.shape[0]):
         for i in range(3):
             out[k, i] = C[i, 0] * rows[k, 0] + C[i, 1] * rows[k, 1] + C[i, 2] * rows[k, 2]
@@ -127,16 +133,16 @@ def _along_kernel(
             )
 
 
-# --- how a sensor answers to motion ----------------------------------------------------------------------
+# --- response to motion ----------------------------------------------------------------------
 
 
-def response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> FloatArray:
-    """Return the increments behind delay, bandwidth and dead zone; the same array when there is none.
+def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> FloatArray:
+    """Apply delay, bandwidth and dead zone to increments; return the same array if all are 0.
 
     Raises
     ------
     ValueError
-        When samples of unequal length are to be filtered.
+        If bandwidth or delay is above 0 and the samples differ in length.
     """
     if max(spec.delay, spec.bandwidth, spec.dead_zone) <= 0:
         return increment
@@ -144,19 +150,19 @@ def response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> FloatArra
     if max(spec.delay, spec.bandwidth) > 0 and np.abs(np.diff(t) - interval).max() > 1e-6 * interval:
         raise ValueError("bandwidth and delay need samples of equal length")
     cutoff = 2 * np.pi * spec.bandwidth
-    step = oscillator(cutoff, np.sqrt(0.5), interval) if cutoff > 0 else np.zeros((2, 2))
+    step = compute_oscillator_step(cutoff, np.sqrt(0.5), interval) if cutoff > 0 else np.zeros((2, 2))
     out = np.empty_like(increment)
     width, hard = spec.dead_zone * interval, spec.dead_zone_kind == "hard"
     _response_kernel(increment, spec.delay / interval, cutoff, step, interval, width, hard, out)
     return out
 
 
-def oscillator(w: float, damping: float, interval: float) -> FloatArray:
-    """Return the exact transition (2, 2) of ``y'' + 2 damping w y' + w^2 y = 0``, damping < 1.
+def compute_oscillator_step(w: float, damping: float, interval: float) -> FloatArray:
+    """Return the exact transition matrix (2, 2) of ``y'' + 2 damping w y' + w^2 y = 0``, damping < 1.
 
     Examples
     --------
-    >>> print(oscillator(2 * np.pi, 0.0, 0.125).round(3))  # an eighth of a period
+    >>> print(compute_oscillator_step(2 * np.pi, 0.0, 0.125).round(3))  # an eighth of a period
     [[ 0.707  0.113]
      [-4.443  0.707]]
     """
@@ -179,12 +185,12 @@ def _response_kernel(
     hard: bool,
     out: FloatArray,
 ) -> None:
-    """Delay (K, 3) increments by a number of samples, filter them and cut the dead zone out.
+    """Delay increments (K, 3) by a number of samples, filter them and apply the dead zone.
 
-    The rate is constant within a sample and before the first one, which makes the delay of a part of a
-    sample and the filter exact for any cutoff [rad/s]: ``y'' = w^2 (u - y) - sqrt(2) w y'``, the second-order
-    Butterworth, whose delay at low frequencies is sqrt(2) / w. The equation, integrated over a sample, gives
-    the increment.
+    The rate is assumed constant within a sample and before the first one, so a fractional delay and the
+    filter are exact for any cutoff [rad/s]. The filter is the second-order Butterworth ``y'' = w^2 (u - y) -
+    sqrt(2) w y'`` with a delay of sqrt(2) / w at low frequencies. The integral of this equation over a sample
+    gives the increment.
     """
     whole = int(delay)
     part = delay - whole
@@ -211,11 +217,11 @@ def _response_kernel(
 # --- errors that follow the motion -------------------------------------------------------------------------
 
 
-def cross_axis(spec: TriadSpec, draw: Draw) -> FloatArray:
-    """Return what non-orthogonality and alignment add to M (3, 3).
+def draw_cross_axis(spec: TriadSpec, draw: Draw) -> FloatArray:
+    """Draw the contributions of non-orthogonality and alignment to M (3, 3).
 
-    Non-orthogonality is symmetric: half of the missing angle of a pair of axes at each of them. Alignment
-    is a turn of the whole triad.
+    Non-orthogonality is symmetric: each axis of a pair takes half of the angle. Alignment is a rotation of
+    the whole triad.
     """
     M = np.zeros((3, 3))
     if spec.nonorthogonality_sd > 0:
@@ -227,17 +233,17 @@ def cross_axis(spec: TriadSpec, draw: Draw) -> FloatArray:
     return M
 
 
-def following(
+def draw_motion_errors(
     t: FloatArray, increment: FloatArray, dvel_b: FloatArray, spec: TriadSpec, draw: Draw
 ) -> FloatArray:
-    """Return the errors that are no matrix times the increment: (K, 3), or no rows when there are none.
+    """Return the errors that depend on the motion in other ways than M: (K, 3), or no rows if all are off.
 
     Parameters
     ----------
     t : (K + 1,) array
         Sample instants [s].
     increment : (K, 3) array
-        What the triad answers to [unit].
+        Increments at the triad, after its response [unit].
     dvel_b : (K, 3) array
         Increments of the specific force at the IMU [m/s].
     spec : TriadSpec
@@ -247,9 +253,9 @@ def following(
 
     Notes
     -----
-    Asymmetry: a |x|. Nonlinearity: the range times ``4 u^3 - 3 u`` of the rate over the range u, whose best
-    straight line is 0 and which departs from it by 1 at most. Quadratic: q x^2. Gyros also: ``G f + H f^2``
-    (C_a of A-5.1.8, and its square).
+    Asymmetry: a |x|. Nonlinearity: range times ``4 u^3 - 3 u`` with u the rate over the range; its best
+    straight line is 0 and its largest deviation 1. Quadratic: q x^2. Gyros also: ``G f + H f^2`` (C_a of
+    A-5.1.8, and a square term).
     """
     figures = {
         "asymmetry": spec.scale_asymmetry_sd,
@@ -260,21 +266,26 @@ def following(
     }
     if not any(sd > 0 for sd in figures.values()):
         return np.empty((0, 3))
-    a, n, q = (_drawn(draw, name, figures[name], (3,)) for name in ("asymmetry", "nonlinearity", "quadratic"))
-    G, H = (_drawn(draw, name, figures[name], (3, 3)) for name in ("g_sensitivity", "g2_sensitivity"))
+    a, n, q = (
+        _draw_coefficients(draw, name, figures[name], (3,))
+        for name in ("asymmetry", "nonlinearity", "quadratic")
+    )
+    G, H = (
+        _draw_coefficients(draw, name, figures[name], (3, 3)) for name in ("g_sensitivity", "g2_sensitivity")
+    )
     out = np.empty_like(increment)
     full = spec.range if spec.nonlinearity_sd > 0 else 1.0
-    _following_kernel(t, increment, dvel_b, a, n, q, G, H, full, out)
+    _motion_errors_kernel(t, increment, dvel_b, a, n, q, G, H, full, out)
     return out
 
 
-def _drawn(draw: Draw, name: str, sd: float, shape: tuple[int, ...]) -> FloatArray:
-    """Return the coefficients of one term; 0, and nothing drawn, when it is off."""
+def _draw_coefficients(draw: Draw, name: str, sd: float, shape: tuple[int, ...]) -> FloatArray:
+    """Draw the coefficients of one term; 0 without a draw if the term is off."""
     return sd * draw(name).standard_normal(shape) if sd > 0 else np.zeros(shape)
 
 
 @kernel
-def _following_kernel(
+def _motion_errors_kernel(
     t: FloatArray,
     increment: FloatArray,
     dvel_b: FloatArray,
@@ -306,11 +317,11 @@ def _following_kernel(
 # --- temperature -------------------------------------------------------------------------------------------
 
 
-def temperature(t: FloatArray, air: AirData, spec: ThermalSpec) -> FloatArray:
-    """Return the temperature of the unit (B,) at instants t (B,) [K].
+def compute_temperature(t: FloatArray, air: AirData, spec: ThermalSpec) -> FloatArray:
+    """Return the temperature of an IMU (B,) at instants t (B,) [K].
 
-    Switched on at t[0] at the temperature of the air, it approaches air plus self-heating with its time
-    constant; at once when that is 0.
+    It is switched on at t[0] at the temperature of the air, and approaches air plus self-heating with its
+    time constant (0: immediately).
     """
     final = np.interp(t, air.t, air.temperature) + spec.self_heating
-    return lagged(t, final, final[0] - spec.self_heating, spec.time_constant)
+    return apply_lag(t, final, final[0] - spec.self_heating, spec.time_constant)

@@ -1,4 +1,4 @@
-"""Where the estimators are told to start: the truth plus one draw of the initial error."""
+"""Initial state of the estimators: the truth plus one draw of the initial error."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from bench.data import InitialState, Trajectory
 from bench.specs import SensorsSpec, stream
 
 
-def draw(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialState:
-    """Return the initial state of one run; estimate = truth + error, errors as in ``InitialState.cov``.
+def draw_initial_state(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialState:
+    """Draw the initial state of one run: estimate = truth + error, errors as in ``InitialState.cov``.
 
     Parameters
     ----------
     truth : Trajectory
-        The motion; its first instant counts.
+        The motion; the state is that of the first instant.
     spec : SensorsSpec
-        Standard deviations of the initial position, velocity and attitude errors; and what of these is told,
-        the rest is NaN with infinite variance.
+        Standard deviations of the initial errors. Its ``alignment`` selects the values that are given; the
+        others are NaN with infinite variance.
     seed, run : int
-        Which draw of the error.
+        Select the draw of the error.
     """
     sd = np.array(
         [
@@ -32,14 +32,14 @@ def draw(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialSt
         ]
     )
     error = sd * stream(seed, run, "initial").standard_normal(9)
-    told = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # of the nine states, in their order
-    sd[told:] = np.inf
+    given = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # first states of the nine
+    sd[given:] = np.inf
     return InitialState(
         t=float(truth.t[0]),
-        lla=earth.displace(truth.lla[0], error[:3]) if told else np.full(3, np.nan),
-        vel_n=truth.vel_n[0] + error[3:6] if told > 3 else np.full(3, np.nan),
+        lla=earth.displace(truth.lla[0], error[:3]) if given else np.full(3, np.nan),
+        vel_n=truth.vel_n[0] + error[3:6] if given > 3 else np.full(3, np.nan),
         q_nb=rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
-        if told > 6
+        if given > 6
         else np.full(4, np.nan),
         cov=np.diag(sd**2),
         alignment=spec.alignment,

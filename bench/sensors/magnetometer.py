@@ -1,4 +1,4 @@
-"""Magnetometer: the Earth's field in body axes, with what iron and the unit make of it."""
+"""Magnetometer: the Earth's field in body axes with hard iron, soft iron and errors of the sensor."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import MagData, MagSpec
-from bench.sensors.timing import epoch_rows
+from bench.sensors.timing import find_epoch_rows
 from bench.signals.magnetic import field_n
 from bench.specs import SensorsSpec, stream
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[MagData, FloatArray]:
-    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
-    assert on_board.mag is not None  # or nobody asks
+    """Simulate the magnetometer on board; return its record and its slowly varying error."""
+    assert on_board.mag is not None  # otherwise `sense` does not call this
     mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, seed, run)
     return mag, np.tile(hard_iron_b, (len(mag), 1))
 
 
 def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) -> tuple[MagData, FloatArray]:
-    """Return what the magnetometer reports, and its offset.
+    """Simulate a magnetometer; return its record and its offset.
 
     Parameters
     ----------
     truth : Trajectory
-        The motion; the unit is at the IMU and along its axes but for ``misalignment_sd``.
+        The motion; the magnetometer is at the IMU, along its axes except for ``misalignment_sd``.
     spec : MagSpec
-        The unit where it is mounted.
+        The magnetometer as mounted.
     date : float
         Decimal year of the flight.
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
     mag : MagData
-        ``(1 + M) C_bn field_n + hard iron + noise`` at t = 1/rate, 2/rate, ..., rounded to the least bit. A
+        ``(1 + M) C_bn field_n + hard iron + noise`` at t = 1/rate, 2/rate, ..., rounded to the resolution. A
         sample with an axis beyond the range is clipped there and not valid.
     hard_iron_b : (3,) array
         The offset [T], b.
@@ -45,9 +45,9 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth, or there is no model of the field for the date.
+        If the rate is above that of the truth, or there is no field model for the date.
     """
-    rows = epoch_rows("mag", truth.t, spec.rate)
+    rows = find_epoch_rows("mag", truth.t, spec.rate)
     t = truth.t[rows]
     true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
     distortion, hard_iron_b = _calibration(spec, seed, run)
@@ -71,16 +71,16 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) 
 
 
 def _calibration(spec: MagSpec, seed: int, run: int) -> tuple[FloatArray, FloatArray]:
-    """Draw what the calibration left: the matrix of errors in proportion to the field [1], the offset [T]."""
+    """Draw the errors that remain after calibration: matrix of errors (3, 3) [1], offset (3,) [T]."""
     distortion, hard_iron_b = np.zeros((3, 3)), np.zeros(3)
     if spec.soft_iron_sd > 0:
-        drawn = spec.soft_iron_sd * stream(seed, run, "mag.soft_iron").standard_normal((3, 3))
-        distortion += np.triu(drawn) + np.triu(drawn, 1).T  # iron is magnetized reciprocally
+        draws = spec.soft_iron_sd * stream(seed, run, "mag.soft_iron").standard_normal((3, 3))
+        distortion += np.triu(draws) + np.triu(draws, 1).T  # soft iron is symmetric
     if spec.scale_factor_sd > 0:
         distortion += np.diag(spec.scale_factor_sd * stream(seed, run, "mag.scale_factor").standard_normal(3))
     if spec.misalignment_sd > 0:
-        turned = spec.misalignment_sd * stream(seed, run, "mag.misalignment").standard_normal((3, 3))
-        distortion += turned - np.diag(np.diag(turned))
+        angles = spec.misalignment_sd * stream(seed, run, "mag.misalignment").standard_normal((3, 3))
+        distortion += angles - np.diag(np.diag(angles))
     if spec.hard_iron_sd > 0:
         hard_iron_b += spec.hard_iron_sd * stream(seed, run, "mag.hard_iron").standard_normal(3)
     return distortion, hard_iron_b

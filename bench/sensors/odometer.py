@@ -8,15 +8,15 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import OdometerData, OdometerSpec
-from bench.sensors.timing import epoch_rows
+from bench.sensors.timing import find_epoch_rows
 from bench.specs import SensorsSpec, stream
 
-_CLEAR = 0.3  # the wheel has left the ground when the IMU is so much higher than at rest [m]
+_CLEAR = 0.3  # height of the IMU above its height at rest at which the wheel leaves the ground [m]
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[OdometerData, FloatArray]:
-    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
-    assert on_board.odometer is not None  # or nobody asks
+    """Simulate the odometer on board; return its record and its slowly varying error."""
+    assert on_board.odometer is not None  # otherwise `sense` does not call this
     highest = on_board.ground_alt + on_board.rest_height + _CLEAR
     return measure(truth, on_board.odometer, highest, seed, run)
 
@@ -24,33 +24,33 @@ def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tup
 def measure(
     truth: Trajectory, spec: OdometerSpec, highest: float, seed: int, run: int
 ) -> tuple[OdometerData, FloatArray]:
-    """Return what an odometer reports, and the error of its scale factor.
+    """Simulate an odometer; return its record and the error of its scale factor.
 
     Parameters
     ----------
     truth : Trajectory
-        The motion. The wheel is taken to be at the IMU and does not slip.
+        The motion. The wheel is at the IMU and does not slip.
     spec : OdometerSpec
-        The unit.
+        The odometer.
     highest : float
         Ellipsoidal height of the IMU up to which the wheel is on the ground [m].
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
     odometer : OdometerData
-        Forward speed over ground at t = 1/rate, 2/rate, ..., rounded to the least bit. A sample is not valid
-        where the wheel is off the ground.
+        Forward speed over ground at t = 1/rate, 2/rate, ..., rounded to the resolution. A sample is not valid
+        while the wheel is off the ground.
     error : (M,) array
-        What the scale factor adds at these times [m/s].
+        Error by the scale factor at these times [m/s].
 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth.
+        If the rate is above that of the truth.
     """
-    rows = epoch_rows("odometer", truth.t, spec.rate)
+    rows = find_epoch_rows("odometer", truth.t, spec.rate)
     t = truth.t[rows]
     forward = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), truth.vel_n[rows])[:, 0]
     scale = 0.0

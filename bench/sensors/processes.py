@@ -1,4 +1,4 @@
-"""What changes slowly: Gauss-Markov stages, the flicker of a bias made of them, and first-order lags."""
+"""Slow processes: Gauss-Markov stages, flicker noise of a bias as their sum, first-order lags."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from bench.compiled import kernel
 from bench.signals import allan
 from bench.specs import TriadSpec
 
-# Correlation times of the flicker stages over that of the unit [1]. Three is the fewest that stay
-# within 5 % of flat from 0.1 to 10 correlation times; these, spaced by 11, stay within 1 %.
+# Correlation times of the flicker stages over that of the triad [1]. At least three are needed to stay within
+# 5 % of a flat Allan deviation from 0.1 to 10 correlation times; these, a factor 11 apart, stay within 1 %.
 _FLICKER_STAGES = (0.05, 0.55, 6.0)
 
 
@@ -29,8 +29,8 @@ def _gauss_markov_kernel(decay: FloatArray, sd: FloatArray, noise: FloatArray, o
                 out[k, axis] += x
 
 
-def gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the sum of first-order Gauss-Markov stages, stationary from the first instant.
+def simulate_gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) -> FloatArray:
+    """Simulate the sum of first-order Gauss-Markov stages, stationary from the first instant.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) -> FloatA
 
 
 @lru_cache(maxsize=1)
-def _flicker_sd() -> FloatArray:
-    """Return the sds of the stages whose summed Allan variance is flat at 1 (least squares)."""
+def _fit_flicker_sd() -> FloatArray:
+    """Fit the sds of the stages so that their sum has an Allan variance of 1 (least squares)."""
     tau = np.geomspace(0.1, 10.0, 81)
     curves = np.column_stack([allan.gauss_markov(tau, 1.0, c) ** 2 for c in _FLICKER_STAGES])
     variance = np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0]
@@ -61,13 +61,13 @@ def _flicker_sd() -> FloatArray:
     return sd
 
 
-def bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
-    """Return the correlation times (K,) [s] and sds (K,) of the stages of a bias instability.
+def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
+    """Return the correlation times (K,) [s] and sds (K,) [unit/s] of the stages of a bias instability.
 
     Raises
     ------
     ValueError
-        When the correlation time is missing or the model unknown.
+        If the correlation time is missing or the model is unknown.
 
     Notes
     -----
@@ -77,7 +77,7 @@ def bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
 
     Examples
     --------
-    >>> correlation, sd = bias_stages(TriadSpec(bias_instability=1.0, bias_correlation=100.0))
+    >>> correlation, sd = choose_bias_stages(TriadSpec(bias_instability=1.0, bias_correlation=100.0))
     >>> print(correlation, f"{np.hypot.reduce(sd):.2f}")
     [  5.  55. 600.] 2.41
     """
@@ -86,26 +86,26 @@ def bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
             f"bias_instability needs a bias_correlation above 0 s; got {triad.bias_correlation:g} s"
         )
     if triad.bias_model == "flicker":
-        return triad.bias_correlation * np.array(_FLICKER_STAGES), triad.bias_instability * _flicker_sd()
+        return triad.bias_correlation * np.array(_FLICKER_STAGES), triad.bias_instability * _fit_flicker_sd()
     if triad.bias_model == "gauss-markov":
         return np.array([triad.bias_correlation]), np.array([triad.instability_sd])
     raise ValueError(f"bias_model must be 'flicker' or 'gauss-markov'; got {triad.bias_model!r}")
 
 
-def noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
-    """Return the random processes of a triad at rest, by name; what it does not have is not there.
+def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
+    """Return the random processes of a triad at rest by name, without those that are off.
 
     Parameters
     ----------
     triad : TriadSpec
-        Its figures.
+        The triad.
     step : float
-        Between the instants its biases are simulated at; 0 for the biases themselves [s].
+        Interval between the instants of the simulated biases [s]; 0: continuous biases.
 
     Notes
     -----
-    Constant biases have no Allan deviation. Temperature bias, vibration and what follows the motion are left
-    out: this is a unit at rest and at one temperature. Quantization is that of the integral.
+    Constant biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature
+    bias, vibration and errors that depend on motion are left out. Quantization acts on the integral.
     """
     terms: dict[str, allan.Covariance] = {}
     if triad.quantization > 0:
@@ -113,7 +113,7 @@ def noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covarian
     if triad.random_walk > 0:
         terms["white noise"] = allan.white(triad.random_walk)
     if triad.bias_instability > 0:
-        stages = [allan.markov(s, c, step) for c, s in zip(*bias_stages(triad), strict=True)]
+        stages = [allan.markov(s, c, step) for c, s in zip(*choose_bias_stages(triad), strict=True)]
         terms["bias instability"] = allan.total(*stages)
     if triad.rate_random_walk > 0:
         terms["rate random walk"] = allan.rate_walk(triad.rate_random_walk, step)
@@ -121,34 +121,34 @@ def noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covarian
 
 
 @kernel
-def lag_kernel(t: FloatArray, wanted: FloatArray, start: float, time: float, out: FloatArray) -> None:
-    """First-order lag of wanted (B,), linear between the instants t (B,)."""
+def lag_kernel(t: FloatArray, target: FloatArray, start: float, time: float, out: FloatArray) -> None:
+    """Fill out (B,) with the first-order lag of target (B,), which is linear between the instants t (B,)."""
     x = start
     out[0] = x
     for k in range(1, len(t)):
         dt = t[k] - t[k - 1]
         decay = np.exp(-dt / time)
-        slope = (wanted[k] - wanted[k - 1]) / dt
-        x = wanted[k] - slope * time + (x - wanted[k - 1] + slope * time) * decay
+        slope = (target[k] - target[k - 1]) / dt
+        x = target[k] - slope * time + (x - target[k - 1] + slope * time) * decay
         out[k] = x
 
 
-def lagged(t: FloatArray, wanted: FloatArray, start: float, time: float) -> FloatArray:
-    """Return what follows a quantity with a time constant; at once when that is 0.
+def apply_lag(t: FloatArray, target: FloatArray, start: float, time: float) -> FloatArray:
+    """Apply a first-order lag to a quantity; return it unchanged if the time constant is 0.
 
     Parameters
     ----------
     t : (B,) array
         Instants [s].
-    wanted : (B,) array
-        What is followed, linear between the instants; the answer is exact for that.
+    target : (B,) array
+        Input of the lag, linear between the instants; the output is exact.
     start : float
-        Where it starts, in the unit of ``wanted``.
+        Initial output, in the unit of ``target``.
     time : float
         Time constant [s].
     """
     if time <= 0:
-        return wanted
-    out = np.empty_like(wanted)
-    lag_kernel(t, wanted, start, time, out)
+        return target
+    out = np.empty_like(target)
+    lag_kernel(t, target, start, time, out)
     return out

@@ -1,4 +1,4 @@
-"""Radar altimeter: height above a flat runway, a bias, white noise, and the range it sees the ground in."""
+"""Radar altimeter: height above flat ground with bias, white noise and limits of height and tilt."""
 
 from __future__ import annotations
 
@@ -8,46 +8,46 @@ from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import RadarData, RadarSpec
-from bench.sensors.timing import epoch_rows
+from bench.sensors.timing import find_epoch_rows
 from bench.specs import SensorsSpec, stream
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[RadarData, FloatArray]:
-    """Return what the unit on board reports, and the error it had without noise, as `measure` does."""
-    assert on_board.radar is not None  # or nobody asks
+    """Simulate the radar altimeter on board; return its record and its slowly varying error."""
+    assert on_board.radar is not None  # otherwise `sense` does not call this
     return measure(truth, on_board.radar, on_board.ground_alt, seed, run)
 
 
 def measure(
     truth: Trajectory, spec: RadarSpec, ground_alt: float, seed: int, run: int
 ) -> tuple[RadarData, FloatArray]:
-    """Return what a radar altimeter reports above flat ground, and its bias.
+    """Simulate a radar altimeter above flat ground; return its record and its bias.
 
     Parameters
     ----------
     truth : Trajectory
-        The motion; the unit is at the IMU. Its beam is wide enough to see the ground straight below.
+        The motion; the altimeter is at the IMU. Its beam is wide enough to include the vertical.
     spec : RadarSpec
-        The unit.
+        The altimeter.
     ground_alt : float
         Ellipsoidal height of the ground [m].
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
     radar : RadarData
-        At t = 1/rate, 2/rate, ..., rounded to the least bit. A sample below the least or above the largest
-        height, or banked or pitched beyond ``max_tilt``, is not valid.
+        At t = 1/rate, 2/rate, ..., rounded to the resolution. A sample below the smallest or above the
+        largest height, or tilted beyond ``max_tilt``, is not valid.
     bias : (M,) array
         Constant error at these times [m].
 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth.
+        If the rate is above that of the truth.
     """
-    rows = epoch_rows("radar", truth.t, spec.rate)
+    rows = find_epoch_rows("radar", truth.t, spec.rate)
     t, height = truth.t[rows], truth.lla[rows, 2] - ground_alt
     bias = np.zeros(len(t))
     if spec.bias_sd > 0:

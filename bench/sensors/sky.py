@@ -1,9 +1,9 @@
 """Measurement-level GNSS: ranges, range rates and C/N0 of every satellite in view, and the fixes from them.
 
-What is in view follows from the orbits, the attitude of the aircraft and its antenna: a banked turn loses
+Visibility depends on the orbits, the attitude of the aircraft and its antenna: a banked turn loses
 satellites. Every error has its own stream, ``gnss.sky.<term>``, and draws for all satellites at all epochs,
-so that neither another error nor another mask changes it. The receiver samples at the instants of the truth;
-its clock is in the pseudoranges.
+so that it does not change with other errors or masks. The receiver samples at the instants of the truth; its
+clock error is in the pseudoranges.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GnssFixes, GnssObservations, SkyView, Trajectory
 from bench.sensors import faults
-from bench.sensors.clock import receiver_clock
-from bench.sensors.timing import epoch_rows, in_outage
-from bench.sensors.view import View, view
+from bench.sensors.clock import simulate_receiver_clock
+from bench.sensors.timing import find_epoch_rows, find_outage_rows
+from bench.sensors.view import View, compute_view
 from bench.signals import orbits, receiver
 from bench.signals.delays import mapping_kernel, obliquity_kernel
 from bench.signals.orbits import L1, C
@@ -27,21 +27,21 @@ from bench.specs import Fault, GnssSpec, SkySpec, stream
 
 _CHIP = (C / 1.023e6, C / 0.511e6)  # length of a chip of the civil code, GPS and GLONASS [m], their ICDs
 _DECIBEL = np.log(10.0) / 10.0
-_MULTIPATH_DECAY = float(np.deg2rad(10.0))  # RTCA DO-229D, appendix J
-_LEAST = (0.01, 1e-4)  # what a receiver claims at best, range and range rate [m, m/s]
+_MULTIPATH_DECAY = float(np.deg2rad(10.0))  # [rad], RTCA DO-229D, appendix J
+_LEAST = (0.01, 1e-4)  # smallest assumed sd of range and range rate [m, m/s]
 
 
 class Sky(NamedTuple):
-    """What the receiver measured and computed."""
+    """Output of the receiver."""
 
     observations: GnssObservations
     fixes: GnssFixes
-    solution: receiver.Solution  # a row per epoch with satellites, before unsolved ones are left out
+    solution: receiver.Solution  # a row per epoch with satellites, unsolved epochs included
     above: SkyView
 
 
 @kernel
-def _remember_kernel(decay: FloatArray, noise: FloatArray) -> None:
+def _correlate_kernel(decay: FloatArray, noise: FloatArray) -> None:
     """Turn unit white noise (M, S) into stationary Gauss-Markov processes of unit sd, in place."""
     for m in range(1, noise.shape[0]):
         w = decay[m - 1]
@@ -51,10 +51,10 @@ def _remember_kernel(decay: FloatArray, noise: FloatArray) -> None:
 
 
 @kernel
-def _between_kernel(
+def _interpolate_kernel(
     t: FloatArray, knots: IntArray, values: FloatArray, epoch: IntArray, which: IntArray, out: FloatArray
 ) -> None:
-    """Fill out (K,) with values (B, S), given at epochs ``knots`` (B,), linear in between."""
+    """Interpolate values (B, S) from epochs ``knots`` (B,) to epochs and satellites: fill out (K,)."""
     j = 0
     for k in range(out.shape[0]):
         m = epoch[k]
@@ -76,7 +76,7 @@ def _slant_kernel(sin_el: FloatArray, el: FloatArray, obliquity: FloatArray, map
 
 
 def code_sd(cn0: FloatArray, chip: FloatArray, spec: SkySpec) -> FloatArray:
-    """Return the thermal noise of the code loop [m].
+    """Return the standard deviation of the thermal noise of the code loop [m].
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def code_sd(cn0: FloatArray, chip: FloatArray, spec: SkySpec) -> FloatArray:
 
 
 def doppler_sd(cn0: FloatArray, frequency: FloatArray, spec: SkySpec) -> FloatArray:
-    """Return the thermal noise of the frequency loop as a range rate [m/s].
+    """Return the standard deviation of the thermal noise of the frequency loop as a range rate [m/s].
 
     Notes
     -----
@@ -123,7 +123,7 @@ def measure(
     run: int,
     scripted: Sequence[Fault] = (),
 ) -> Sky:
-    """Return what the receiver measures and the fixes it computes, epochs inside an outage left out.
+    """Simulate the observations and fixes of a receiver, without epochs inside an outage.
 
     Parameters
     ----------
@@ -132,34 +132,36 @@ def measure(
     spec : GnssSpec
         The receiver, with its ``sky``.
     antenna_b : (3,) tuple
-        Antenna relative to the IMU [m], b; it looks up, along -down of the body.
+        Antenna relative to the IMU [m], b; its axis points up, along -z of the body.
     outages : tuple of (start, end)
-        Without anything in [start, end) [s].
+        No observations in [start, end) [s].
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
     scripted : sequence of Fault
-        What goes wrong.
+        Scripted faults.
 
     Raises
     ------
     ValueError
-        When ``spec`` has no sky, or its rate is above that of the truth.
+        If ``spec`` has no sky, or its rate is above that of the truth.
     """
     sky = spec.sky
     if sky is None:
         raise ValueError(f"gnss {spec.name!r} is a position-level receiver: it has no [sky]")
-    rows = epoch_rows("gnss", truth.t, spec.rate)
+    rows = find_epoch_rows("gnss", truth.t, spec.rate)
     t = truth.t[rows]
 
     def loss(system: IntArray, sat: IntArray) -> FloatArray:
-        return faults.loss(t, system, sat, scripted)
+        return faults.compute_loss(t, system, sat, scripted)
 
-    everything = view(truth, rows, sky, antenna_b, loss)
-    away = faults.spoofed(t, scripted)
-    led: BoolArray = np.asarray(np.concatenate(away, axis=1).any(axis=1))
-    if led.any():  # signals as they are at the place that the receiver shall believe
-        everything = everything.with_epochs(view(truth, rows, sky, antenna_b, loss, away), led)
-    v = everything.of_received()
+    everything = compute_view(truth, rows, sky, antenna_b, loss)
+    offset = faults.compute_spoofing(t, scripted)
+    spoofed: BoolArray = np.asarray(np.concatenate(offset, axis=1).any(axis=1))
+    if spoofed.any():  # signals as received at the spoofed position
+        everything = everything.replace_epochs(
+            compute_view(truth, rows, sky, antenna_b, loss, offset), spoofed
+        )
+    v = everything.select_received()
     start = np.searchsorted(v.epoch, np.arange(len(t) + 1))
     seen = receiver.look(
         v.pos_e,
@@ -169,17 +171,17 @@ def measure(
         frequency=orbits.frequencies(v.system[v.which], v.channel[v.which])[:, 0].copy(),
         klobuchar=np.array(sky.klobuchar),
     )
-    clock, drift = receiver_clock(truth, rows, sky, seed, run)
-    clock = clock + faults.clock(t, scripted)
+    clock, drift = simulate_receiver_clock(truth, rows, sky, seed, run)
+    clock = clock + faults.compute_clock_offset(t, scripted)
     errors = _Errors(t, v.epoch, v.which, len(v.sat), seed, run)
-    observations = _observe(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)
-    out = faults.reported(t, scripted, "gnss", seed, run)
-    out = out.where((np.diff(start) > 0)[out.content] & ~in_outage(truth.t, rows, outages)[out.tag])
+    observations = _make_observations(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)
+    out = faults.find_reported_rows(t, scripted, "gnss", seed, run)
+    out = out.keep((np.diff(start) > 0)[out.content] & ~find_outage_rows(truth.t, rows, outages)[out.tag])
     content, tag, late = out
     if not np.array_equal(content, np.arange(len(t))) or late.any():
-        observations, seen = _epochs(observations, seen, content, t[tag], t[tag] + spec.latency + late)
-    # a receiver that tracks predicts where it is; the prediction moves its fix by a centimetre at most
-    solution = receiver.solve(observations, processing(sky), near=seen)
+        observations, seen = _select_epochs(observations, seen, content, t[tag], t[tag] + spec.latency + late)
+    # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
+    solution = receiver.solve(observations, make_processing(sky), near=seen)
     solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
     columns = {name: getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__}
     for name in ("cov_pos_n", "cov_vel_n"):
@@ -187,14 +189,14 @@ def measure(
     fixes = GnssFixes(**columns)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
     used = np.zeros(len(v.epoch), bool)
-    used[_rows(start, content)[now & solution.used]] = True
-    heard = np.zeros(len(t), bool)
-    heard[tag] = True
-    return Sky(observations, fixes, solution, _above(t, everything, heard, used))
+    used[_select_rows(start, content)[now & solution.used]] = True
+    reported = np.zeros(len(t), bool)
+    reported[tag] = True
+    return Sky(observations, fixes, solution, _make_sky_view(t, everything, reported, used))
 
 
-def _above(t: FloatArray, v: View, heard: BoolArray, used: BoolArray) -> SkyView:
-    """Return what was above the aircraft, epochs (M,) heard of or not; ``used`` counts the received rows."""
+def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray) -> SkyView:
+    """Return all satellites above the mask; ``reported`` marks epochs (M,), ``used`` marks received rows."""
     of_all = np.zeros(len(v.epoch), bool)
     of_all[v.received] = used
     return SkyView(
@@ -203,13 +205,13 @@ def _above(t: FloatArray, v: View, heard: BoolArray, used: BoolArray) -> SkyView
         sat=v.sat[v.which],
         azimuth=v.azimuth,
         elevation=np.arcsin(v.sin_el),
-        cn0=np.where(v.received & heard[v.epoch], v.cn0, np.nan),
+        cn0=np.where(v.received & reported[v.epoch], v.cn0, np.nan),
         used=of_all,
     )
 
 
-def processing(sky: SkySpec) -> receiver.Processing:
-    """Return how the receiver of a sky computes its fixes."""
+def make_processing(sky: SkySpec) -> receiver.Processing:
+    """Return the settings by which the receiver computes its fixes."""
     return receiver.Processing(
         systems=sky.systems,  # type: ignore[arg-type]
         ionosphere="free" if sky.bands == 2 else "klobuchar",
@@ -219,7 +221,7 @@ def processing(sky: SkySpec) -> receiver.Processing:
 
 
 class _Errors:
-    """The errors of one run, drawn for all satellites at all epochs, handed out for the rows received."""
+    """Random errors of one run: drawn for all satellites at all epochs, returned for the received rows."""
 
     def __init__(
         self, t: FloatArray, epoch: IntArray, which: IntArray, satellites: int, seed: int, run: int
@@ -231,26 +233,26 @@ class _Errors:
     def _stream(self, name: str) -> np.random.Generator:
         return stream(self._seed, self._run, f"gnss.sky.{name}")
 
-    def once(self, name: str) -> float:
-        """Return a standard normal number."""
+    def draw_constant(self, name: str) -> float:
+        """Draw a standard normal number."""
         return float(self._stream(name).standard_normal())
 
-    def white(self, name: str) -> FloatArray:
-        """Return unit white noise (K,)."""
+    def draw_white(self, name: str) -> FloatArray:
+        """Draw unit white noise (K,)."""
         noise = self._stream(name).standard_normal(len(self._t) * self._satellites)
         rows: FloatArray = noise[self._flat]
         return rows
 
-    def burst(self, scripted: Sequence[Fault], part: str) -> FloatArray | None:
-        """Return what noise bursts add (K,), in units of the white noise."""
-        noise = faults.noise(self._t, scripted, "gnss", part, self._satellites, self._seed, self._run)
+    def draw_bursts(self, scripted: Sequence[Fault], part: str) -> FloatArray | None:
+        """Draw noise bursts (K,) as multiples of the white noise; None if there is no burst."""
+        noise = faults.draw_bursts(self._t, scripted, "gnss", part, self._satellites, self._seed, self._run)
         return None if noise is None else noise[self._epoch, self._which]
 
-    def slow(self, name: str, correlation: float, *, common: bool = False) -> FloatArray:
-        """Return unit Gauss-Markov processes (K,), one for each satellite or one for all.
+    def draw_markov(self, name: str, correlation: float, *, common: bool = False) -> FloatArray:
+        """Draw unit Gauss-Markov processes (K,), one for each satellite or one for all.
 
-        Stepped at a fortieth of the correlation time, no finer than the epochs, and linear in between:
-        there the sd is at most 0.6 % low.
+        The step is a fortieth of the correlation time but not below the epochs, with linear interpolation,
+        which lowers the sd by at most 0.6 %.
         """
         t = self._t
         pace = (t[-1] - t[0]) / max(len(t) - 1, 1)
@@ -258,19 +260,19 @@ class _Errors:
         knots = np.append(np.arange(0, len(t) - 1, stride), len(t) - 1)
         columns = 1 if common else self._satellites
         noise = self._stream(name).standard_normal((len(knots), columns))
-        _remember_kernel(np.exp(-np.diff(t[knots]) / correlation), noise)
+        _correlate_kernel(np.exp(-np.diff(t[knots]) / correlation), noise)
         out = np.empty(len(self._epoch))
-        _between_kernel(
+        _interpolate_kernel(
             t, knots, noise, self._epoch, np.zeros_like(self._which) if common else self._which, out
         )
         return out
 
 
-def _observe(
+def _make_observations(
     t: FloatArray, start: IntArray, latency: float, sky: SkySpec, seen: receiver.Look,
     clock: FloatArray, drift: FloatArray, v: View, errors: _Errors, scripted: Sequence[Fault],
 ) -> GnssObservations:  # fmt: skip
-    """Return the observations of what is received, with their errors."""
+    """Return the observations of the received satellites, with their errors."""
     epoch, which = v.epoch, v.which
     count, bands = len(epoch), sky.bands
     row_system, row_sat = v.system[which], v.sat[which]
@@ -281,18 +283,18 @@ def _observe(
     _slant_kernel(v.sin_el.copy(), el, obliquity, mapping)
     ionosphere, troposphere = seen.ionosphere, seen.troposphere  # on the first carrier
     if sky.ionosphere_sd > 0:
-        residual = errors.slow("ionosphere", sky.ionosphere_correlation)
+        residual = errors.draw_markov("ionosphere", sky.ionosphere_correlation)
         ionosphere = ionosphere + sky.ionosphere_sd * residual * obliquity * (L1 / frequency[:, 0]) ** 2
     common = geometric + troposphere + clock[epoch] - v.clock
     if sky.glonass_offset_sd > 0:
-        common += sky.glonass_offset_sd * errors.once("glonass_offset") * (row_system == GLONASS)
+        common += sky.glonass_offset_sd * errors.draw_constant("glonass_offset") * (row_system == GLONASS)
     if sky.troposphere_sd > 0:
-        residual = errors.slow("troposphere", sky.troposphere_correlation, common=True)
+        residual = errors.draw_markov("troposphere", sky.troposphere_correlation, common=True)
         common += sky.troposphere_sd * residual * mapping
     if sky.gps_space_sd > 0 or sky.glonass_space_sd > 0:
         space = np.array([sky.gps_space_sd, sky.glonass_space_sd])[row_system]
-        common += space * errors.slow("space", sky.space_correlation)
-    added, added_rate = faults.range_errors(t[epoch], row_system, row_sat, scripted)
+        common += space * errors.draw_markov("space", sky.space_correlation)
+    added, added_rate = faults.compute_range_errors(t[epoch], row_system, row_sat, scripted)
     common += added
     rate = rate + added_rate
     shadow = sky.multipath_zenith_sd + sky.multipath_horizon_sd * np.exp(-el / _MULTIPATH_DECAY)
@@ -307,22 +309,22 @@ def _observe(
             doppler_sd(strength[:, band], frequency[:, band], sky),
         )
         if sky.dll_bandwidth > 0:
-            pseudorange[:, band] += noise * errors.white(f"code.{band + 1}")
-        burst = errors.burst(scripted, f"code.{band + 1}")
+            pseudorange[:, band] += noise * errors.draw_white(f"code.{band + 1}")
+        burst = errors.draw_bursts(scripted, f"code.{band + 1}")
         if burst is not None:
             pseudorange[:, band] += noise * burst
         if sky.multipath_zenith_sd > 0 or sky.multipath_horizon_sd > 0:
-            slow = errors.slow(f"multipath.{band + 1}", sky.multipath_correlation)
+            slow = errors.draw_markov(f"multipath.{band + 1}", sky.multipath_correlation)
             pseudorange[:, band] += shadow * slow
         range_rate[:, band] = rate + drift[epoch] - v.clock_rate
         if sky.fll_bandwidth > 0:
-            range_rate[:, band] += doppler * errors.white(f"doppler.{band + 1}")
-        burst = errors.burst(scripted, f"doppler.{band + 1}")
+            range_rate[:, band] += doppler * errors.draw_white(f"doppler.{band + 1}")
+        burst = errors.draw_bursts(scripted, f"doppler.{band + 1}")
         if burst is not None:
             range_rate[:, band] += doppler * burst
         if band == 0:
             tracking[:] = noise, doppler
-    # the receiver takes the instant of transmission from its own pseudorange, wrong by the errors in it
+    # the receiver computes the time of transmission from its pseudorange, with the errors of that
     late = (pseudorange[:, 0] - geometric - clock[epoch] + v.clock) / C
     budget = receiver.ErrorBudget(
         signal_in_space=sky.gps_space_sd,
@@ -331,11 +333,11 @@ def _observe(
         zenith_troposphere=sky.troposphere_sd,
         multipath_zenith=sky.multipath_zenith_sd,
         multipath_horizon=sky.multipath_horizon_sd,
-        glonass=1.0,  # the code noise of each row is its own
+        glonass=1.0,  # the code noise is given for each row
         second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
     )
-    mode = processing(sky).ionosphere
-    claimed = receiver.spread(el, row_system, frequency[:, 0].copy(), tracking[0], budget, mode)
+    mode = make_processing(sky).ionosphere
+    assumed = receiver.spread(el, row_system, frequency[:, 0].copy(), tracking[0], budget, mode)
     return GnssObservations(
         t=t[epoch],
         t_arrival=t[epoch] + latency,
@@ -350,7 +352,7 @@ def _observe(
         sat_clock=v.clock,
         sat_clock_rate=v.clock_rate,
         group_delay=np.zeros(count),
-        sd_pseudorange=np.maximum(claimed, _LEAST[0]),
+        sd_pseudorange=np.maximum(assumed, _LEAST[0]),
         sd_range_rate=np.maximum(tracking[1], _LEAST[1]),
         epoch_start=start,
         klobuchar=np.array(sky.klobuchar),
@@ -358,12 +360,12 @@ def _observe(
     )
 
 
-def _epochs(
+def _select_epochs(
     o: GnssObservations, seen: receiver.Look, content: IntArray, t: FloatArray, t_arrival: FloatArray
 ) -> tuple[GnssObservations, receiver.Look]:
-    """Return the epochs of ``content`` (M,), with other times (M,)."""
+    """Return the epochs ``content`` (M,) of observations and look, with new times (M,)."""
     counts = np.diff(o.epoch_start)[content]
-    rows = _rows(o.epoch_start, content)
+    rows = _select_rows(o.epoch_start, content)
     columns = {name: getattr(o, name) for name in GnssObservations.__slots__}
     whole = ("epoch_start", "klobuchar", "gps_t0")
     columns |= {name: column[rows] for name, column in columns.items() if name not in whole}
@@ -373,8 +375,8 @@ def _epochs(
     return GnssObservations(**columns), left
 
 
-def _rows(start: IntArray, epochs: IntArray) -> IntArray:
-    """Return the rows of epochs (M,), one epoch after the other; ``start`` as in `GnssObservations`."""
+def _select_rows(start: IntArray, epochs: IntArray) -> IntArray:
+    """Return the rows of the given epochs (M,) in their order; ``start`` as in `GnssObservations`."""
     counts = np.diff(start)[epochs]
     first = np.repeat(start[:-1][epochs] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
     rows: IntArray = first + np.arange(len(first))

@@ -1,4 +1,4 @@
-"""Barometric altitude from the static pressure of the flight: port, lines, sensor, weather and setting."""
+"""Barometric altitude from the static pressure: errors of port, lines, sensor, weather and setting."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
-from bench.sensors.processes import lagged
-from bench.sensors.timing import epoch_rows
+from bench.sensors.processes import apply_lag
+from bench.sensors.timing import find_epoch_rows
 from bench.signals import air
 from bench.specs import stream
 from bench.units import STANDARD_GRAVITY
 
-_REFERENCE = 298.15  # temperature of calibration [K]
+_REFERENCE = 298.15  # temperature of the calibration [K]
 
 
 def measure(
@@ -25,20 +25,20 @@ def measure(
     seed: int,
     run: int,
 ) -> tuple[BaroData, FloatArray]:
-    """Return what a barometer with a ``physical`` part reports, and what it is off without noise.
+    """Simulate a barometer with a ``physical`` part; return its record and its error without noise.
 
     Parameters
     ----------
     truth : Trajectory
-        With the air of the flight, at 20 Hz; a faster unit sees it straight between.
+        With the air of the flight at 20 Hz, interpolated linearly.
     spec : BaroSpec
-        The instrument; what it claims of itself is its ``white_sd``.
+        The instrument; the reported ``sd`` is its ``white_sd``.
     qnh : float
         Altimeter setting [Pa].
     static_port_b : (3,) tuple
-        Static port relative to the centre of gravity, where the air of the flight is known [m], b.
+        Static port relative to the centre of gravity, to which the air data belong [m], b.
     seed, run : int
-        Which draw of the errors.
+        Select the draw of the errors.
 
     Returns
     -------
@@ -46,41 +46,41 @@ def measure(
         Geopotential height of the standard atmosphere between setting and measured pressure, at
         t = 1/rate, 2/rate, ...
     bias : (M,) array
-        That without noise and rounding, minus the ellipsoidal height [m]: all that the weather, the port and
-        the lag do, and geopotential against geometric height (16 m at 10 km).
+        Altitude without noise and rounding, minus the ellipsoidal height [m]: errors of weather, port and
+        lag, and the difference of geopotential and geometric height (16 m at 10 km).
 
     Raises
     ------
     ValueError
-        When the rate is above that of the truth, or nothing is known of the air.
+        If the rate is above that of the truth, or the truth has no air data.
     """
     unit = spec.physical
     if unit is None:
         raise ValueError(f"baro {spec.name!r} has no physical part")
     if not len(truth.air.t):
-        raise ValueError("baro: the truth says nothing of the air")
-    rows = epoch_rows("baro", truth.t, spec.rate)
+        raise ValueError("baro: the truth has no air data")
+    rows = find_epoch_rows("baro", truth.t, spec.rate)
     t = truth.t[rows]
 
-    def drawn(name: str, sd: float, count: int = 1) -> FloatArray:
+    def draw(name: str, sd: float, count: int = 1) -> FloatArray:
         if sd <= 0:
             return np.zeros(count)
         noise: FloatArray = sd * stream(seed, run, f"baro.{name}").standard_normal(count)
         return noise
 
-    warmer = unit.isa_deviation + float(drawn("isa_deviation", unit.isa_deviation_sd)[0])
-    outside = port_pressure(truth, unit, warmer, static_port_b)
-    pressure = np.interp(t, truth.air.t, lagged(truth.air.t, outside, outside[0], unit.lag))
-    pressure += drawn("pressure_bias", unit.pressure_bias_sd)
+    warmer = unit.isa_deviation + float(draw("isa_deviation", unit.isa_deviation_sd)[0])
+    outside = compute_port_pressure(truth, unit, warmer, static_port_b)
+    pressure = np.interp(t, truth.air.t, apply_lag(truth.air.t, outside, outside[0], unit.lag))
+    pressure += draw("pressure_bias", unit.pressure_bias_sd)
     warmth = np.interp(t, truth.air.t, truth.air.temperature) + warmer - _REFERENCE
-    pressure += drawn("temperature", unit.temperature_sd) * warmth
-    sea_level = drawn("qnh", unit.qnh_sd) + np.zeros(len(t))
+    pressure += draw("temperature", unit.temperature_sd) * warmth
+    sea_level = draw("qnh", unit.qnh_sd) + np.zeros(len(t))
     if unit.qnh_walk > 0:
-        steps = drawn("qnh_walk", 1.0, len(t))
+        steps = draw("qnh_walk", 1.0, len(t))
         sea_level += unit.qnh_walk * np.cumsum(np.sqrt(np.diff(t, prepend=truth.t[0])) * steps)
-    pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # a column of air weighs in proportion
+    pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # the pressure at all heights changes in proportion
     bias = air.pressure_altitude(pressure, qnh) - truth.lla[rows, 2]
-    pressure = pressure + drawn("pressure_white", unit.pressure_white_sd, len(t))
+    pressure = pressure + draw("pressure_white", unit.pressure_white_sd, len(t))
     if unit.quantization > 0:
         pressure = unit.quantization * np.rint(pressure / unit.quantization)
     baro = BaroData(
@@ -93,7 +93,7 @@ def measure(
     return baro, bias
 
 
-def port_pressure(
+def compute_port_pressure(
     truth: Trajectory,
     unit: StaticPressureSpec,
     warmer: float,
@@ -106,12 +106,12 @@ def port_pressure(
     truth : Trajectory
         With the air of the flight.
     unit : StaticPressureSpec
-        Its position error is in proportion to the impact pressure of the air data.
+        Its position error is proportional to the impact pressure of the air data.
     warmer : float
-        What the air is warmer than that of the flight, from sea level to the port [K]; pressure at sea
-        level stays.
+        Temperature added to the air of the flight, from sea level to the port [K]; the pressure at sea level
+        does not change.
     static_port_b : (3,) tuple
-        Port relative to where the air data hold [m], b.
+        Port relative to the point of the air data [m], b.
     """
     around = truth.air
     nearest = np.clip(np.searchsorted(truth.t, around.t - 1e-6), 0, len(truth.t) - 1)

@@ -1,4 +1,4 @@
-"""Which sample instants of the truth an instrument, an outage or a wanted output falls on."""
+"""Sample instants of the truth for epochs of an instrument, outages and output times."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.units import SAME_INSTANT
 
 
-def epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
-    """Return the rows of t nearest to t[0] + k / rate, k = 1, 2, ..., to the end.
+def find_epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
+    """Return the rows of t nearest to t[0] + k / rate, k = 1, 2, ...
 
     Parameters
     ----------
     name : str
-        Who asks, for the message.
+        Name of the instrument in messages.
     t : (N,) array
         Sample instants [s].
     rate : float
-        Wanted rate [Hz].
+        Rate of the epochs [Hz].
 
     Raises
     ------
     ValueError
-        When two epochs fall on one sample instant, or none falls within the truth.
+        If two epochs fall on the same sample instant, or no epoch is within the truth.
     """
     duration = t[-1] - t[0]
     count = int((duration + SAME_INSTANT) * rate)
@@ -39,23 +39,23 @@ def epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
     return rows
 
 
-def interval_rows(t: FloatArray, start: float, end: float) -> tuple[int, int]:
-    """Return (first, stop) of the rows of t inside [start, end)."""
+def find_interval_rows(t: FloatArray, start: float, end: float) -> tuple[int, int]:
+    """Return the first row of t inside [start, end) and the row after the last."""
     first, stop = np.searchsorted(t, [start - SAME_INSTANT, end - SAME_INSTANT])
     return int(first), int(stop)
 
 
-def in_outage(t: FloatArray, rows: IntArray, outages: tuple[tuple[float, float], ...]) -> BoolArray:
-    """Return which rows (M,) of t lie in an outage [start, end)."""
+def find_outage_rows(t: FloatArray, rows: IntArray, outages: tuple[tuple[float, float], ...]) -> BoolArray:
+    """Return a mask (M,) of the given rows of t that lie in an outage [start, end)."""
     lost = np.zeros(len(rows), bool)
     for start, end in outages:
-        first, stop = interval_rows(t, start, end)
+        first, stop = find_interval_rows(t, start, end)
         lost |= (rows >= first) & (rows < stop)
     return lost
 
 
-def output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float], ...]) -> FloatArray:
-    """Return the instants at which a solution is wanted.
+def select_output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float], ...]) -> FloatArray:
+    """Return the instants of the solutions.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float],
     rate : float
         Rate of the solutions [Hz].
     outages : tuple of (start, end)
-        GNSS outages [s], half open.
+        GNSS outages [start, end) [s].
 
     Returns
     -------
@@ -74,7 +74,7 @@ def output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float],
     """
     rows = [0, len(t) - 1]
     for start, end in outages:
-        first, stop = interval_rows(t, start, end)
+        first, stop = find_interval_rows(t, start, end)
         if first < stop:
             rows += [first, stop - 1]
-    return t[np.union1d(epoch_rows("output", t, rate), rows)]
+    return t[np.union1d(find_epoch_rows("output", t, rate), rows)]

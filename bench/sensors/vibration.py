@@ -1,7 +1,7 @@
-"""Shaking at the place of the IMU: by the engine, and by the structure that gusts excite.
+"""Vibration at the IMU: by the engine, and by a structural mode that gusts excite.
 
-It is motion, not an error of a sensor, so it goes through bandwidth, range and squares like any other motion.
-It is not in the truth: its velocity and angle stay bounded.
+It is motion and not an error of a sensor, so bandwidth, range and nonlinear errors act on it. It is not
+part of the truth, because its velocity and angle stay bounded.
 """
 
 from __future__ import annotations
@@ -11,14 +11,20 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData, Trajectory
-from bench.sensors.imu_terms import Draw, oscillator
+from bench.sensors.imu_terms import Draw, compute_oscillator_step
 from bench.specs import VibrationSpec
 
-_WINDOW = 10.0  # gusts are what the wind departs from its mean over this time [s]
+_WINDOW = 10.0  # a gust is the deviation of the wind from its mean over this time [s]
 
 
-def check(spec: VibrationSpec) -> None:
-    """Raise ValueError where a figure needs another one."""
+def check_vibration(spec: VibrationSpec) -> None:
+    """Check the figures of the vibration.
+
+    Raises
+    ------
+    ValueError
+        If a figure requires another one that is missing.
+    """
     if max(spec.engine_gyro, spec.engine_accel) > 0 and not spec.engine_reference > 0:
         raise ValueError("vibration: engine_gyro and engine_accel need an engine_reference above 0 rad/s")
     if max(spec.gust_gyro, spec.gust_accel) > 0 and not (
@@ -30,45 +36,47 @@ def check(spec: VibrationSpec) -> None:
 
 
 def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArray, FloatArray]:
-    """Return the increments of angle [rad] and velocity [m/s] of the shaken IMU, (K, 3) each, b.
+    """Add vibration to the true increments; return dtheta_b (K, 3) [rad] and dvel_b (K, 3) [m/s], b.
 
     Parameters
     ----------
     truth : Trajectory
-        Its increments, engine speed and wind; the increments themselves are returned when nothing shakes.
+        For increments, engine speed and wind. Its own increments are returned if there is no vibration.
     spec : VibrationSpec
-        What there is.
+        Sources of vibration.
     draw : Draw
-        Streams "engine", "shape" and "gust".
+        Gives the streams "engine", "shape" and "gust".
 
     Notes
     -----
-    Engine: sines at ``engine_order`` times the engine speed, each axis with a phase of its own, amplitude as
-    the square of the speed (unbalance), integrated exactly over each sample. Gusts: one structural mode, a
-    band-pass process about ``mode_frequency``, shakes all axes together in a direction drawn once, in
-    proportion to the rms of the gusts in the 10 s around.
+    Engine: a sine at ``engine_order`` times the engine speed, with its own phase for each axis and an
+    amplitude proportional to the square of the speed (unbalance), integrated exactly over each sample. Gusts:
+    one structural mode, a band-pass process at ``mode_frequency``, along a direction drawn once, in
+    proportion to the rms of the gusts within 10 s.
     """
     engine = np.array([spec.engine_gyro, spec.engine_accel])
     gusts = np.array([spec.gust_gyro, spec.gust_accel])
     if not (engine.any() or gusts.any()):
         return truth.dtheta_b, truth.dvel_b
     t, air = truth.t, truth.air
-    c, s, turned, place, strength = np.zeros((5, len(t)))
+    c, s, angle, displacement, strength = np.zeros((5, len(t)))
     cosines, sines, shape = np.zeros((3, 2, 3))
     if engine.any():
         phases = draw("engine").uniform(0.0, 2 * np.pi, (2, 3))
         size = np.sqrt(2) * engine / (spec.engine_order * spec.engine_reference) ** 2
         cosines, sines = -size[:, None] * np.cos(phases), size[:, None] * np.sin(phases)
-        _turned_kernel(t, air.t, spec.engine_order * air.engine_speed, turned)
-        c, s = np.cos(turned), np.sin(turned)
+        _engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, angle)
+        c, s = np.cos(angle), np.sin(angle)
     if gusts.any():
         shape = draw("shape").standard_normal((2, 3))
         shape *= gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
-        _resampled_kernel(t, air.t, gust_rms(air), strength)
-        place = _mode(t, spec, draw("gust").standard_normal((len(t), 2)))
+        _interpolate_kernel(t, air.t, compute_gust_rms(air), strength)
+        displacement = _simulate_mode(t, spec, draw("gust").standard_normal((len(t), 2)))
     dtheta_b, dvel_b = np.empty_like(truth.dtheta_b), np.empty_like(truth.dvel_b)
     for triad, (true, out) in enumerate(((truth.dtheta_b, dtheta_b), (truth.dvel_b, dvel_b))):
-        _shake_kernel(t, true, turned, c, s, cosines[triad], sines[triad], place, strength, shape[triad], out)
+        _shake_kernel(
+            t, true, angle, c, s, cosines[triad], sines[triad], displacement, strength, shape[triad], out
+        )
     return dtheta_b, dvel_b
 
 
@@ -76,53 +84,53 @@ def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArra
 def _shake_kernel(
     t: FloatArray,
     true: FloatArray,
-    turned: FloatArray,
+    angle: FloatArray,
     c: FloatArray,
     s: FloatArray,
     cosines: FloatArray,
     sines: FloatArray,
-    place: FloatArray,
+    displacement: FloatArray,
     strength: FloatArray,
     shape: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Add to (K, 3) true increments what the angle of the engine and the place of the mode, (K + 1,), change.
+    """Add vibration by engine angle and displacement of the mode, (K + 1,), to true increments (K, 3).
 
     The integral of a sine of amplitude w^2 and rate w is -w (cos 1 - cos 0).
     """
     for k in range(true.shape[0]):
-        speed = (turned[k + 1] - turned[k]) / (t[k + 1] - t[k])
+        speed = (angle[k + 1] - angle[k]) / (t[k + 1] - t[k])
         dc, ds = speed * (c[k + 1] - c[k]), speed * (s[k + 1] - s[k])
-        moved = 0.5 * (strength[k] + strength[k + 1]) * (place[k + 1] - place[k])
+        moved = 0.5 * (strength[k] + strength[k + 1]) * (displacement[k + 1] - displacement[k])
         for i in range(3):
             out[k, i] = true[k, i] + dc * cosines[i] + ds * sines[i] + moved * shape[i]
 
 
 @kernel
-def _resampled_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: FloatArray) -> None:
-    """Fill out (N,) at t (N,) by lines through values (A,) at (A,), held at both ends; times increase."""
+def _interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: FloatArray) -> None:
+    """Fill out (N,) with values (A,) at times ``at`` (A,), interpolated to t (N,) and held at both ends."""
     j = 0
     for k in range(len(t)):
         while j < len(at) - 2 and at[j + 1] <= t[k]:
             j += 1
-        share = (t[k] - at[j]) / (at[j + 1] - at[j]) if len(at) > 1 else 0.0
-        share = min(max(share, 0.0), 1.0)
-        out[k] = values[j] + share * (values[min(j + 1, len(at) - 1)] - values[j])
+        fraction = (t[k] - at[j]) / (at[j + 1] - at[j]) if len(at) > 1 else 0.0
+        fraction = min(max(fraction, 0.0), 1.0)
+        out[k] = values[j] + fraction * (values[min(j + 1, len(at) - 1)] - values[j])
 
 
 @kernel
-def _turned_kernel(t: FloatArray, at: FloatArray, speed: FloatArray, turned: FloatArray) -> None:
-    """Fill the angle (N,) turned since t[0] from the speed (A,) at (A,), linear in between; trapezoids."""
-    _resampled_kernel(t, at, speed, turned)
-    before, angle = turned[0], 0.0
-    turned[0] = 0.0
+def _engine_angle_kernel(t: FloatArray, at: FloatArray, speed: FloatArray, angles: FloatArray) -> None:
+    """Fill angles (N,) since t[0] from the speed (A,) at times ``at`` (A,), linear in between; trapezoids."""
+    _interpolate_kernel(t, at, speed, angles)
+    before, angle = angles[0], 0.0
+    angles[0] = 0.0
     for k in range(1, len(t)):
-        angle += 0.5 * (before + turned[k]) * (t[k] - t[k - 1])
-        before, turned[k] = turned[k], angle
+        angle += 0.5 * (before + angles[k]) * (t[k] - t[k - 1])
+        before, angles[k] = angles[k], angle
 
 
-def gust_rms(air: AirData) -> FloatArray:
-    """Return the rms of the gusts (A,), per axis, in the 10 s around each instant of the air data [m/s]."""
+def compute_gust_rms(air: AirData) -> FloatArray:
+    """Return the rms of the gusts per axis (A,) in the 10 s around each instant of the air data [m/s]."""
     interval = (air.t[-1] - air.t[0]) / max(len(air.t) - 1, 1)
     half = max(1, round(0.5 * _WINDOW / interval)) if interval > 0 else 1
     wind = air.wind_n - air.wind_n.mean(axis=0)
@@ -134,31 +142,31 @@ def gust_rms(air: AirData) -> FloatArray:
     return rms
 
 
-def _mode(t: FloatArray, spec: VibrationSpec, noise: FloatArray) -> FloatArray:
-    """Return the place (N,) of a stationary mode whose rate has rms 1; unit noise (N, 2)."""
+def _simulate_mode(t: FloatArray, spec: VibrationSpec, noise: FloatArray) -> FloatArray:
+    """Return the displacement (N,) of a stationary mode with a rate of rms 1, from unit noise (N, 2)."""
     w = 2 * np.pi * spec.mode_frequency
-    step = oscillator(w, spec.mode_damping, (t[-1] - t[0]) / (len(t) - 1))
-    spread = np.diag([1 / w**2, 1.0])  # of place and rate
+    step = compute_oscillator_step(w, spec.mode_damping, (t[-1] - t[0]) / (len(t) - 1))
+    spread = np.diag([1 / w**2, 1.0])  # of displacement and rate
     added = spread - step @ spread @ step.T
     root = np.zeros((2, 2))  # of ``added``, lower triangular
     root[0, 0] = np.sqrt(added[0, 0])
     root[1, 0] = added[1, 0] / root[0, 0]
     root[1, 1] = np.sqrt(added[1, 1] - root[1, 0] ** 2)
-    place = np.empty(len(t))
-    _mode_kernel(step, root, 1 / w, noise, place)
-    return place
+    displacement = np.empty(len(t))
+    _mode_kernel(step, root, 1 / w, noise, displacement)
+    return displacement
 
 
 @kernel
 def _mode_kernel(
-    step: FloatArray, added: FloatArray, sd: float, noise: FloatArray, place: FloatArray
+    step: FloatArray, added: FloatArray, sd: float, noise: FloatArray, displacement: FloatArray
 ) -> None:
     x, v = sd * noise[0, 0], noise[0, 1]
-    place[0] = x
-    for k in range(1, len(place)):
+    displacement[0] = x
+    for k in range(1, len(displacement)):
         a, b = noise[k, 0], noise[k, 1]
         x, v = (
             step[0, 0] * x + step[0, 1] * v + added[0, 0] * a,
             step[1, 0] * x + step[1, 1] * v + added[1, 0] * a + added[1, 1] * b,
         )
-        place[k] = x
+        displacement[k] = x

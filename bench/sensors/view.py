@@ -1,4 +1,4 @@
-"""Which satellites a receiver has above it and which of them it receives, by orbits, attitude and antenna."""
+"""Visibility and reception of satellites by orbits, attitude of the aircraft and antenna."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GPS, Trajectory
-from bench.sensors.gnss import antenna
+from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
 from bench.signals.orbits import GPS_EARTH_RATE, C
 from bench.specs import SkySpec
 
-_GEOMETRIC = 1e-3  # least elevation for which delays are computed [rad]
-_RISE = 4e-4  # faster than any elevation changes [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
-_SETTLED = 5e-3  # a range that changed by less between two passes is right to 1e-8 m [m]
-_COLUMNS = 14  # of the geometry kernel
+_GEOMETRIC = 1e-3  # lowest elevation for which delays are computed [rad]
+_RISE = 4e-4  # upper limit of the rate of elevation [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
+_SETTLED = 5e-3  # a range that changes by less between two iterations is accurate to 1e-8 m [m]
+_COLUMNS = 14  # number of columns of the geometry kernel
 
-
-Away = tuple[FloatArray, FloatArray]
-LossOf = Callable[[IntArray, IntArray], FloatArray]
+Offset = tuple[FloatArray, FloatArray]
+ComputeLoss = Callable[[IntArray, IntArray], FloatArray]
 
 
 class View(NamedTuple):
-    """What is above the elevation mask, a row per epoch and satellite.
+    """Satellites above the elevation mask, a row per epoch and satellite.
 
-    From satellite position to rate of distance the columns hold only what is received.
+    The columns from ``sat_pos_e`` to ``rate`` are filled for received satellites only.
     """
 
     pos_e: FloatArray  # (M, 3) of the antenna [m], e
@@ -38,7 +37,7 @@ class View(NamedTuple):
     system: IntArray  # (S,)
     channel: IntArray  # (S,)
     epoch: IntArray  # (K,) of each row
-    which: IntArray  # (K,) satellite, from 0 to S - 1
+    which: IntArray  # (K,) index of the satellite, 0 to S - 1
     received: BoolArray  # (K,)
     sat_pos_e: FloatArray  # (K, 3) at transmission [m], e
     sat_vel_e: FloatArray  # (K, 3) [m/s]
@@ -50,16 +49,16 @@ class View(NamedTuple):
     sin_el: FloatArray  # (K,)
     azimuth: FloatArray  # (K,) [rad]
 
-    def of_received(self) -> View:
-        """Return the rows that are received."""
+    def select_received(self) -> View:
+        """Return the rows of received satellites."""
         return self._replace(**{name: getattr(self, name)[self.received] for name in self._fields[4:]})
 
-    def with_epochs(self, other: View, epochs: BoolArray) -> View:
-        """Return this view with some epochs (M,) of another."""
-        mine, others = ~epochs[self.epoch], epochs[other.epoch]
-        order = np.argsort(np.concatenate([self.epoch[mine], other.epoch[others]]), kind="stable")
+    def replace_epochs(self, other: View, epochs: BoolArray) -> View:
+        """Return this view with the epochs marked in ``epochs`` (M,) taken from another one."""
+        own, others = ~epochs[self.epoch], epochs[other.epoch]
+        order = np.argsort(np.concatenate([self.epoch[own], other.epoch[others]]), kind="stable")
         columns = {
-            name: np.concatenate([getattr(self, name)[mine], getattr(other, name)[others]])[order]
+            name: np.concatenate([getattr(self, name)[own], getattr(other, name)[others]])[order]
             for name in self._fields[4:]
         }
         return self._replace(pos_e=np.where(epochs[:, None], other.pos_e, self.pos_e), **columns)
@@ -73,12 +72,13 @@ def geometry_kernel(
     loss: FloatArray, since: FloatArray, asleep: FloatArray, travel: FloatArray, state: FloatArray,
     epoch: IntArray, sat: IntArray, received: BoolArray, out: FloatArray,
 ) -> int:  # fmt: skip
-    """Fill rows of what is above the elevation mask, received or not; return their number.
+    """Fill a row for each satellite above the elevation mask, received or not; return the number of rows.
 
-    Columns of out: satellite position (3), velocity (3), clock, clock rate, range, range rate, C/N0,
-    elevation's sine, direction north and east; of what is not received only the last four. ``loss`` (M, S) of
-    C/N0 may have no rows. ``since`` (S,) holds when each satellite came into view, NaN while it is not;
-    ``asleep`` until when it cannot rise; ``travel`` the travel time of its last signal.
+    Columns of out: satellite position (3), velocity (3), clock, clock rate, range, range rate, C/N0, sine of
+    the elevation, direction north and east; only the last four if it is not received. ``loss`` (M, S) of C/N0
+    may have no rows. ``since`` (S,) is the time at which a satellite came into view (NaN if it is not in
+    view), ``asleep`` (S,) the time until which it cannot rise, ``travel`` (S,) the travel time of its last
+    signal.
     """
     k = 0
     for m in range(t.shape[0]):
@@ -118,7 +118,7 @@ def geometry_kernel(
                 since[s] = t[m] if m > 0 else -1e300
             epoch[k], sat[k] = m, s
             out[k, 10], out[k, 11], out[k, 12], out[k, 13] = cn0, sin_el, n, e
-            received[k] = t[m] - since[s] >= wait  # never of NaN
+            received[k] = t[m] - since[s] >= wait  # False for NaN
             if not received[k]:
                 k += 1
                 continue
@@ -136,15 +136,15 @@ def geometry_kernel(
     return k
 
 
-def view(
+def compute_view(
     truth: Trajectory,
     rows: IntArray,
     sky: SkySpec,
     antenna_b: tuple[float, float, float],
-    loss: LossOf,
-    away: Away | None = None,
+    loss: ComputeLoss,
+    offset: Offset | None = None,
 ) -> View:
-    """Return what a receiver has above it at some instants of the truth.
+    """Compute which satellites are above the mask and received at some instants of the truth.
 
     Parameters
     ----------
@@ -155,21 +155,21 @@ def view(
     sky : SkySpec
         Satellites, masks and antenna.
     antenna_b : (3,) tuple
-        Antenna relative to the IMU [m], b; it looks up, along -down of the body.
+        Antenna relative to the IMU [m], b; its axis points up, along -z of the body.
     loss : callable
-        Gives the loss of C/N0 (M, S) or (0, S) of the satellites ``(system, sat)``.
-    away : (M, 3) arrays or None
-        Take the antenna to be elsewhere [m], and to move otherwise [m/s], n.
+        Returns the loss of C/N0 [dB], (M, S) or (0, S), of the satellites ``(system, sat)``.
+    offset : (M, 3) arrays or None
+        Added to position [m] and velocity [m/s] of the antenna, n.
     """
     t = truth.t[rows]
-    lla, vel_n = antenna(truth, rows, antenna_b)
-    if away is not None:
-        lla, vel_n = earth.displace(lla, away[0]), vel_n + away[1]
+    lla, vel_n = compute_antenna_motion(truth, rows, antenna_b)
+    if offset is not None:
+        lla, vel_n = earth.displace(lla, offset[0]), vel_n + offset[1]
     pos_e = earth.to_ecef(lla)
     C_en = np.ascontiguousarray(earth.matrix_en(lla[:, 0], lla[:, 1]))
     vel_e = np.einsum("mij,mj->mi", C_en, vel_n)
     down_n = rotation.rotate(truth.q_nb[rows], np.array([0.0, 0.0, 1.0]))
-    sat, system, channel, track = constellation(sky, t)
+    sat, system, channel, track = track_constellation(sky, t)
     S = len(sat)
     size = len(t) * S
     epoch, which, received = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.bool_)
@@ -216,8 +216,8 @@ def view(
     )
 
 
-def constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
-    """Return number, system and frequency channel (S,) of all satellites, and their track."""
+def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
+    """Return number, system and frequency channel (S,) of all satellites, and their track over times t."""
     gps = orbits.nominal_gps() if sky.gps is None else sky.gps
     glonass = orbits.nominal_glonass() if sky.glonass is None else sky.glonass
     first, last = t[0] + sky.gps_t0 - 1.0, t[-1] + sky.gps_t0

@@ -30,7 +30,7 @@ from bench.data import (
     SensorTruth,
     SkyView,
     Trajectory,
-    nothing_drawn,
+    no_sensor_truth,
 )
 from bench.errors import ConfigError
 from bench.fields import columns_of
@@ -278,7 +278,7 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     return Sensed(
         data,
         read_initial_state(start),
-        _load_drawn(drawn) if drawn.exists() else nothing_drawn(),
+        _load_drawn(drawn) if drawn.exists() else no_sensor_truth(),
         _load(folder / EVENTS, Events),
         _load(sky, SkyView) if sky.exists() else None,
     )

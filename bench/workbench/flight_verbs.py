@@ -45,7 +45,7 @@ def run(
         result = api.run(profile, run=draw, progress=progress)
     api.save(result, folder, recording=recording, force=force)
     show.print_result(console, profile, result)
-    show.print_sanity(console, result.events.of("sanity"))
+    show.print_sanity(console, result.events.select("sanity"))
     print_end(console, folder, begun)
     return result, folder
 

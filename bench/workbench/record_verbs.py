@@ -127,7 +127,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     instants = f"{len(score.solution)} instants, {score.rows} rows"
     console.print(f"{label} covers {100 * score.coverage:.4g} % of the {instants}")
     for kind in ("table", "interpolated"):
-        for _, _, text in score.solution.events.of(kind):
+        for _, _, text in score.solution.events.select(kind):
             console.print(f"{label}: {text}")
     if options["out"] is not None:
         console.print(f"Wrote {options['out']}")

@@ -64,10 +64,10 @@ def print_metrics(
         console.print("nis_mean: the range with it is that of 99.9 % of matched filters.")
     remarks: dict[str, list[str]] = {}
     for label, values in measured.items():
-        for begun, end, text in solutions[label].events.of("alignment"):
+        for begun, end, text in solutions[label].events.select("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
         if not values["converged"]:
-            failed = solutions[label].events.of(FAILED)
+            failed = solutions[label].events.select(FAILED)
             text = values["reason"] if failed else f"diverged: {values['reason']}"
             console.print(f"{label} {text}", style="bold red")
         elif values.get("program"):

@@ -84,8 +84,8 @@ def test_a_filter_in_c_or_awk_says_what_its_algorithm_says(run, holds):
         assert_allclose(solution.lla[begun], lla[begun], rtol=0, atol=1e-15 * 2000)
         assert_allclose(solution.vel_n[begun], vel_n[begun], rtol=1e-12)
         assert np.isnan(solution.q_nb).all()
-        assert solution.events.of(outside.PROGRAM) == [(0.0, 0.0, "exit status 0")]
-        ((_, _, said),) = solution.events.of(outside.STDERR)
+        assert solution.events.select(outside.PROGRAM) == [(0.0, 0.0, "exit status 0")]
+        ((_, _, said),) = solution.events.select(outside.STDERR)
         assert said.startswith(("192 rows", "18 fixes"))
         _, measured = metrics.judge(truth, solution, evaluation_from=5.0, outages=[(12.0, 14.0)])
         off = np.hypot(
@@ -172,7 +172,7 @@ def test_no_shell_is_between(run, tmp_path):
     code = "import sys; print(sys.argv[1:], file=sys.stderr); sys.exit(5)"
     command = python(tmp_path / "say.py", code) + " ; touch pwned '$HOME' `id` 'a b' | cat"
     solution = CommandEstimator(command, tmp_path).run(sensed.data, sensed.initial)
-    ((_, _, said),) = solution.events.of(outside.STDERR)
+    ((_, _, said),) = solution.events.select(outside.STDERR)
     assert "';', 'touch', 'pwned', '$HOME', '`id`', 'a b', '|', 'cat'" in said
 
 
@@ -188,7 +188,7 @@ def failure(run, command: str, beside: Path, **options) -> tuple[str, str]:
     assert not [
         name for name, value in measured.items() if name.startswith(("pos", "vel")) and value is not None
     ]
-    said = solution.events.of(outside.STDERR)
+    said = solution.events.select(outside.STDERR)
     return measured["reason"], said[0][2] if said else ""
 
 

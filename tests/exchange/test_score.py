@@ -144,7 +144,7 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
     found = resample(as_read(made), t)
     inside = (t >= 1.3 - 1e-9) & (t <= 15.1 + 1e-9)
     assert_array_equal(np.isfinite(found.lla).all(axis=1), inside)
-    assert found.events.of("not_covered") == [
+    assert found.events.select("not_covered") == [
         (0.0, pytest.approx(1.2), "no rows, or more than 0.4 s apart"),
         (pytest.approx(15.2), 20.0, "no rows, or more than 0.4 s apart"),
     ]

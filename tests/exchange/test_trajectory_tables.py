@@ -93,7 +93,7 @@ def fly(path: Path, rate: float = 200.0, duration: float | None = None) -> Traje
 
 
 def sanity(truth: Trajectory) -> str:
-    return "\n".join(text for _, _, text in truth.events.of("sanity"))
+    return "\n".join(text for _, _, text in truth.events.select("sanity"))
 
 
 def off_rows(truth: Trajectory, table: dict[str, np.ndarray], rate: float) -> tuple[float, float]:
@@ -154,7 +154,7 @@ def test_the_replay_sees_increments_that_are_not_integrals(tmp_path):
 def test_a_truth_of_the_bench_is_a_table_too(tmp_path, short_truth):
     parquet_file.write(tmp_path / "truth.parquet", short_truth)
     truth = fly(tmp_path / "truth.parquet", 100.0)
-    assert [t for *_, t in truth.events.of("table")] == [
+    assert [t for *_, t in truth.events.select("table")] == [
         "columns not used: dtheta_x_rad, dtheta_y_rad, dtheta_z_rad, dvel_x_mps, dvel_y_mps, dvel_z_mps"
     ]
     distance = np.linalg.norm(to_ecef(truth.lla) - to_ecef(short_truth.lla[: len(truth)]), axis=1)
@@ -246,7 +246,7 @@ def test_a_table_that_starts_later_is_shifted_and_says_so(tmp_path):
 
     truth = fly(edited(tmp_path, later))
     assert truth.t[0] == 0.0
-    assert "t = 0 is t_s = 12.5 of the table" in [text for *_, text in truth.events.of("table")]
+    assert "t = 0 is t_s = 12.5 of the table" in [text for *_, text in truth.events.select("table")]
 
 
 @pytest.mark.parametrize(

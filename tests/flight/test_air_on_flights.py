@@ -25,7 +25,7 @@ def test_a_port_that_minds_incidence_errs_more_in_the_turn(short_truth):
     felt = {}
     for slope in (0.0, 0.1):
         unit = StaticPressureSpec(position_error_alpha=slope)
-        felt[slope] = static_pressure.port_pressure(short_truth, unit, 0.0, (0.0, 0.0, 0.0))
+        felt[slope] = static_pressure.compute_port_pressure(short_truth, unit, 0.0, (0.0, 0.0, 0.0))
     around = short_truth.air
     dynamic = 0.5 * air.standard(1200.0)[2] * around.airspeed_true**2
     assert_allclose(felt[0.1] - felt[0.0], 0.1 * around.alpha * dynamic, rtol=0.01, atol=0.02)

@@ -354,7 +354,7 @@ def test_climb_cruise_descend_is_flown_and_its_truth_replays():
     stretch = record_whole(profile.flight)
     truth = truth_of(stretch, profile.flight.rate)
     assert truth.t[-1] == profile.flight.duration
-    rows = truth.events.of("leg")
+    rows = truth.events.select("leg")
     assert len(rows) == len(profile.flight.legs)
     by_kind = {text.split()[1].rstrip(":"): round(end * 200) for _, end, text in rows}
     assert_allclose(truth.lla[by_kind["climb"], 2], 8000.0, atol=2.0)

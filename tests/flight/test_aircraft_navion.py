@@ -318,7 +318,7 @@ def test_turns_climbs_and_descents_end_where_they_should(speed):
     truth = flown(*legs, speed=speed)
     roll, _, heading = (np.rad2deg(angle) for angle in rotation.to_euler(truth.q_nb))
     alt = truth.lla[:, 2]
-    first, second = (round(truth.events.of("leg")[k][1] * 100) for k in (0, 3))
+    first, second = (round(truth.events.select("leg")[k][1] * 100) for k in (0, 3))
     assert_allclose(alt[:first], 1200.0, atol=4.0)
     assert alt.max() < 1234.0
     assert_allclose(roll[:first].max(), 30.0, atol=1.5)

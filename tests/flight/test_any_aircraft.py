@@ -91,7 +91,7 @@ def plan(folder: Path, **values: object) -> FlightSpec:
 def test_an_aircraft_of_the_wheel_flies_its_legs(tmp_path, values, alt_off, turbulence):
     """Calm it holds altitude and speed; at severity 4 within what such aircraft were measured to do."""
     truth = fly(plan(tmp_path, **values | {"turbulence": turbulence}))
-    assert [text for *_, text in truth.events.of("leg")][1] == "2 turn: 30 deg right, bank 20 deg"
+    assert [text for *_, text in truth.events.select("leg")][1] == "2 turn: 30 deg right, bank 20 deg"
     if turbulence == 0:
         roll, _, heading = to_euler(truth.q_nb)
         assert np.rad2deg(np.abs(roll[:900]).max()) < 1.0  # straight before the turn
@@ -100,7 +100,7 @@ def test_an_aircraft_of_the_wheel_flies_its_legs(tmp_path, values, alt_off, turb
         distance, angle = replay(truth, 100.0)
         assert distance < 1 * MM
         assert angle < 1 * UM
-        assert truth.events.of("sanity") == []
+        assert truth.events.select("sanity") == []
     wide = 1 if turbulence == 0 else 6
     assert np.abs(truth.lla[:, 2] - values["alt"]).max() < alt_off * wide
     assert np.abs(truth.air.airspeed_true - values["speed"]).max() < (2.0 if turbulence == 0 else 15.0)
@@ -137,7 +137,7 @@ def test_an_aircraft_of_the_wheel_stands_and_takes_off_from_its_runway(tmp_path)
     rolling = truth.lla[:, 2] < 601.5
     assert np.abs(aside(truth, spec)[rolling]).max() < 5.0
     assert truth.lla[-1, 2] == pytest.approx(640.0, abs=3.0)
-    assert truth.events.of("sanity") == []
+    assert truth.events.select("sanity") == []
 
 
 @pytest.mark.slow
@@ -148,9 +148,9 @@ def test_an_aircraft_of_the_wheel_lands(tmp_path):
     start = {"on_ground": False, "wind_speed": 0.0, "lat": float(lat), "lon": float(lon), "alt": 720.0}
     spec = replace(spec, legs=(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0)), **start)
     truth = fly(spec)
-    text = truth.events.of("leg")[1][2]
+    text = truth.events.select("leg")[1][2]
     assert float(text.split("touch-down at ")[1].split()[0]) < 1.5
-    touch = round(truth.events.of("leg")[1][1] * 100)
+    touch = round(truth.events.select("leg")[1][1] * 100)
     assert np.abs(aside(truth, spec)[touch:]).max() < 5.0
     assert np.linalg.norm(truth.vel_n[-1]) < 1e-3
 

@@ -203,7 +203,7 @@ def test_two_samples_are_enough_for_a_navigator_in_smooth_flight(flight):
 
 
 def test_legs_follow_each_other_on_instants_of_the_sequencer(flight):
-    rows = flight.truth.events.of("leg")
+    rows = flight.truth.events.select("leg")
     assert [int(text.split()[0]) for _, _, text in rows] == [k + 1 for k in range(len(flight.spec.legs))]
     assert rows[0][0] == 0.0
     assert rows[-1][1] == flight.truth.t[-1]

@@ -58,7 +58,7 @@ def test_s_turns_swing_to_both_sides_and_end_on_the_course():
 def test_airspeed_changes_smoothly_and_arrives():
     truth = fly(plan(SpeedChange(28.0), Straight(10.0, speed=23.0), Straight(10.0)))
     speed = truth.air.airspeed_true
-    first = round(truth.events.of("leg")[0][1] * 20)
+    first = round(truth.events.select("leg")[0][1] * 20)
     assert_allclose(speed[first], 28.0, atol=0.6)
     assert_allclose(speed[-1], 23.0, atol=0.5)
     assert np.abs(np.diff(speed)).max() * 20 < 1.5  # [m/s^2]

@@ -122,14 +122,14 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
 
     down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0), **final(kind), **wind))
     along, off, _ = runway_frame(down)
-    touch = round(down.events.of("leg")[1][1] / down.t[1])
+    touch = round(down.events.select("leg")[1][1] / down.t[1])
     sink = down.vel_n[touch - 30 : touch, 2]  # the last 0.3 s; wheels may touch 0.05 s before the leg ends
     assert height_of_cg(down, kind.aircraft)[touch] < on_wheels
     assert 0.1 < sink.max() < kind.sink
     assert np.abs(off[touch:]).max() < 5.0
     assert 0.0 < along[touch] < kind.touch
     assert np.linalg.norm(down.vel_n[-1]) < 1e-4
-    assert "touch-down at" in down.events.of("leg")[1][2]
+    assert "touch-down at" in down.events.select("leg")[1][2]
 
 
 @pytest.mark.parametrize(("severity", "across", "seed"), [(3, 4.0, 5), (4, 0.0, 5), (4, 4.0, 2)])
@@ -171,7 +171,7 @@ def test_a_shipped_circuit_lands_as_it_should(profile):
     assert np.abs(off[height < kind.wheels]).max() < 5.0
     assert height.max() > 75.0
     assert np.linalg.norm(truth.vel_n[[0, -1]], axis=1).max() < 1e-4
-    texts = [text for _, _, text in truth.events.of("leg")]
+    texts = [text for _, _, text in truth.events.select("leg")]
     assert float(texts[6].split("touch-down at ")[1].split()[0]) < kind.sink
 
 

@@ -147,7 +147,7 @@ def test_every_lap_of_a_holding_is_the_same_over_ground():
     legs = (Holding(2, radians(25.0), radians(85.0), 20.0),)
     truth = fly(plan(*legs, **WINDY))
     flown = ground(truth)
-    start, end, _ = truth.events.of("leg")[0]
+    start, end, _ = truth.events.select("leg")[0]
     assert end - start > 100.0
     c, s = cos(radians(85.0)), sin(radians(85.0))
     along, right = flown @ [c, s], flown @ [-s, c]

@@ -37,7 +37,7 @@ def profile(folder: Path, text: str, **overrides: object):
 
 
 def sanity(truth: Trajectory) -> str:
-    return "\n".join(text for _, _, text in truth.events.of("sanity"))
+    return "\n".join(text for _, _, text in truth.events.select("sanity"))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_a_profile_of_one_line_flies_a_script_to_its_end(take_off):
     assert truth.t[-1] == pytest.approx(200.0, abs=0.01)
     assert np.ptp(truth.lla[:, 2]) > 400.0  # the Cessna has taken off
     assert truth.air.engine_speed.max() > 200.0  # rad/s: 1900 rpm
-    assert truth.events.of("leg") == [(0.0, truth.t[-1], "script c1723")]
+    assert truth.events.select("leg") == [(0.0, truth.t[-1], "script c1723")]
     assert sanity(truth) == ""
 
 

@@ -20,11 +20,11 @@ from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan, roll, turned
 def legs(truth: Trajectory) -> list[tuple[slice, str]]:
     """Samples of each leg, and its text."""
     rate = 1 / truth.t[1]
-    return [(slice(round(a * rate), round(b * rate) + 1), text) for a, b, text in truth.events.of("leg")]
+    return [(slice(round(a * rate), round(b * rate) + 1), text) for a, b, text in truth.events.select("leg")]
 
 
 def test_legs_follow_each_other_without_gaps_on_instants_of_the_sequencer(figure_eight_truth):
-    rows = figure_eight_truth.events.of("leg")
+    rows = figure_eight_truth.events.select("leg")
     assert [text.split()[0] for _, _, text in rows] == [str(k + 1) for k in range(len(FIGURE_EIGHT.legs))]
     assert rows[0][0] == 0.0
     assert rows[-1][1] == figure_eight_truth.t[-1] == 600.0
@@ -94,11 +94,11 @@ def test_a_figure_eight_goes_right_then_left():
 def test_the_last_leg_is_held_to_the_duration():
     held = fly(plan(Straight(4.0), Turn(radians(20.0), radians(20.0)), duration=30.0))
     assert held.t[-1] == 30.0
-    assert held.events.of("leg")[-1][1:] == (30.0, "2 turn: 20 deg right, bank 20 deg, then held to 30 s")
+    assert held.events.select("leg")[-1][1:] == (30.0, "2 turn: 20 deg right, bank 20 deg, then held to 30 s")
     assert_allclose(turned(held)[-1], 105.0, atol=0.5)
     free = fly(plan(Straight(4.0), Turn(radians(20.0), radians(20.0))))
     assert 5.0 < free.t[-1] < 15.0
-    assert "held" not in free.events.of("leg")[-1][2]
+    assert "held" not in free.events.select("leg")[-1][2]
 
 
 def test_legs_that_need_longer_than_the_duration_say_how_long():

@@ -499,7 +499,7 @@ def test_estimators_align_say_so_and_are_silent_before(name, kind):
     solution = estimator.run(sensed.data, sensed.initial)
     silent = np.isnan(solution.lla).all(axis=1)
     if name != "gnss-only":
-        ((_, end, text),) = solution.events.of("alignment")
+        ((_, end, text),) = solution.events.select("alignment")
         assert end >= 9.9
         assert ("levelled" if kind == "level" else "course") in text
         np.testing.assert_array_equal(silent, solution.t < end - 1e-6)

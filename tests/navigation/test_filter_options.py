@@ -348,7 +348,7 @@ def test_a_gap_of_5_s_is_told_served_and_soon_over(truth):
         drawn = sensors.sense(truth, units(), 14, run)
         sound = Loose(covariance_hz=20.0).run(drawn.data, drawn.initial)
         solution = Loose(covariance_hz=20.0).run(with_gap(drawn.data, 40.0, 45.0), drawn.initial)
-        assert [text for *_, text in solution.events.of("timeline")] == ["imu: gap of 5 s"]
+        assert [text for *_, text in solution.events.select("timeline")] == ["imu: gap of 5 s"]
         inside = (solution.t > 40.05) & (solution.t < 44.95)
         assert np.isfinite(solution.lla[inside]).all()
         series = judge.error_series(truth, solution)

@@ -52,7 +52,7 @@ def test_the_compiled_filter_says_what_a_plain_one_without_those_updates_says(se
     assert np.sum(codes == 0) == len(data.fixes)
     assert np.sum(codes == 1) == len(data.fixes) - lacking
     assert f"gnss: {lacking} fixes without velocity" in [
-        text for _, _, text in solution.events.of("timeline")
+        text for _, _, text in solution.events.select("timeline")
     ]
 
 
@@ -66,7 +66,7 @@ def test_a_velocity_in_part_is_none_and_said(sensed):
         one, two = (load(name, {}).run(d, sensed.initial) for d in (data, other))
         np.testing.assert_array_equal(one.cov, two.cov)
         np.testing.assert_array_equal(one.vel_n, two.vel_n)
-        said = [text for _, _, text in one.events.of("timeline")]
+        said = [text for _, _, text in one.events.select("timeline")]
         assert said == ["gnss: 4 fixes without velocity, in 4 of them some components are not finite"]
 
 
@@ -131,7 +131,7 @@ def test_gnss_only_finds_its_velocity_by_itself_and_is_consistent():
         sd = np.sqrt(np.einsum("kii->ki", solution.cov)[:, 3:6])
         score = ((solution.vel_n - truth.vel_n[row]) / sd)[solution.t > 10.0]
         worst.append(np.mean(score**2))
-        assert solution.events.of("alignment")[0][2].startswith("position of the first fix")
+        assert solution.events.select("alignment")[0][2].startswith("position of the first fix")
     assert np.mean(worst) < 1.5  # Singer's 3 m/s^2 is more than this aircraft does
     assert np.mean(worst) > 0.02
 

@@ -228,7 +228,7 @@ def test_three_satellites_hold_the_position_three_times_better_than_none():
 
 
 def refused(solution, name):
-    return [(t, text) for t, _, text in solution.events.of("refused") if text.startswith(name)]
+    return [(t, text) for t, _, text in solution.events.select("refused") if text.startswith(name)]
 
 
 def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
@@ -240,7 +240,7 @@ def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
     data = replace(sensed.data, observations=shifted(o, rows, 100.0))
     solution = Tight(readmit_after=100).run(data, sensed.initial)
     assert refused(solution, names[sat]) == [(30.0, f"{names[sat]} range: 31 in a row refused")]
-    assert len(solution.events.of("refused")) == 1  # and no other with it
+    assert len(solution.events.select("refused")) == 1  # and no other with it
     sound = Tight(readmit_after=100).run(sensed.data, sensed.initial)
     assert np.abs(earth.difference_n(solution.lla[-1], sound.lla[-1])).max() < 2.0
 
@@ -286,7 +286,7 @@ def test_a_scripted_step_is_scored_as_detected_at_once(truth, sensed):
     assert found["fault_1_detected"] == 1.0
     assert found["fault_1_delay_s"] == pytest.approx(0.0, abs=1e-6)
     assert found["false_alarms_pseudorange"] == found["false_alarms_range_rate"] == 0.0
-    told = solution.events.of("refused")
+    told = solution.events.select("refused")
     assert [(t, end, text) for t, end, text in told] == [(30.0, 39.0, f"{name} range: 10 in a row refused")]
     started_between = scripted(truth, sensed, 100.0, 0.0, 30.25, 40.0)[0]
     assert started_between["fault_1_delay_s"] == pytest.approx(0.75, abs=1e-6)
@@ -308,7 +308,7 @@ def test_a_scripted_ramp_is_scored_with_its_delay_or_as_undetected(truth, sensed
             assert found["fault_1_detected"] == 1.0
             assert found["fault_1_delay_s"] == pytest.approx(beyond.min() - 30.0, abs=1e-6)
             assert 0.0 < found["fault_1_delay_s"] <= 5.0
-            assert solution.events.of("refused")[0][2].startswith(f"{name} range")
+            assert solution.events.select("refused")[0][2].startswith(f"{name} range")
         else:
             assert len(beyond) == 0
             assert found["fault_1_detected"] == 0.0
@@ -319,7 +319,7 @@ def test_satellites_that_are_not_finite_are_counted_and_left_out(sensed):
     o = sensed.data.observations
     bad = shifted(o, np.array([7, 60]), np.nan)
     solution = Tight().run(replace(sensed.data, observations=bad), sensed.initial)
-    assert [text for *_, text in solution.events.of("timeline")] == [
+    assert [text for *_, text in solution.events.select("timeline")] == [
         "satellites: 2 rows left out: not finite"
     ]
     assert np.isfinite(solution.cov).all()
@@ -356,7 +356,7 @@ def test_epochs_without_satellites_are_counted_and_carried_through(sensed):
     gone = (epoch >= 20) & (epoch < 26) | (epoch >= len(epoch) - 2)
     data = replace(sensed.data, observations=taken(o, ~gone[o.epoch]))
     solution = Tight().run(data, sensed.initial)
-    ((start, end, text),) = solution.events.of("timeline")
+    ((start, end, text),) = solution.events.select("timeline")
     assert text == "satellites: 8 epochs without satellites"
     assert start == o.t[o.epoch_start[19]]
     assert end == sensed.data.imu.t[-1]
@@ -369,7 +369,7 @@ def test_epochs_without_satellites_are_counted_and_carried_through(sensed):
 def test_fixes_without_satellites_are_told_not_used(truth):
     drawn = sensors.sense(truth, units(), 1, 0)
     solution = Tight().run(drawn.data, drawn.initial)
-    assert [text for *_, text in solution.events.of("aiding")] == [
+    assert [text for *_, text in solution.events.select("aiding")] == [
         "tight coupling: asked for, but the record holds nothing for it"
     ]
     assert "GNSS at all: tight coupling needs a receiver with [sky]" in Tight().unmodelled(drawn.data.specs)

@@ -40,7 +40,7 @@ def run(sensed, **changes):
 
 def left_out(solution):
     """What the events say, without times."""
-    return [text for _, _, text in solution.events.of("timeline")]
+    return [text for _, _, text in solution.events.select("timeline")]
 
 
 # --- aiding -------------------------------------------------------------------------------------------
@@ -100,7 +100,7 @@ def test_an_event_spans_the_rows_it_counts(sensed):
     valid = fixes.valid.copy()
     valid[[3, 4, 11]] = False
     fixes = type(fixes)(**{f.name: getattr(fixes, f.name) for f in fields(fixes)} | {"valid": valid})
-    (event,) = run(sensed, fixes=fixes).events.of("timeline")
+    (event,) = run(sensed, fixes=fixes).events.select("timeline")
     assert event == (4.0, 12.0, "gnss: 3 rows left out: flagged or not finite")
 
 
@@ -189,7 +189,7 @@ def test_a_missing_imu_row_is_a_gap_over_which_the_rates_before_it_are_held(sens
     keep = np.delete(np.arange(len(sensed.data.imu)), 1000)
     solution = run(sensed, imu=take(sensed.data.imu, keep))
     assert left_out(solution) == ["imu: gap of 0.005 s"]
-    (gap,) = solution.events.of("timeline")
+    (gap,) = solution.events.select("timeline")
     assert_allclose(gap[:2], [sensed.data.imu.t[999], sensed.data.imu.t[1001]])
     early = sound.t < 5.0
     assert_array_equal(solution.lla[early], sound.lla[early])

@@ -617,7 +617,7 @@ def test_42_barometer_and_gnss_watch_each_other(minutes, sound):
     data = faulted(sensed.data, "baro", alt_baro=baro.alt_baro + np.where(baro.t >= 59.5, 100.0, 0.0))
     jumped = Classic22().run(data, sensed.initial)
     assert not [text for text in sound.events.text if "differ" in text]
-    seen = [t for t, _, text in jumped.events.of("integrity") if "height differ" in text]
+    seen = [t for t, _, text in jumped.events.select("integrity") if "height differ" in text]
     assert seen[0] == pytest.approx(60.0, abs=0.5)
     ratio = max(float(text.split()[-2]) for text in jumped.events.text if "differ" in text)
     wide = Classic22(monitor_sigmas=ratio + 1.0).run(data, sensed.initial)

@@ -141,7 +141,7 @@ def test_outside_its_interval_and_its_sensor_no_bit_changes(turn, plain, level, 
             changed |= pickle.dumps(after) != pickle.dumps(before)
     assert changed
     assert pickle.dumps(faulty.initial) == pickle.dumps(clean.initial)
-    assert faulty.events.of("fault") == [(START, END, fault.text)]
+    assert faulty.events.select("fault") == [(START, END, fault.text)]
 
 
 INSTRUMENTS = ("baro", "mag", "airspeed")
@@ -311,7 +311,7 @@ def test_a_bias_step_is_in_every_sample_to_the_least_bit(turn, plain):
 def test_beyond_its_range_a_sample_is_clipped_and_flagged(turn):
     imu = replace(IMU, gyro=replace(TRIAD, range=1.0))
     record = sensed(turn, POSITION).data.imu
-    faulty = faults.imu(record, imu, [script("gyro-step", step_deg_h=[5e5, 0.0, 0.0])], 1, 0)
+    faulty = faults.apply_to_imu(record, imu, [script("gyro-step", step_deg_h=[5e5, 0.0, 0.0])], 1, 0)
     rows = inside(record)
     assert not faulty.valid[rows].any()
     assert faulty.valid[~rows].all()

@@ -276,19 +276,19 @@ def day():
 
 def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
-    from bench.sensors.view import view
+    from bench.sensors.view import compute_view
     from bench.specs import SkySpec
 
     rows = np.arange(1, len(day.t))
     names = [f for f in SkySpec.__slots__ if f not in ("gps", "glonass", "klobuchar", "systems")]
     sky = SkySpec(**dict.fromkeys(names, 0.0), gps=None, glonass=None, klobuchar=(0.0,) * 8, systems="gps")
     sky = replace(sky, elevation_mask=np.deg2rad(5.0), antenna_mask=-np.pi / 2)
-    seen = view(day, rows, sky, (0.0, 0.0, 0.0), lambda system, sat: np.empty((0, len(sat))))
+    seen = compute_view(day, rows, sky, (0.0, 0.0, 0.0), lambda system, sat: np.empty((0, len(sat))))
     up = np.zeros((len(rows), 24), bool)
     gps = seen.system[seen.which] == 0
     up[seen.epoch[gps], seen.sat[seen.which[gps]] - 1] = True
     expected = (up[1:] != up[:-1]).any(axis=1)
-    changed = gnss.constellation_changes(day.t[rows], day.lla[rows])
+    changed = gnss.find_constellation_changes(day.t[rows], day.lla[rows])
     assert not changed[0]
     assert 60 < expected.sum() < 150
     assert abs(changed[1:].sum() - expected.sum()) <= 1
@@ -298,7 +298,7 @@ def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
 def test_jumps_at_constellation_changes_have_their_rms(day):
     """#22: sqrt(sigma_dc^2 + sigma_ds^2) within 5 % over more than 1000 events; in between nothing jumps."""
     spec = replace(SILENT, rate=0.1, pos_decay_time=5e-4, vel_decay_time=0.01, **JUMPS)
-    at = np.flatnonzero(gnss.constellation_changes(day.t[1:], day.lla[1:]))
+    at = np.flatnonzero(gnss.find_constellation_changes(day.t[1:], day.lla[1:]))
     kept = np.exp(-np.array([5e-4, 0.01]) * 10.0)
     found = [[], []]
     for run in range(16):

@@ -223,7 +223,7 @@ def test_analytic_allan_curve_is_that_of_the_autocovariance():
 
 def test_gauss_markov_curve_peaks_at_the_bias_instability():
     spec = TriadSpec(bias_instability=3.0, bias_correlation=7.0, bias_model="gauss-markov")
-    correlation, sd = processes.bias_stages(spec)
+    correlation, sd = processes.choose_bias_stages(spec)
     tau = np.geomspace(0.7, 70.0, 2001)
     curve = allan.gauss_markov(tau, sd[0], correlation[0])
     assert_allclose(curve.max(), 3.0, rtol=1e-3)
@@ -233,7 +233,7 @@ def test_gauss_markov_curve_peaks_at_the_bias_instability():
 def test_flicker_curve_is_flat_at_the_bias_instability():
     """Within 5 % from 0.1 to 10 correlation times, and no more than that beyond."""
     spec = TriadSpec(bias_instability=3.0, bias_correlation=7.0)
-    correlation, sd = processes.bias_stages(spec)
+    correlation, sd = processes.choose_bias_stages(spec)
     tau = 7.0 * np.geomspace(0.1, 10.0, 2001)
     curve = np.sqrt(sum(allan.gauss_markov(tau, s, c) ** 2 for s, c in zip(sd, correlation, strict=True)))
     assert np.abs(curve / 3.0 - 1).max() < 0.05
@@ -328,4 +328,4 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     noise = rng.normal(size=(50, 2, 3))
     plain = np.zeros((50, 3))
     processes._gauss_markov_kernel.py_func(decay, sd, noise, plain)
-    assert_allclose(processes.gauss_markov(decay, sd, noise), plain, rtol=0, atol=1e-13)
+    assert_allclose(processes.simulate_gauss_markov(decay, sd, noise), plain, rtol=0, atol=1e-13)

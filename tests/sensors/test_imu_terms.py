@@ -433,7 +433,7 @@ def test_gusts_shake_the_structure_at_its_mode_in_proportion():
     spec = VibrationSpec(gust_gyro=0.01, gust_accel=0.5, mode_frequency=30.0, mode_damping=0.05)
     zero = np.zeros((200_000, 3))
     truth = made(zero, zero, 1000.0, weather(200.0, wind=gusty))
-    assert_allclose(np.sqrt(np.mean(vibration.gust_rms(truth.air) ** 2)), 2.0, rtol=0.02)
+    assert_allclose(np.sqrt(np.mean(vibration.compute_gust_rms(truth.air) ** 2)), 2.0, rtol=0.02)
     record = run(truth, vibration=spec)[0]
     # 200 s of a 3 Hz wide band hold about 2 pi 0.05 30 200 = 1900 independent values of the square
     low, high = band(1900)
@@ -489,15 +489,15 @@ def test_compiled_kernels_agree_with_their_own_python():
     n = 60
     t, x, v = np.arange(n + 1) / 100.0, rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
     three, nine, values = rng.normal(size=3), rng.normal(size=(3, 3)), rng.normal(size=n + 1)
-    step = imu_terms.oscillator(30.0, 0.7, 0.01)
+    step = imu_terms.compute_oscillator_step(30.0, 0.7, 0.01)
     coarse = np.linspace(0.0, 0.5, 8)
     for kernel, arguments, out in [
         (imu_terms._along_kernel, (x, v, np.diff(t), nine, nine), np.empty((n, 3))),
         (imu_terms._response_kernel, (x, 2.3, 30.0, step, 0.01, 0.05, False), np.empty((n, 3))),
-        (imu_terms._following_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
+        (imu_terms._motion_errors_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
         (processes.lag_kernel, (t, values, 1.0, 0.2), np.empty(n + 1)),
-        (imu_terms._turned_kernel, (nine, x), np.empty((n, 3))),
-        (vibration._resampled_kernel, (t, coarse, values[:8]), np.empty(n + 1)),
+        (imu_terms._rotate_rows_kernel, (nine, x), np.empty((n, 3))),
+        (vibration._interpolate_kernel, (t, coarse, values[:8]), np.empty(n + 1)),
         (vibration._mode_kernel, (step, step, 0.1, rng.normal(size=(n + 1, 2))), np.empty(n + 1)),
         (
             vibration._shake_kernel,

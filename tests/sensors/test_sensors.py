@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import earth, rotation
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
 from bench.sensors import initial, sense
-from bench.sensors.timing import output_times
+from bench.sensors.timing import select_output_times
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec, stream
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -123,7 +123,7 @@ def test_an_estimator_gets_the_believed_specs_the_lever_arm_and_the_outage_only_
     sensed = sense(turn, SPEC, 1, 0)
     assert sensed.data.specs is SPEC.assumed
     assert_array_equal(sensed.data.antenna_b, [0.5, 0.1, -0.3])
-    assert sensed.events.of("gnss_outage") == [(20.0, 30.0, "GNSS outage")]
+    assert sensed.events.select("gnss_outage") == [(20.0, 30.0, "GNSS outage")]
     assert_array_equal(np.round(sensed.data.fixes.t[18:21]), [19, 30, 31])
 
 
@@ -134,11 +134,11 @@ def test_the_reported_baro_bias_is_on_the_times_of_the_imu_biases(turn):
 
 
 def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
-    t = output_times(turn.t, 10.0, ((20.0, 30.0), (40.05, 40.06), (55.0, 80.0)))
+    t = select_output_times(turn.t, 10.0, ((20.0, 30.0), (40.05, 40.06), (55.0, 80.0)))
     extra = [29.995, 40.05, 40.055]
     assert_allclose(t, np.sort(np.concatenate([np.arange(601) / 10, extra])), atol=1e-9)
     assert np.isin(t, turn.t).all()
-    coarse = output_times(turn.t, 0.71, ())
+    coarse = select_output_times(turn.t, 0.71, ())
     assert coarse[0] == turn.t[0]
     assert coarse[-1] == turn.t[-1]
     assert_allclose(coarse[1:-1], np.arange(1, 43) / 0.71, atol=0.0025 + 1e-9)
@@ -147,7 +147,7 @@ def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
 def test_the_initial_error_follows_the_conventions(turn):
     """estimate = truth + error; C_est = exp([phi x]) C_true; the sds are those of the covariance."""
     sd = np.array([3.0, 4.0, 5.0, 0.1, 0.2, 0.3, 0.01, 0.01, 0.05])
-    state = initial.draw(turn, SPEC, 7, 3)
+    state = initial.draw_initial_state(turn, SPEC, 7, 3)
     error = sd * stream(7, 3, "initial").standard_normal(9)
     assert state.t == turn.t[0]
     assert state.alignment == "given"
@@ -172,7 +172,7 @@ def test_the_initial_error_follows_the_conventions(turn):
 )
 def test_doubling_an_initial_sd_doubles_that_error_alone(turn, figure, columns):
     def error(spec):
-        state = initial.draw(turn, spec, 1, 0)
+        state = initial.draw_initial_state(turn, spec, 1, 0)
         phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(turn.q_nb[0])))
         pos_n = earth.difference_n(state.lla, turn.lla[0])
         return np.concatenate([pos_n, state.vel_n - turn.vel_n[0], phi_n])
@@ -189,7 +189,7 @@ def test_initial_errors_fill_their_covariance():
     truth = still(1.0, 10.0)
     ratios = []
     for run in range(400):
-        state = initial.draw(truth, SPEC, 1, run)
+        state = initial.draw_initial_state(truth, SPEC, 1, run)
         phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(truth.q_nb[0])))
         pos_n = earth.difference_n(state.lla, truth.lla[0])
         error = np.concatenate([pos_n, state.vel_n, phi_n])

@@ -54,7 +54,7 @@ def measure(truth, what, antenna_b=LEVER, outages=(), seed=1, run=0, rate=1.0):
 def exact(truth, fixes, antenna_b=LEVER):
     """Position and velocity error of fixes [m, m/s], n."""
     rows = np.searchsorted(truth.t, fixes.t - 1e-6)
-    lla, vel_n = gnss.antenna(truth, rows, antenna_b)
+    lla, vel_n = gnss.compute_antenna_motion(truth, rows, antenna_b)
     return earth.difference_n(fixes.lla, lla), fixes.vel_n - vel_n
 
 
@@ -84,7 +84,7 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
     """Range by an iteration that turns vectors, delays by their public functions (B-12)."""
     o = measure(turn, QUIET).observations
     rows = np.searchsorted(turn.t, o.t - 1e-6)
-    lla, _ = gnss.antenna(turn, rows, LEVER)
+    lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER)
     here = earth.to_ecef(lla)
     sets = [orbits.nominal_gps(), orbits.nominal_glonass()]
     for k in range(0, len(o), 37):
@@ -129,7 +129,7 @@ def test_a_bank_loses_the_satellites_geometry_says():
     kept, lost = [], []
     seen, left = (measure(truth, what).observations for truth in (level, banked))
     final = seen.t == seen.t[-1]
-    here = earth.to_ecef(gnss.antenna(level, np.array([20]), LEVER)[0][0])
+    here = earth.to_ecef(gnss.compute_antenna_motion(level, np.array([20]), LEVER)[0][0])
     for system, sat, pos in zip(seen.system[final], seen.sat[final], seen.sat_pos_e[final], strict=True):
         _, e, d = earth.matrix_en(*ORIGIN[:2]).T @ (pos - here)
         above = e * np.sin(np.deg2rad(45.0)) - d * np.cos(np.deg2rad(45.0))  # along the antenna's axis
@@ -260,7 +260,7 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
     rows = np.arange(1, 20001)
     for h_0, h_m2, tau in ((2e-19, 0.0, 1), (2e-19, 0.0, 16), (0.0, 2e-20, 4), (0.0, 2e-20, 16)):
         what = replace(QUIET, clock_h_0=h_0, clock_h_m2=h_m2)
-        offset, _ = clock.receiver_clock(truth, rows, what, 1, 0)
+        offset, _ = clock.simulate_receiver_clock(truth, rows, what, 1, 0)
         x = offset / orbits.C
         second = x[2 * tau :: tau] - 2 * x[tau:-tau:tau] + x[: -2 * tau : tau]
         variance = np.mean(second**2) / (2 * tau**2)
@@ -268,7 +268,8 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
         spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbours of second differences are correlated
         assert abs(variance / expected - 1) < spread
     one, two = (
-        clock.receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0] for h in (2e-19, 8e-20)
+        clock.simulate_receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0]
+        for h in (2e-19, 8e-20)
     )
     assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
 
@@ -283,9 +284,9 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
 
     h_m1, truth, rows = 7e-21, still(20000.0, 1.0, attitude=(0.0, 0.0, 0.0)), np.arange(1, 20001)
     what = replace(QUIET, clock_h_m1=h_m1)
-    runs = [clock.receiver_clock(truth, rows, what, 1, run) for run in range(24)]
+    runs = [clock.simulate_receiver_clock(truth, rows, what, 1, run) for run in range(24)]
     taus = np.geomspace(0.1, 1e4, 41)
-    stages = zip(clock._stage_sd(), clock._STAGES, strict=True)
+    stages = zip(clock._fit_stage_sd(), clock._STAGES, strict=True)
     flat = np.sqrt(sum(allan.gauss_markov(taus, sd, c) ** 2 for sd, c in stages))
     assert np.abs(flat - 1).max() < 0.02
     for tau in 2 ** np.arange(11):
@@ -309,7 +310,7 @@ def test_the_flicker_does_not_depend_on_the_step():
     h_m1 = 7e-21
     for rate, count in ((1.0, 20000), (10.0, 200000)):
         truth = still(20000.0, rate, attitude=(0.0, 0.0, 0.0))
-        offset, _ = clock.receiver_clock(
+        offset, _ = clock.simulate_receiver_clock(
             truth, np.arange(1, count + 1), replace(QUIET, clock_h_m1=h_m1), 1, 0
         )
         x = offset[:: int(rate)] / orbits.C
@@ -321,7 +322,7 @@ def test_specific_force_bends_the_clock(turn):
     """0.5 ppb/g in a turn of 1.26 g along down: drift c y, and the offset is its integral."""
     what = replace(QUIET, clock_g=0.5e-9 / 9.80665)
     rows = np.arange(0, 2401, 20)[1:]
-    offset, drift = clock.receiver_clock(turn, rows, what, 1, 0)
+    offset, drift = clock.simulate_receiver_clock(turn, rows, what, 1, 0)
     f_down = turn.dvel_b[0, 2] * 20.0
     assert f_down < -9.9
     assert_allclose(drift, orbits.C * what.clock_g * f_down, rtol=1e-9)
@@ -388,7 +389,7 @@ def test_the_prediction_does_not_change_the_fix(turn):
     """From the sensor's own prediction or from the centre of the Earth: within 2 cm, as the delays are
     those of the prediction or of the receiver's own height, metres away."""
     found = measure(turn, FULL)
-    again = receiver.solve(found.observations, sky.processing(FULL))
+    again = receiver.solve(found.observations, sky.make_processing(FULL))
     assert np.abs(earth.difference_n(again.fixes.lla, found.fixes.lla)).max() < 0.02
     assert_array_equal(again.used, found.solution.used)
 
@@ -485,7 +486,9 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     solution = Loose().run(sensed.data, sensed.initial)
     errors, _ = pipeline.judge(replace(profile, evaluation_from=20.0), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
-    store.results._save_observations(tmp_path / store.results.OBSERVATIONS, sensed.data.observations)
+    facts = store.results._describe_record(sensed.data.observations, sensed.data)
+    path = tmp_path / store.results.OBSERVATIONS
+    store.results.parquet.write(path, sensed.data.observations, **facts)
     back = store.load_observations(tmp_path)
     for name in GnssObservations.__slots__:
         assert_array_equal(getattr(back, name), getattr(sensed.data.observations, name), err_msg=name)

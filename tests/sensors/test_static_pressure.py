@@ -178,7 +178,7 @@ def test_what_it_claims_of_itself_and_when():
 
 
 def test_without_air_or_without_a_physical_part_it_is_refused():
-    with pytest.raises(ValueError, match="says nothing of the air"):
+    with pytest.raises(ValueError, match="has no air data"):
         read(replace(level(), air=no_air()))
     with pytest.raises(ValueError, match="has no physical part"):
         read(level(), None)

@@ -126,7 +126,7 @@ def test_the_spread_of_the_estimate_is_that_of_its_degrees_of_freedom():
     decay = np.exp(-np.full((n, 1), 1.0) / 30.0)
     values = []
     for _ in range(count // 3 + 1):
-        rate = processes.gauss_markov(decay, np.ones(1), rng.normal(size=(n + 1, 1, 3)))
+        rate = processes.simulate_gauss_markov(decay, np.ones(1), rng.normal(size=(n + 1, 1, 3)))
         angle = 0.5 * (rate[1:] + rate[:-1])
         values += list(allan.overlapping(angle, 1.0, [m])[0] ** 2)
     edf = allan.degrees_of_freedom(allan.markov(1.0, 30.0), n, 1.0, m)
@@ -197,7 +197,7 @@ def test_a_wrong_figure_is_seen(figure, factor):
         triad = getattr(FULL, name)
         claimed = replace(FULL, **{name: replace(triad, **{figure: factor * getattr(triad, figure)})})
         measured = next(curve for curve in measure_model(FULL, 3) if curve.triad == name)
-        terms = processes.noise_terms(getattr(claimed, name))
+        terms = processes.make_noise_terms(getattr(claimed, name))
         expected = allan.deviation(allan.total(*terms.values()), measured.tau)
         low, high = (
             expected * np.sqrt(2 * gammaincinv(measured.edf / 2, tail) / measured.edf)

@@ -379,7 +379,7 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     solution = estimator.answer(
         estimator.load("loose-15", {}), "x", session.make_data(keep, session.make_output_times()), initial
     )
-    ((_, end, _),) = solution.events.of("alignment")
+    ((_, end, _),) = solution.events.select("alignment")
     k = int(np.searchsorted(solution.t, end))
     at = int(np.searchsorted(flown.t, solution.t[k] + recorded.origin - 1e-6))
     off = rotation.to_rotvec(rotation.multiply(solution.q_nb[k], rotation.conjugate(flown.q_nb[at])))
@@ -406,7 +406,7 @@ def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, caps
         assert 2.0 < metrics["nees_mean"] < 4.0
         assert "vel_rmse_3d_mps" not in metrics
         assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
-    events = store.load(tmp_path / "out").solutions["loose-15"].events.of("timeline")
+    events = store.load(tmp_path / "out").solutions["loose-15"].events.select("timeline")
     assert sum("fixes without velocity" in text for _, _, text in events) == 1
 
 

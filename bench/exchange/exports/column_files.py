@@ -19,7 +19,7 @@ _WHAT = {
     "imu": "what the IMU reports: increments over the interval of length dt_s that ends at t_s, not rates",
     "gnss": "fixes of the GNSS antenna; t_s is their validity, t_arrival_s when they reach the filter",
     "observations": "what the receiver measures of each satellite, a row per satellite and epoch",
-    **{name: row.says for name, row in INSTRUMENTS.items()},
+    **{name: row.contents for name, row in INSTRUMENTS.items()},
     "truth": "the true motion of the IMU",
 }
 
