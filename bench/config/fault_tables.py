@@ -342,8 +342,8 @@ def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
     if names and isinstance(unit, GnssSpec) and unit.sky is not None:
         from bench.signals import orbits
 
-        gps = orbits.nominal_gps() if unit.sky.gps is None else unit.sky.gps
-        glonass = orbits.nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
+        gps = orbits.make_nominal_gps() if unit.sky.gps is None else unit.sky.gps
+        glonass = orbits.make_nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
         numbers = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
         for name in names:
             system, number = parse_satellite(name)

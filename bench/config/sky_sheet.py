@@ -132,14 +132,14 @@ def _read_satellites(
 
     if table.almanac is not None:
         path = beside / table.almanac
-        sets = almanac.read_yuma(path, midnight, table.almanac).since(midnight)
+        sets = almanac.read_yuma(path, midnight, table.almanac).shift_origin(midnight)
         if abs(sets.t - of_day).min() > 90 * _DAY:
             raise ConfigError(f"{table.almanac}: is more than 90 days from start = {table.start}")
         return sets, None, None
     if not table.navigation:
         return None, None, None
     files = rinex.merge_navigation([rinex.read_navigation(beside / f, f) for f in table.navigation])
-    gps, glonass = files.kepler.since(midnight), files.glonass.since(midnight)
+    gps, glonass = files.kepler.shift_origin(midnight), files.glonass.shift_origin(midnight)
     for system, name, t, oldest in (
         ("gps", "GPS", gps.t, _GPS_STALE),
         ("glonass", "GLONASS", glonass.t, _GLONASS_STALE),

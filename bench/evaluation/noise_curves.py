@@ -85,7 +85,7 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
     }
     for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
         record, _ = imu.measure(_make_resting_truth(rate, length), resting, seed, 0)
-        spans = allan.octaves(len(record), INDEPENDENT)
+        spans = allan.make_octaves(len(record), INDEPENDENT)
         spans = spans[(spans / rate >= first) & (spans / rate < last)]
         for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):
             if name in found:
@@ -130,18 +130,18 @@ def _measure_curve(
 
     ``step`` is the interval between the instants of the simulated biases [s].
     """
-    by_axis = allan.overlapping(increments, interval, spans)
+    by_axis = allan.measure_deviation(increments, interval, spans)
     measured: FloatArray = np.sqrt(np.mean(by_axis**2, axis=1))
     tau = np.multiply(spans, interval, dtype=float)
     terms = make_noise_terms(triad, step) if triad is not None else {}
-    process = allan.total(*terms.values()) if terms else allan.white(1.0)
+    process = allan.add_processes(*terms.values()) if terms else allan.white(1.0)
     axes = increments.shape[1]
     one_axis = [allan.degrees_of_freedom(process, len(increments), interval, int(m)) for m in spans]
     edf: FloatArray = axes * np.array(one_axis)
-    expected = allan.deviation(process, tau) if terms else np.full(len(tau), np.nan)
+    expected = allan.expected_deviation(process, tau) if terms else np.full(len(tau), np.nan)
     centre = expected if terms else measured
     low, high = centre * _ratio_quantile(edf, _TAIL), centre * _ratio_quantile(edf, 1 - _TAIL)
-    by_term = {key: allan.deviation(term, tau) for key, term in terms.items()}
+    by_term = {key: allan.expected_deviation(term, tau) for key, term in terms.items()}
     return AllanCurve(name, tau, measured, edf, low, high, expected, by_term)
 
 
@@ -174,7 +174,7 @@ def measure_record(t: FloatArray, triads: Mapping[str, FloatArray], spec: ImuSpe
         The datasheet.
     """
     interval = (t[-1] - t[0]) / (len(t) - 1)
-    spans = allan.octaves(len(t), INDEPENDENT)
+    spans = allan.make_octaves(len(t), INDEPENDENT)
     return [
         _measure_curve(name, rates * interval, interval, spans, getattr(spec, name) if spec else None)
         for name, rates in triads.items()

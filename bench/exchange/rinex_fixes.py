@@ -37,7 +37,7 @@ class RinexFixes:
     """An observation file, its fixes, and the dilution of precision of the satellites used."""
 
     observations: ObservationFile
-    solution: receiver.Solution
+    solution: receiver.ReceiverSolution
     dop: least_squares.Dop
 
     @property
@@ -141,7 +141,7 @@ def solve_rinex(
         raise ConfigError(
             f"{nav.shown}: gives no ionosphere parameters; use --ionosphere free or --without ionosphere"
         )
-    seen = receiver.observe(
+    seen = receiver.make_observations(
         t=raw.t,
         epoch_start=raw.epoch_start,
         sat=raw.sat,
@@ -149,8 +149,8 @@ def solve_rinex(
         pseudorange=raw.pseudorange,
         doppler=raw.doppler,
         cn0=raw.cn0,
-        kepler=nav.kepler.since(raw.origin),
-        glonass=nav.glonass.since(raw.origin),
+        kepler=nav.kepler.shift_origin(raw.origin),
+        glonass=nav.glonass.shift_origin(raw.origin),
         klobuchar=model,
         processing=processing,
     )
@@ -159,8 +159,8 @@ def solve_rinex(
             f"{nav.shown}: its ephemerides, {_format_days(nav)}, serve no satellite of {raw.shown}, "
             f"{_format_day(raw.origin + raw.t[0])} to {_format_day(raw.origin + raw.t[-1])}"
         )
-    solution = receiver.solve(seen, processing)
-    dop = least_squares.dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
+    solution = receiver.solve_fixes(seen, processing)
+    dop = least_squares.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     return RinexFixes(raw, solution, dop)
 
 

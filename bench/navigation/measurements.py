@@ -129,7 +129,7 @@ def airspeed_variance(record: AirspeedData, airspeed: AirspeedSpec, height: floa
     The zero of the pressure counts as a speed in the standard air at a ``height`` [m]: that of the start.
     """
     zero = replace(airspeed, white_sd=0.0, pressure_white_sd=airspeed.pressure_bias_sd)
-    pressure, temperature, _ = air.standard(height)
+    pressure, temperature, _ = air.standard_atmosphere(height)
     shifted = air.airspeed_sd(zero, record.airspeed_true, pressure, temperature)
     scale = airspeed.scale_factor_sd * record.airspeed_true
     variance: FloatArray = (record.sd**2 + airspeed.bias_sd**2 + shifted**2 + scale**2)[:, None]

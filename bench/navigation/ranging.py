@@ -86,7 +86,9 @@ def usable(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, Floa
     """
     free = spec is not None and spec.sky is not None and spec.sky.bands == 2
     processing = receiver.Processing(ionosphere="free" if free else "klobuchar")
-    values = np.column_stack([receiver.corrected(o, processing), o.range_rate[:, 0] + o.sat_clock_rate])
+    values = np.column_stack(
+        [receiver.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
+    )
     return values, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2
 
 

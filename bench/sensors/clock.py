@@ -21,7 +21,7 @@ _FLAT = (0.1, 1e4)  # averaging times over which the Allan deviation of their su
 def _fit_stage_sd() -> FloatArray:
     """Fit the sds of the stages so that their sum has an Allan deviation of 1 (least squares)."""
     tau = np.geomspace(*_FLAT, 161)
-    curves = np.column_stack([allan.gauss_markov(tau, 1.0, c) ** 2 for c in _STAGES])
+    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in _STAGES])
     sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0])
     return sd
 

@@ -178,12 +178,12 @@ def find_constellation_changes(t: FloatArray, lla: FloatArray) -> BoolArray:
     """
     from bench.signals import orbits
 
-    sets = orbits.nominal_gps()
+    sets = orbits.make_nominal_gps()
     pos_e = earth.to_ecef(lla)
     up_e = -earth.matrix_en(lla[:, 0], lla[:, 1])[:, :, 2]
     changed = np.zeros(len(t), bool)
     for satellite in range(len(sets)):
-        away = orbits.states(sets, np.full(len(t), satellite), t).pos_e - pos_e
+        away = orbits.compute_states(sets, np.full(len(t), satellite), t).pos_e - pos_e
         up = np.einsum("mi,mi->m", away, up_e) > np.sin(_MASK) * np.linalg.norm(away, axis=1)
         changed[1:] |= up[1:] != up[:-1]
     return changed

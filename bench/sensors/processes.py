@@ -55,7 +55,7 @@ def simulate_gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) 
 def _fit_flicker_sd() -> FloatArray:
     """Fit the sds of the stages so that their sum has an Allan variance of 1 (least squares)."""
     tau = np.geomspace(0.1, 10.0, 81)
-    curves = np.column_stack([allan.gauss_markov(tau, 1.0, c) ** 2 for c in _FLICKER_STAGES])
+    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in _FLICKER_STAGES])
     variance = np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0]
     sd: FloatArray = np.sqrt(variance)
     return sd
@@ -114,7 +114,7 @@ def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Cov
         terms["white noise"] = allan.white(triad.random_walk)
     if triad.bias_instability > 0:
         stages = [allan.markov(s, c, step) for c, s in zip(*choose_bias_stages(triad), strict=True)]
-        terms["bias instability"] = allan.total(*stages)
+        terms["bias instability"] = allan.add_processes(*stages)
     if triad.rate_random_walk > 0:
         terms["rate random walk"] = allan.rate_walk(triad.rate_random_walk, step)
     return terms

@@ -36,7 +36,7 @@ class Sky(NamedTuple):
 
     observations: GnssObservations
     fixes: GnssFixes
-    solution: receiver.Solution  # a row per epoch with satellites, unsolved epochs included
+    solution: receiver.ReceiverSolution  # a row per epoch with satellites, unsolved epochs included
     above: SkyView
 
 
@@ -163,12 +163,12 @@ def measure(
         )
     v = everything.select_received()
     start = np.searchsorted(v.epoch, np.arange(len(t) + 1))
-    seen = receiver.look(
+    seen = receiver.compute_look(
         v.pos_e,
         epoch_start=start,
         t=t[v.epoch] + sky.gps_t0,
         sat_pos_e=np.ascontiguousarray(v.sat_pos_e),
-        frequency=orbits.frequencies(v.system[v.which], v.channel[v.which])[:, 0].copy(),
+        frequency=orbits.carrier_frequencies(v.system[v.which], v.channel[v.which])[:, 0].copy(),
         klobuchar=np.array(sky.klobuchar),
     )
     clock, drift = simulate_receiver_clock(truth, rows, sky, seed, run)
@@ -181,7 +181,7 @@ def measure(
     if not np.array_equal(content, np.arange(len(t))) or late.any():
         observations, seen = _select_epochs(observations, seen, content, t[tag], t[tag] + spec.latency + late)
     # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
-    solution = receiver.solve(observations, make_processing(sky), near=seen)
+    solution = receiver.solve_fixes(observations, make_processing(sky), near=seen)
     solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
     columns = {name: getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__}
     for name in ("cov_pos_n", "cov_vel_n"):
@@ -276,7 +276,7 @@ def _make_observations(
     epoch, which = v.epoch, v.which
     count, bands = len(epoch), sky.bands
     row_system, row_sat = v.system[which], v.sat[which]
-    frequency = orbits.frequencies(row_system, v.channel[which])[:, :bands]
+    frequency = orbits.carrier_frequencies(row_system, v.channel[which])[:, :bands]
     geometric, rate, cn0 = v.distance, v.rate, v.cn0
     el = seen.el
     obliquity, mapping = np.empty(count), np.empty(count)
@@ -337,7 +337,7 @@ def _make_observations(
         second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
     )
     mode = make_processing(sky).ionosphere
-    assumed = receiver.spread(el, row_system, frequency[:, 0].copy(), tracking[0], budget, mode)
+    assumed = receiver.pseudorange_sd(el, row_system, frequency[:, 0].copy(), tracking[0], budget, mode)
     return GnssObservations(
         t=t[epoch],
         t_arrival=t[epoch] + latency,

@@ -117,8 +117,8 @@ def compute_port_pressure(
     nearest = np.clip(np.searchsorted(truth.t, around.t - 1e-6), 0, len(truth.t) - 1)
     pressure, temperature = around.pressure, around.temperature + warmer
     if warmer:
-        height = air.geopotential(truth.lla[nearest, 2])
-        pressure = pressure * air.standard(height, warmer)[0] / air.standard(height)[0]
+        height = air.to_geopotential(truth.lla[nearest, 2])
+        pressure = pressure * air.standard_atmosphere(height, warmer)[0] / air.standard_atmosphere(height)[0]
     if any(static_port_b):
         below = rotation.rotate(truth.q_nb[nearest], np.array(static_port_b))[:, 2]
         pressure = pressure * np.exp(STANDARD_GRAVITY * below / (air.GAS_CONSTANT * temperature))

@@ -218,11 +218,11 @@ def compute_view(
 
 def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
     """Return number, system and frequency channel (S,) of all satellites, and their track over times t."""
-    gps = orbits.nominal_gps() if sky.gps is None else sky.gps
-    glonass = orbits.nominal_glonass() if sky.glonass is None else sky.glonass
+    gps = orbits.make_nominal_gps() if sky.gps is None else sky.gps
+    glonass = orbits.make_nominal_glonass() if sky.glonass is None else sky.glonass
     first, last = t[0] + sky.gps_t0 - 1.0, t[-1] + sky.gps_t0
-    gps_sat, gps_track = orbits.track(gps, first, last)
-    glonass_sat, glonass_track = orbits.track(glonass, first, last)
+    gps_sat, gps_track = orbits.fit_track(gps, first, last)
+    glonass_sat, glonass_track = orbits.fit_track(glonass, first, last)
     if isinstance(glonass, orbits.GlonassSets):
         channel = np.array([glonass.channel[np.argmax(glonass.sat == s)] for s in glonass_sat], np.int64)
     else:  # antipodal satellites share a channel; four pairs to a plane of eight

@@ -1,6 +1,6 @@
-"""The standard atmosphere, and what a static port and a pitot tube feel in it.
+"""The standard atmosphere, pressure altitude and airspeed.
 
-ISO 2533 with its constants, up to 32 km; air data by the isentropic relations of a perfect gas below the
+ISO 2533 with its constants, up to 32 km; airspeed by the isentropic relations of a perfect gas below the
 speed of sound.
 """
 
@@ -17,20 +17,22 @@ SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
 SEA_LEVEL_TEMPERATURE = 288.15  # [K]
 GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 GAMMA = 1.4  # ratio of specific heats of air [1]
-_RADIUS = 6356766.0  # of the Earth, that makes geometric of geopotential height [m]
-_BOTTOM = (0.0, 11000.0, 20000.0)  # geopotential, of the layers [m]
-_LAPSE = (-0.0065, 0.0, 0.001)  # gradient in each layer [K/m]
-_TOP = 32000.0
+_RADIUS = 6356766.0  # of the Earth, to convert between geometric and geopotential height [m]
+_BOTTOM = (0.0, 11000.0, 20000.0)  # bottom of each layer, geopotential height [m]
+_LAPSE = (-0.0065, 0.0, 0.001)  # temperature gradient in each layer [K/m]
+_TOP = 32000.0  # [m]
 
 
-def geopotential(alt: ArrayLike) -> FloatArray:
+def to_geopotential(alt: ArrayLike) -> FloatArray:
     """Return the geopotential height [m] of a geometric height [m]."""
     geometric: FloatArray = np.asarray(alt, float)
     height: FloatArray = geometric * _RADIUS / (geometric + _RADIUS)
     return height
 
 
-def standard(height: ArrayLike, deviation: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+def standard_atmosphere(
+    height: ArrayLike, deviation: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pressure [Pa], temperature [K] and density [kg/m^3] of the atmosphere.
 
     Parameters
@@ -38,16 +40,16 @@ def standard(height: ArrayLike, deviation: float = 0.0) -> tuple[FloatArray, Flo
     height : (...) array
         Geopotential height [m], up to 32 km; below sea level the lowest layer goes on.
     deviation : float
-        What the air is warmer than standard at every height [K]; pressure at sea level stays.
+        Temperature above standard at every height [K]; the pressure at sea level does not change.
 
     Raises
     ------
     ValueError
-        When a height is above 32 km.
+        If a height is above 32 km.
 
     Examples
     --------
-    >>> print(*(f"{float(v):.5g}" for v in standard(5000.0)))
+    >>> print(*(f"{float(v):.5g}" for v in standard_atmosphere(5000.0)))
     54020 255.65 0.73612
     """
     height = np.asarray(height, np.float64)
@@ -58,13 +60,13 @@ def standard(height: ArrayLike, deviation: float = 0.0) -> tuple[FloatArray, Flo
     for k, (bottom, lapse) in enumerate(zip(_BOTTOM, _LAPSE, strict=True)):
         ceiling = (*_BOTTOM[1:], _TOP)[k]
         rise = np.minimum(height, ceiling) - bottom if k == 0 else np.clip(height, bottom, ceiling) - bottom
-        pressure *= np.exp(_log_ratio(temperature, lapse, rise))
+        pressure *= np.exp(_log_pressure_ratio(temperature, lapse, rise))
         temperature = temperature + lapse * rise
     return pressure, temperature, pressure / (GAS_CONSTANT * temperature)
 
 
-def _log_ratio(temperature: FloatArray, lapse: float, rise: FloatArray) -> FloatArray:
-    """Return the logarithm of the pressure ratio over a rise in one layer, from its lower temperature."""
+def _log_pressure_ratio(temperature: FloatArray, lapse: float, rise: FloatArray) -> FloatArray:
+    """Return the logarithm of the pressure ratio over a rise [m] in one layer; temperature [K] below."""
     if lapse == 0.0:
         return -STANDARD_GRAVITY * rise / (GAS_CONSTANT * temperature)
     log: FloatArray = -STANDARD_GRAVITY / (GAS_CONSTANT * lapse) * np.log1p(lapse * rise / temperature)
@@ -72,23 +74,22 @@ def _log_ratio(temperature: FloatArray, lapse: float, rise: FloatArray) -> Float
 
 
 def pressure_altitude(pressure: ArrayLike, setting: float = SEA_LEVEL_PRESSURE) -> FloatArray:
-    """Return what an altimeter shows at a static pressure [Pa]: a geopotential height [m].
+    """Return the reading of an altimeter at a static pressure: a geopotential height [m].
 
     Parameters
     ----------
     pressure : (...) array
         Above 0 [Pa].
     setting : float
-        Its QNH [Pa]: the height at which the standard atmosphere has this pressure is taken off, so that
-        it shows 0 there.
+        Altimeter setting (QNH) [Pa]; the reading is 0 at this pressure.
     """
-    altitude: FloatArray = _height(np.asarray(pressure, float)) - _height(np.array(setting))
+    altitude: FloatArray = _find_height(np.asarray(pressure, float)) - _find_height(np.array(setting))
     return altitude
 
 
-def _height(pressure: FloatArray) -> FloatArray:
-    """Return the height of the standard atmosphere that has a pressure."""
-    bottoms = [standard(bottom) for bottom in _BOTTOM]
+def _find_height(pressure: FloatArray) -> FloatArray:
+    """Return the geopotential height of a pressure in the standard atmosphere [m]."""
+    bottoms = [standard_atmosphere(bottom) for bottom in _BOTTOM]
     height = np.empty_like(pressure)
     for k, (base, temperature, _) in enumerate(bottoms):
         log = np.log(pressure / base)
@@ -101,12 +102,13 @@ def _height(pressure: FloatArray) -> FloatArray:
 
 
 def impact_pressure(airspeed: ArrayLike, pressure: ArrayLike, temperature: ArrayLike) -> FloatArray:
-    """Return total minus static pressure [Pa] at a true airspeed [m/s] below that of sound.
+    """Return total minus static pressure [Pa] at a subsonic true airspeed.
 
     Parameters
     ----------
     airspeed, pressure, temperature : arrays that broadcast
-        True airspeed [m/s], static pressure [Pa] and temperature [K]. A backward speed gives its negative.
+        True airspeed [m/s], static pressure [Pa] and temperature [K]. A negative speed gives a negative
+        pressure.
     """
     speed = np.asarray(airspeed, float)
     mach2 = speed * np.abs(speed) / (GAMMA * GAS_CONSTANT * np.asarray(temperature, float))
@@ -126,15 +128,15 @@ def true_airspeed(impact: ArrayLike, pressure: ArrayLike, temperature: ArrayLike
 def airspeed_sd(
     spec: AirspeedSpec, airspeed: ArrayLike, pressure: ArrayLike, temperature: ArrayLike
 ) -> FloatArray:
-    """Return the white noise of a unit as a standard deviation of true airspeed [m/s].
+    """Return the white noise of an airspeed sensor as a standard deviation of true airspeed [m/s].
 
     Parameters
     ----------
     spec : AirspeedSpec
-        Pressure noise over the slope of the impact pressure, ``rho V (1 + 0.2 M^2)^2.5``, and speed noise:
-        the slower, the noisier. Below ``min_speed``, and below 1 m/s, as noisy as there.
+        Pressure noise divided by the slope of the impact pressure, ``rho V (1 + 0.2 M^2)^2.5``, and speed
+        noise. The noise grows as the speed falls, down to ``min_speed`` or 1 m/s, and is constant below.
     airspeed, pressure, temperature : arrays that broadcast
-        As for `impact_pressure`; a filter takes them from `standard` at its own height.
+        As for `impact_pressure`; a filter uses `standard_atmosphere` at its estimated height.
     """
     speed = np.maximum(np.abs(np.asarray(airspeed, float)), max(spec.min_speed, 1.0))
     pressure, temperature = np.asarray(pressure, float), np.asarray(temperature, float)

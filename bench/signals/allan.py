@@ -1,9 +1,9 @@
-"""Overlapping Allan deviation, its analytic curves, and how sure a measured one is.
+"""Overlapping Allan deviation, its analytic curves, and the confidence of an estimate.
 
-Every process a sensor error is made of has one function here, its generalised covariance ``k(h)``: that part
-of the covariance of the angle ``x`` (integral of the rate) at lag ``h`` which survives second differences. It
-gives the Allan variance, ``sum c_a c_b k((a - b) tau) / (2 tau^2)``, ``c = (1, -2, 1)``, and the covariance
-of any two second differences, hence the effective degrees of freedom of an estimate from a record.
+Each process has one function here, its generalised covariance ``k(h)``: the part of the covariance of the
+angle ``x`` (integral of the rate) at lag ``h`` that remains in second differences. It gives the Allan
+variance, ``sum c_a c_b k((a - b) tau) / (2 tau^2)``, ``c = (1, -2, 1)``, and the covariance of any two second
+differences, from which the effective degrees of freedom of an estimate follow.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ from bench.arrays import FloatArray, IntArray
 Covariance = Callable[[FloatArray], FloatArray]
 """Generalised covariance of an angle: lag h >= 0 [s] -> k [unit^2]."""
 
-_WEIGHTS = ((0, 6.0), (1, -8.0), (2, 2.0))  # c_a c_b gathered by |a - b|: their sum over second differences
+_WEIGHTS = ((0, 6.0), (1, -8.0), (2, 2.0))  # c_a c_b summed by |a - b|
 
 
 def white(random_walk: float) -> Covariance:
-    """Angle or velocity random walk N [unit/sqrt(s)]: white noise of the rate."""
+    """Return the covariance of an angle or velocity random walk N [unit/sqrt(s)]: white noise of the rate."""
     return lambda h: -0.5 * random_walk**2 * h
 
 
 def markov(sd: float, correlation: float, step: float = 0.0) -> Covariance:
-    """First-order Gauss-Markov rate of a standard deviation [unit/s] and a correlation time [s].
+    """Return the covariance of a first-order Gauss-Markov rate with sd [unit/s] and correlation time [s].
 
-    With a ``step`` [s] well below the correlation time the rate is a line between instants a step apart, as
-    in `rate_walk`.
+    With a ``step`` [s], well below the correlation time, the rate is linear between instants one step apart,
+    as in `rate_walk`.
     """
-    walk = np.sqrt(2 / correlation) * sd  # what it is at short times
+    walk = np.sqrt(2 / correlation) * sd  # equivalent rate random walk at short times
 
     def covariance(h: FloatArray) -> FloatArray:
-        x = h / correlation  # h^2 has no second differences: without it the rest keeps its digits
+        x = h / correlation  # without h^2, which vanishes in second differences, for precision
         series = -(x**3) / 6 * (1 - x / 4 * (1 - x / 5 * (1 - x / 6 * (1 - x / 7))))
         shape = np.where(x < 0.05, series, x + np.expm1(-x) - x**2 / 2)
-        return -((sd * correlation) ** 2) * shape + _lines(walk, step, h)
+        return -((sd * correlation) ** 2) * shape + _interpolation_term(walk, step, h)
 
     return covariance
 
 
 def rate_walk(rate_random_walk: float, step: float = 0.0) -> Covariance:
-    """Rate random walk K [unit/s/sqrt(s)].
+    """Return the covariance of a rate random walk K [unit/s/sqrt(s)].
 
-    With a ``step`` [s] the rate is a line between instants a step apart, and its Allan variance K^2 tau / 3
-    falls by K^2 step^2 / (12 tau) where tau is not below the step.
+    With a ``step`` [s] the rate is linear between instants one step apart, which lowers its Allan variance
+    K^2 tau / 3 by K^2 step^2 / (12 tau) for tau not below the step.
     """
-    return lambda h: rate_random_walk**2 * h**3 / 12 + _lines(rate_random_walk, step, h)
+    return lambda h: rate_random_walk**2 * h**3 / 12 + _interpolation_term(rate_random_walk, step, h)
 
 
-def _lines(rate_random_walk: float, step: float, h: FloatArray) -> FloatArray:
-    """Return what lines between instants change of a random walk of the rate.
+def _interpolation_term(rate_random_walk: float, step: float, h: FloatArray) -> FloatArray:
+    """Return the change of the covariance of a rate random walk by linear interpolation between instants.
 
-    Lines smooth the covariance of the rate, ``-K^2 |h| / 2`` but for a constant, with a cubic B-spline. This
-    is the difference, ``-K^2 step (1 - u)^3 / 6`` with u = |h| / step < 1, integrated twice, smooth at 0.
+    Interpolation smooths the covariance of the rate, ``-K^2 |h| / 2`` up to a constant, with a cubic
+    B-spline. The difference, ``-K^2 step (1 - u)^3 / 6`` with u = |h| / step < 1, is integrated twice.
     """
     if step <= 0:
         return np.zeros_like(h)
@@ -65,21 +65,21 @@ def _lines(rate_random_walk: float, step: float, h: FloatArray) -> FloatArray:
 
 
 def quantization(lsb: float) -> Covariance:
-    """Rounding of the angle to a least bit [unit], uniform and independent from sample to sample."""
+    """Return the covariance of rounding the angle to a resolution [unit], uniform and independent."""
     return lambda h: np.where(h == 0, lsb**2 / 12, 0.0)
 
 
-def total(*terms: Covariance) -> Covariance:
-    """Sum of independent processes."""
+def add_processes(*terms: Covariance) -> Covariance:
+    """Return the covariance of a sum of independent processes."""
     return lambda h: np.sum([term(h) for term in terms], axis=0) if terms else np.zeros_like(h)
 
 
-def deviation(term: Covariance, tau: ArrayLike) -> FloatArray:
+def expected_deviation(term: Covariance, tau: ArrayLike) -> FloatArray:
     """Return the analytic Allan deviation at averaging times tau [s].
 
     Examples
     --------
-    >>> print(deviation(white(2.0), [1.0, 4.0]), deviation(rate_walk(1.0), [3.0]))
+    >>> print(expected_deviation(white(2.0), [1.0, 4.0]), expected_deviation(rate_walk(1.0), [3.0]))
     [2. 1.] [1.]
     """
     h = np.asarray(tau, float)
@@ -88,8 +88,8 @@ def deviation(term: Covariance, tau: ArrayLike) -> FloatArray:
     return adev
 
 
-def overlapping(increments: FloatArray, interval: float, spans: Sequence[int] | IntArray) -> FloatArray:
-    """Return the overlapping Allan deviation of a record.
+def measure_deviation(increments: FloatArray, interval: float, spans: Sequence[int] | IntArray) -> FloatArray:
+    """Compute the overlapping Allan deviation of a record.
 
     Parameters
     ----------
@@ -98,20 +98,27 @@ def overlapping(increments: FloatArray, interval: float, spans: Sequence[int] | 
     interval : float
         Length of a sample [s].
     spans : sequence of int
-        Samples to average over, each at most N / 2.
+        Numbers of samples to average, each at most N / 2.
 
     Returns
     -------
     adev : (len(spans),) or (len(spans), k) array
-        Allan deviation of the rate [unit/s], as in IEEE Std 952-1997, annex C, all overlaps taken.
+        Allan deviation of the rate [unit/s], as in IEEE Std 952-1997, annex C, fully overlapping.
+
+    Raises
+    ------
+    ValueError
+        If a span is below 1 or above N / 2.
 
     Examples
     --------
-    >>> print(overlapping(np.array([0.0, 1.0, 0.0, 1.0]), 1.0, [1]).round(3))
+    >>> print(measure_deviation(np.array([0.0, 1.0, 0.0, 1.0]), 1.0, [1]).round(3))
     [0.707]
     """
     columns = increments.reshape(len(increments), -1)
-    columns = columns - columns.mean(axis=0)  # no second difference sees the mean, and rounding does
+    columns = columns - columns.mean(
+        axis=0
+    )  # the mean has no second difference; removing it reduces rounding errors
     x = np.vstack([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
     variance = []
     for m in spans:
@@ -123,12 +130,12 @@ def overlapping(increments: FloatArray, interval: float, spans: Sequence[int] | 
     return adev
 
 
-def octaves(samples: int, fewest: int = 8) -> IntArray:
-    """Return the spans 1, 2, 4, ... of which ``fewest`` independent ones fit the record.
+def make_octaves(samples: int, fewest: int = 8) -> IntArray:
+    """Return the spans 1, 2, 4, ... with at least ``fewest`` independent averages in the record.
 
     Examples
     --------
-    >>> octaves(100)
+    >>> make_octaves(100)
     array([1, 2, 4, 8])
     """
     return 2 ** np.arange(max(1, int(np.log2(max(samples // fewest, 1))) + 1))
@@ -140,18 +147,18 @@ def degrees_of_freedom(term: Covariance, samples: int, interval: float, span: in
     Parameters
     ----------
     term : Covariance
-        The Gaussian process that is measured.
+        Covariance of the measured Gaussian process.
     samples : int
-        Length of the record.
+        Number of samples in the record.
     interval : float
         Length of a sample [s].
     span : int
-        Samples averaged over.
+        Number of samples averaged.
 
     Returns
     -------
     edf : float
-        Of the chi-square variable with the mean and variance of the estimate.
+        Degrees of freedom of the chi-square variable with the mean and variance of the estimate.
 
     Notes
     -----
@@ -166,23 +173,23 @@ def degrees_of_freedom(term: Covariance, samples: int, interval: float, span: in
     """
     M = samples + 1 - 2 * span
     near = np.arange(min(M, 4 * span + 2))  # every kink of R lies within two spans
-    far = np.unique(np.geomspace(near[-1], max(M, near[-1]), 200).astype(np.int64))  # smooth beyond
+    far = np.unique(np.geomspace(near[-1], max(M, near[-1]), 200).astype(np.int64))  # R is smooth beyond
     tau = span * interval
 
-    def squared(lags: IntArray) -> FloatArray:
+    def weigh_lags(lags: IntArray) -> FloatArray:
         h = lags * interval
         parts = [w * 0.5 * (term(np.abs(h + a * tau)) + term(np.abs(h - a * tau))) for a, w in _WEIGHTS]
         R = np.sum(parts, axis=0)
-        R[np.abs(R) < 1e-14 * np.abs(parts).sum(axis=0)] = 0.0  # nothing but rounding
-        share: FloatArray = (1 - lags / M) * R**2
-        return share
+        R[np.abs(R) < 1e-14 * np.abs(parts).sum(axis=0)] = 0.0  # rounding errors only
+        weighted: FloatArray = (1 - lags / M) * R**2
+        return weighted
 
-    first = squared(near)
-    tail = np.trapezoid(squared(far), far) - 0.5 * first[-1] if len(far) > 1 else 0.0
+    first = weigh_lags(near)
+    tail = np.trapezoid(weigh_lags(far), far) - 0.5 * first[-1] if len(far) > 1 else 0.0
     return float(M * first[0] / (2 * (first.sum() + tail) - first[0]))
 
 
-def gauss_markov(tau: ArrayLike, sd: float, correlation: ArrayLike) -> FloatArray:
+def gauss_markov_deviation(tau: ArrayLike, sd: float, correlation: ArrayLike) -> FloatArray:
     """Return the Allan deviation of a stationary first-order Gauss-Markov rate.
 
     Parameters
@@ -207,7 +214,7 @@ def gauss_markov(tau: ArrayLike, sd: float, correlation: ArrayLike) -> FloatArra
 
     Examples
     --------
-    >>> print(f"{gauss_markov(1.89, sd=1.0, correlation=1.0):.3f}")
+    >>> print(f"{gauss_markov_deviation(1.89, sd=1.0, correlation=1.0):.3f}")
     0.617
     """
     x = np.asarray(tau, float) / np.asarray(correlation, float)

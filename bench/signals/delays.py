@@ -1,4 +1,4 @@
-"""What the way from the satellite adds: rotation of the Earth (Sagnac), troposphere, ionosphere."""
+"""Signal propagation from the satellite: rotation of the Earth (Sagnac), troposphere, ionosphere."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from bench.compiled import kernel
 from bench.signals.orbits import GPS_EARTH_RATE, C
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
-TROPOSPHERE_SCALE = 7500.0  # height over which it falls to 1/e [m], B-10
-_HUMIDITY = 0.5  # relative, at every height [1]; assumed
-_TOP = 11000.0  # the standard atmosphere's gradient ends here; above it counts as this high [m]
+TROPOSPHERE_SCALE = 7500.0  # scale height [m], B-10
+_HUMIDITY = 0.5  # relative humidity at every height [1]; assumed
+_TOP = 11000.0  # end of the temperature gradient; greater heights count as this [m]
 
 Troposphere = Literal["saastamoinen", "b-10"]
 
@@ -23,11 +23,11 @@ Troposphere = Literal["saastamoinen", "b-10"]
 def range_kernel(
     sx: float, sy: float, sz: float, rx: float, ry: float, rz: float, rate: float
 ) -> tuple[float, float, float, float]:
-    """Return the distance [m] a signal travels and the direction receiver to satellite, e at reception.
+    """Return the distance of a signal [m] and the direction from receiver to satellite, e at reception.
 
-    The satellite (sx, sy, sz), Earth-fixed at transmission, is turned back by ``rate`` [rad/s] times the
-    travel time; ``rate = 0`` leaves the Sagnac effect out. The travel time comes from the first-order
-    effect, so that the distance is exact to 1e-9 m.
+    The satellite (sx, sy, sz), Earth-fixed at transmission, is rotated back by ``rate`` [rad/s] times the
+    travel time; ``rate = 0`` leaves out the Sagnac effect. The travel time includes the first-order effect,
+    so the distance is exact to 1e-9 m.
     """
     dx, dy, dz = sx - rx, sy - ry, sz - rz
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -63,14 +63,14 @@ def range_rate_kernel(
 
 @kernel
 def mapping_kernel(sin_el: float) -> float:
-    """Return the slant delay of the troposphere over the vertical one [1]."""
+    """Return the ratio of slant to vertical delay of the troposphere [1] (RTCA DO-229D, A.4.2.4)."""
     slope: float = 1.001 / np.sqrt(0.002001 + sin_el * sin_el)
     return slope
 
 
 @kernel
 def obliquity_kernel(el: float) -> float:
-    """Return the slant delay of the ionosphere over the vertical one [1]: F of IS-GPS-200, 20.3.3.5.2.5."""
+    """Return the ratio of slant to vertical delay of the ionosphere [1]: F of IS-GPS-200, 20.3.3.5.2.5."""
     away = 0.53 - el / np.pi
     return 1.0 + 16.0 * away * away * away
 
@@ -79,7 +79,7 @@ def obliquity_kernel(el: float) -> float:
 def klobuchar_kernel(
     lat: float, lon: float, el: float, sin_az: float, cos_az: float, t: float, model: FloatArray
 ) -> float:
-    """Return the delay on GPS L1 [m] at ``t`` [s of the GPS day]; model (8,): alpha 0-3, beta 0-3."""
+    """Return the ionospheric delay on GPS L1 [m] at ``t`` [s of the GPS day]; model (8,): alpha, beta 0-3."""
     semi_lat, semi_lon, semi_el = lat / np.pi, lon / np.pi, el / np.pi
     psi = 0.0137 / (semi_el + 0.11) - 0.022
     phi = min(max(semi_lat + psi * cos_az, -0.416), 0.416)
@@ -118,7 +118,7 @@ def klobuchar(
     el, az : float or (K,) array
         Satellite [rad].
     t : float or (K,) array
-        GPS time of day [s]; whole days do not matter.
+        GPS time of day [s]; whole days are ignored.
     model : (8,) array
         Broadcast alpha 0-3, beta 0-3, in their semicircle units.
 
@@ -150,7 +150,7 @@ def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saa
     model : str
         "saastamoinen": Saastamoinen (1972) in the standard atmosphere at 50 % humidity, hydrostatic part as
         in Davis et al., Radio Science 20 (1985). "b-10": 2.638 m at sea level, falling by 1/e over 7500 m
-        (B-10); 0.25 m more than the former.
+        (B-10); 0.25 m more than Saastamoinen at sea level.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saa
 def troposphere(
     el: ArrayLike, lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen"
 ) -> FloatArray:
-    """Return the delay of the troposphere on the way to a satellite [m].
+    """Return the slant delay of the troposphere [m].
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def troposphere(
 
 
 def ionosphere_free(range_1: ArrayLike, range_2: ArrayLike, f_1: ArrayLike, f_2: ArrayLike) -> FloatArray:
-    """Return the combination of two carriers without first-order ionosphere (B-11).
+    """Return the combination of two carriers that removes the first-order ionosphere (B-11).
 
     Parameters
     ----------
@@ -216,12 +216,12 @@ def ionosphere_free(range_1: ArrayLike, range_2: ArrayLike, f_1: ArrayLike, f_2:
 
 
 def sagnac(sat_pos_e: ArrayLike, pos_e: ArrayLike) -> FloatArray:
-    """Return what the rotation of the Earth during the travel time adds to a range (..., ) [m], first order.
+    """Return the first-order effect of the Earth's rotation during the travel time on a range (...) [m].
 
     Parameters
     ----------
     sat_pos_e : (..., 3) array
-        Satellite, Earth-fixed at transmission [m].
+        Satellite [m], Earth-fixed at transmission.
     pos_e : (..., 3) array
         Receiver [m], e.
     """

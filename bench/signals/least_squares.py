@@ -1,8 +1,8 @@
-"""Position and velocity of one epoch from ranges and range rates: iterated weighted least squares, DOP.
+"""Position and velocity of each epoch from ranges and range rates: iterated weighted least squares, DOP.
 
-Unknowns are the position and one clock per satellite system (B-13, B-14), then the velocity and the drift
-of the one oscillator (B-14b). Every function takes whole records: rows of satellites, ``epoch_start``
-saying where each epoch begins.
+Unknowns are the position and one clock offset per satellite system (B-13, B-14), then the velocity and the
+drift of the receiver's oscillator (B-14b). Every function takes whole records: a row per satellite and epoch,
+and ``epoch_start`` with the first row of each epoch.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from bench.compiled import kernel
 from bench.signals.delays import range_kernel, range_rate_kernel
 from bench.signals.orbits import GPS_EARTH_RATE
 
-CLOSE = 0.1  # a step shorter than this is the last [m]; what remains is its square over the range, 5e-10 m
-_MOST = 20  # steps before an epoch is given up
+CLOSE = 0.1  # a step below this ends the iteration [m]; the error is its square over the range, 5e-10 m
+_MOST = 20  # largest number of steps
 
 
 class PositionFixes(NamedTuple):
-    """Positions with their clocks; a row that could not be solved is NaN."""
+    """Positions and clock offsets; an epoch without solution is NaN."""
 
     pos_e: FloatArray  # (M, 3) [m], e
-    clock: FloatArray  # (M, 2) of the receiver against each system [m]; NaN where the system is not used
+    clock: FloatArray  # (M, 2) receiver clock against each system [m]; NaN if the system is not used
     cov_e: FloatArray  # (M, 3, 3) of the position [m^2], e
     steps: IntArray  # (M,) iterations
     used: BoolArray  # (K,) rows in the final solution
@@ -34,7 +34,7 @@ class PositionFixes(NamedTuple):
 
 
 class VelocityFixes(NamedTuple):
-    """Velocities with the drift of the receiver's clock; NaN where not solved."""
+    """Velocities and drift of the receiver's clock; an epoch without solution is NaN."""
 
     vel_e: FloatArray  # (M, 3) [m/s], e
     drift: FloatArray  # (M,) [m/s]
@@ -42,20 +42,20 @@ class VelocityFixes(NamedTuple):
 
 
 class Dop(NamedTuple):
-    """Dilution of precision, a row per epoch; NaN where there are too few satellites."""
+    """Dilution of precision, a row per epoch; NaN if there are too few satellites."""
 
-    h: FloatArray
-    v: FloatArray
-    p: FloatArray
-    t: FloatArray
-    g: FloatArray
+    h: FloatArray  # horizontal
+    v: FloatArray  # vertical
+    p: FloatArray  # position
+    t: FloatArray  # time
+    g: FloatArray  # geometric
 
 
 @kernel
 def _inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
     """Invert the symmetric positive definite upper-left (n, n) of A through its Cholesky factor.
 
-    ``A`` is overwritten. Returns False when it is not positive definite to working precision.
+    ``A`` is overwritten. Return False if it is not positive definite to working precision.
     """
     for i in range(n):
         scale = A[i, i]
@@ -135,11 +135,11 @@ def _position_kernel(
     used: BoolArray, pos: FloatArray, clock: FloatArray, cov: FloatArray, steps: IntArray,
     residual: FloatArray, chi2: FloatArray, passed: BoolArray,
 ) -> None:  # fmt: skip
-    """Solve every epoch; ``used`` says which rows may be used and, on return, which were.
+    """Solve every epoch; ``used`` marks the rows that may be used and, on return, the rows used.
 
-    ``threshold`` (dof,) of the weighted sum of squares; without rows nothing is tested or excluded. Epochs
-    start from their row of ``start``, where that is NaN from the epoch before, after none from the centre of
-    the Earth. The last step updates the residuals to first order, right to its square over the range.
+    ``threshold`` (dof,) limits the weighted sum of squares; if it is empty, nothing is tested or excluded. An
+    epoch starts from its row of ``start``, or if that is NaN from the epoch before, or from the centre of the
+    Earth. The last step updates the residuals to first order, with an error of its square over the range.
     """
     x, g, dx = np.zeros(5), np.zeros(5), np.zeros(5)
     for m in range(epoch_start.shape[0] - 1):
@@ -314,7 +314,7 @@ def _dop_kernel(
         out[m, 3], out[m, 4] = np.sqrt(time), np.sqrt(horizontal + vertical + clocks)
 
 
-def position(
+def solve_positions(
     epoch_start: IntArray,
     sat_pos_e: FloatArray,
     pseudorange: FloatArray,
@@ -337,25 +337,25 @@ def position(
     sat_pos_e : (K, 3) array
         Satellites, Earth-fixed at transmission [m].
     pseudorange : (K,) array
-        Corrected for satellite clock and atmosphere [m]; what is not finite is not used.
+        Corrected for satellite clock and atmosphere [m]; rows that are not finite are not used.
     sd : (K,) array
-        Standard deviation of each [m].
+        Standard deviation of each pseudorange [m].
     system : (K,) array of int
-        0 GPS, 1 GLONASS; each has its own clock unknown.
+        0 GPS, 1 GLONASS; each has its own clock offset.
     use : (K,) array of bool or None
-        Rows that may be used; all when None.
+        Rows that may be used; None: all.
     start_e : (M, 3) array or None
-        First guesses [m]. Where NaN, or None: the epoch before, and for the first the centre of the Earth.
+        First guesses [m]. If NaN or None: the epoch before, or the centre of the Earth for the first epoch.
     close : float
-        Length of a step that is the last [m]; its square over the range remains as an error.
+        A step shorter than this ends the iteration [m]; the error is its square over the range.
     threshold : (D,) array or None
-        Largest weighted sum of squared residuals by degrees of freedom, from :func:`thresholds`. While it is
-        exceeded, the satellite with the largest normalised residual is left out; two redundant satellites are
-        needed for that. None: no test.
+        Largest weighted sum of squared residuals by degrees of freedom, see :func:`compute_thresholds`. While
+        it is exceeded, the satellite with the largest normalised residual is excluded, which needs two
+        redundant satellites. None: no test.
     one_clock : bool
-        One clock unknown for all systems.
+        Estimate one clock offset for all systems.
     sagnac : bool
-        Turn the satellites with the Earth during the travel time.
+        Rotate the satellites with the Earth during the travel time.
     """
     M, K = len(epoch_start) - 1, len(pseudorange)
     used = np.isfinite(pseudorange) & np.isfinite(sat_pos_e[:, 0])
@@ -398,7 +398,7 @@ def position(
     return fixes
 
 
-def velocity(
+def solve_velocities(
     epoch_start: IntArray,
     sat_pos_e: FloatArray,
     sat_vel_e: FloatArray,
@@ -414,15 +414,15 @@ def velocity(
     Parameters
     ----------
     epoch_start, sat_pos_e, sd
-        As in :func:`position`; sd [m/s].
+        As in :func:`solve_positions`; sd [m/s].
     sat_vel_e : (K, 3) array
         [m/s], e at transmission.
     range_rate : (K,) array
-        [m/s]; what is NaN is not used. Both systems share the drift of the receiver's oscillator.
+        [m/s]; NaN rows are not used. Both systems share the drift of the receiver's oscillator.
     used : (K,) array of bool
         Rows to use.
     pos_e : (M, 3) array
-        Position of each epoch [m]; NaN gives no velocity.
+        Position of each epoch [m]; an epoch with NaN has no velocity.
     """
     M = len(epoch_start) - 1
     fixes = VelocityFixes(np.full((M, 3), np.nan), np.full(M, np.nan), np.full((M, 3, 3), np.nan))
@@ -442,7 +442,9 @@ def velocity(
     return fixes
 
 
-def dop(epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArray | None = None) -> Dop:
+def compute_dop(
+    epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArray | None = None
+) -> Dop:
     """Return the dilution of precision of every epoch (A-2.1.3).
 
     Parameters
@@ -452,9 +454,9 @@ def dop(epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArr
     los_n : (K, 3) array
         Unit vectors receiver to satellite, n.
     system : (K,) array of int
-        0 GPS, 1 GLONASS: a clock unknown for each that is there; TDOP is that of the first.
+        0 GPS, 1 GLONASS: a clock offset for each system present; TDOP is that of the first.
     use : (K,) array of bool or None
-        Rows to count; all when None.
+        Rows to use; None: all.
     """
     out = np.full((len(epoch_start) - 1, 5), np.nan)
     used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
@@ -470,15 +472,15 @@ def dop(epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArr
     return Dop(*out.T)
 
 
-def best_set(
+def choose_satellites(
     epoch_start: IntArray, los_n: FloatArray, system: IntArray, sd: FloatArray, use: BoolArray
 ) -> tuple[BoolArray, IntArray]:
-    """Choose for every epoch GPS, GLONASS or both: the least PDOP times the RMS of the sds (equations #28).
+    """Choose GPS, GLONASS or both for every epoch: smallest PDOP times RMS of the sds (equations #28).
 
     Parameters
     ----------
     epoch_start, los_n, system, use
-        As in :func:`dop`.
+        As in :func:`compute_dop`.
     sd : (K,) array
         Standard deviation of each range [m].
 
@@ -487,7 +489,7 @@ def best_set(
     use : (K,) array of bool
         Rows of the chosen set.
     chosen : (M,) array of int
-        0 GPS, 1 GLONASS, 2 both, -1 when no set gives a position.
+        0 GPS, 1 GLONASS, 2 both, -1 if no set gives a position.
     """
     M = len(epoch_start) - 1
     epoch = np.repeat(np.arange(M), np.diff(epoch_start))
@@ -496,19 +498,21 @@ def best_set(
     for k, rows in enumerate(sets):
         squares = np.bincount(epoch[rows], sd[rows] ** 2, M)
         count = np.maximum(np.bincount(epoch[rows], minlength=M), 1)
-        p = dop(epoch_start, los_n, system, rows).p
+        p = compute_dop(epoch_start, los_n, system, rows).p
         figure[k] = np.where(np.isnan(p), np.inf, p * np.sqrt(squares / count))
     chosen = np.where(np.isfinite(figure).any(axis=0), np.argmin(figure, axis=0), -1)
     of_row = chosen[epoch]
     return use & ((of_row == 2) | (of_row == system)), chosen
 
 
-def thresholds(false_alarm: float, most: int = 60) -> FloatArray:
-    """Return the chi-square bounds by degrees of freedom 0 ... ``most`` at a false-alarm probability.
+def compute_thresholds(false_alarm: float, most: int = 60) -> FloatArray:
+    """Return the chi-square thresholds (most + 1,) for 0 to ``most`` degrees of freedom.
+
+    ``false_alarm`` is the probability that a chi-square variable exceeds its threshold.
 
     Examples
     --------
-    >>> print(np.round(thresholds(1e-3)[[1, 4]], 2))
+    >>> print(np.round(compute_thresholds(1e-3)[[1, 4]], 2))
     [10.83 18.47]
     """
     from scipy.special import gammainccinv

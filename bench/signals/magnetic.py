@@ -1,4 +1,4 @@
-"""The Earth's magnetic field by the World Magnetic Model; the door to pygeomag."""
+"""The Earth's magnetic field by the World Magnetic Model, computed by pygeomag."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from bench import earth
 from bench.arrays import FloatArray, as_float
 
 FIRST_YEAR, LAST_YEAR = 2010.0, 2030.0
-"""Dates for which there are coefficients: WMM2010 to WMM2025, five years each [decimal years]."""
+"""Dates with coefficients: WMM2010 to WMM2025, five years each [decimal years]."""
 
-_CELL = 5000.0  # edge of a cell of the Earth-fixed grid [m]; see Notes for what it costs
+_CELL = 5000.0  # edge of a cell of the Earth-fixed grid [m], see `field_n`
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
-_ONE_NUMBER = np.array([1, 1 << 20, 1 << 40])  # tells cells apart, 2.6 million km around
+_ONE_NUMBER = np.array(
+    [1, 1 << 20, 1 << 40]
+)  # packs the indices of a cell into one number; unique within 2.6 million km
 _NANOTESLA = 1e-9  # [T]
 
 
 def field_n(lla: ArrayLike, date: float) -> FloatArray:
-    """Return the magnetic field, interpolated between the corners of a grid of 5 km fixed to the Earth.
+    """Return the magnetic field, interpolated in an Earth-fixed grid of 5 km.
 
     Parameters
     ----------
@@ -40,13 +42,13 @@ def field_n(lla: ArrayLike, date: float) -> FloatArray:
     Raises
     ------
     ValueError
-        When there is no model for the date, or lla is not finite.
+        If there is no model for the date, or lla is not finite.
 
     Notes
     -----
-    World Magnetic Model, main field of degree 12: what the crust, the ionosphere and storms add, some
-    hundred nT, is not in it. The grid costs a model call per corner instead of per row; it is Earth-fixed
-    because n turns quickly near the poles. Interpolation errs by less than 0.1 nT.
+    World Magnetic Model, main field of degree 12. It does not include the fields of the crust, the ionosphere
+    and magnetic storms, some hundred nT. The grid needs one model call per corner instead of one per row. It
+    is Earth-fixed because n rotates quickly near the poles. The interpolation error is below 0.1 nT.
 
     Examples
     --------
@@ -54,23 +56,25 @@ def field_n(lla: ArrayLike, date: float) -> FloatArray:
     [[ 6522   146 54792]]
     """
     lla = as_float("lla", lla, (None, 3))
-    _check(date)
+    _check_date(date)
     place = earth.to_ecef(lla) / _CELL
     cell = np.floor(place).astype(np.int64)
     inside = place - cell
     _, first, kind = np.unique(cell @ _ONE_NUMBER, return_index=True, return_inverse=True)
     field_e = np.zeros((len(lla), 3))
     for corner in _CORNERS:
-        values = np.array([_corner(float(date), *map(int, c)) for c in cell[first] + corner]).reshape(-1, 3)
+        values = np.array([_compute_corner(float(date), *map(int, c)) for c in cell[first] + corner]).reshape(
+            -1, 3
+        )
         weight = np.prod(np.where(corner, inside, 1.0 - inside), axis=1)
         field_e += weight[:, None] * values[kind]
     to_n = np.swapaxes(earth.matrix_en(lla[:, 0], lla[:, 1]), -1, -2)
-    turned: FloatArray = np.einsum("kij,kj->ki", to_n, field_e)
-    return turned
+    field: FloatArray = np.einsum("kij,kj->ki", to_n, field_e)
+    return field
 
 
 def decimal_year(day: datetime.date) -> float:
-    """Return a day, at its beginning, as a decimal year.
+    """Convert the beginning of a day to a decimal year.
 
     Examples
     --------
@@ -81,7 +85,7 @@ def decimal_year(day: datetime.date) -> float:
     return day.year + (day - first).days / (datetime.date(day.year + 1, 1, 1) - first).days
 
 
-def _check(date: float) -> None:
+def _check_date(date: float) -> None:
     if not FIRST_YEAR <= date <= LAST_YEAR:
         raise ValueError(
             f"the magnetic field is modelled from {FIRST_YEAR:g} to {LAST_YEAR:g}; got the date {date:g}"
@@ -89,15 +93,15 @@ def _check(date: float) -> None:
 
 
 def wmm(lat: float, lon: float, alt: float, date: float) -> FloatArray:
-    """Return the World Magnetic Model itself (3,) [T], n, at latitude, longitude [rad], height [m]."""
-    _check(date)
+    """Return the field of the World Magnetic Model (3,) [T], n, at latitude, longitude [rad], height [m]."""
+    _check_date(date)
     epoch = min(5.0 * np.floor(date / 5.0), LAST_YEAR - 5.0)
-    found = _model(int(epoch)).calculate(np.rad2deg(lat), np.rad2deg(lon), alt / 1000.0, date)
+    found = _load_model(int(epoch)).calculate(np.rad2deg(lat), np.rad2deg(lon), alt / 1000.0, date)
     return _NANOTESLA * np.array([found.x, found.y, found.z])
 
 
 @lru_cache(maxsize=4)
-def _model(epoch: int) -> Any:
+def _load_model(epoch: int) -> Any:
     from pygeomag import GeoMag
 
     names = {2010: "WMM_2010", 2015: "WMM_2015v2", 2020: "WMM_2020", 2025: "WMM_2025"}
@@ -105,7 +109,7 @@ def _model(epoch: int) -> Any:
 
 
 @lru_cache(maxsize=1 << 16)
-def _corner(date: float, x: int, y: int, z: int) -> tuple[float, float, float]:
+def _compute_corner(date: float, x: int, y: int, z: int) -> tuple[float, float, float]:
     """Return the field at a corner of the grid [T], e."""
     lat, lon, alt = earth.to_geodetic(_CELL * np.array([[x, y, z]], np.float64))[0]
     found = earth.matrix_en(lat, lon) @ wmm(lat, lon, alt, date)

@@ -1,8 +1,8 @@
-"""Where satellites are and what their clocks say: Kepler sets, GLONASS state vectors, nominal constellations.
+"""Orbits and clocks of satellites: Keplerian sets, GLONASS state vectors, nominal constellations.
 
-Times are GPS time in seconds since an origin that the caller chooses once for everything (a GPS midnight,
-or the start of the run): small numbers keep the digits. Positions are Earth-fixed at the instant of
-transmission; :mod:`bench.signals.delays` turns them into the frame of the reception.
+Times are GPS time in seconds since an origin that the caller chooses (a GPS midnight, or the start of the
+run), because small numbers keep their precision. Positions are Earth-fixed at the instant of transmission;
+:mod:`bench.signals.delays` rotates them to the instant of reception.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _GM_PZ = 3.986004418e14  # [m^3/s^2], PZ-90.11 reference document, 2014
 _A_PZ = 6378136.0  # [m], the same
 _J2_PZ = 1.08262575e-3  # [1], the same
 _RATE_PZ = 7.292115e-5  # [rad/s], the same
-_STEP_PZ = 60.0  # longest Runge-Kutta step [s]; 15 min then end within 1 mm
+_STEP_PZ = 60.0  # longest Runge-Kutta step [s]; error below 1 mm after 15 min
 
 L1, L2 = 1575.42e6, 1227.60e6  # GPS [Hz], IS-GPS-200
 _G1, _G1_STEP = 1602.0e6, 562.5e3  # GLONASS L1 and its channel spacing [Hz], GLONASS ICD
@@ -57,7 +57,7 @@ KEPLER = (
 """Columns of ``KeplerSets.elements``: IS-GPS-200 table 20-III in SI and radians.
 
 ``t_oe`` and ``t_oc`` count from the origin, ``t_oe_week`` from the start of the GPS week; ``group_delay``
-is T_GD [s]. A YUMA almanac fills what it knows and leaves the rest 0.
+is T_GD [s]. Elements that a YUMA almanac does not have are 0.
 """
 
 GLONASS = ("t_b", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "clock", "clock_rate")
@@ -67,7 +67,7 @@ GLONASS = ("t_b", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "clock", "c
 
 @dataclass(frozen=True, slots=True)
 class KeplerSets:
-    """Keplerian ephemerides of GPS, or of any satellite flown as an ellipse."""
+    """Keplerian ephemerides of GPS, or of any satellite on an elliptic orbit."""
 
     sat: IntArray  # (E,) number within the system
     healthy: BoolArray  # (E,)
@@ -81,8 +81,8 @@ class KeplerSets:
         """Reference time of each set [s]."""
         return self.elements[:, 0]
 
-    def since(self, origin: float) -> KeplerSets:
-        """Return the same sets with times that count from ``origin`` [s]."""
+    def shift_origin(self, origin: float) -> KeplerSets:
+        """Return the same sets with times since ``origin`` [s]."""
         elements = self.elements.copy()
         elements[:, [0, 2]] -= origin
         return KeplerSets(self.sat, self.healthy, elements)
@@ -90,7 +90,7 @@ class KeplerSets:
 
 @dataclass(frozen=True, slots=True)
 class GlonassSets:
-    """State vectors as GLONASS broadcasts them."""
+    """State vectors as broadcast by GLONASS."""
 
     sat: IntArray  # (E,) slot
     healthy: BoolArray  # (E,)
@@ -105,15 +105,15 @@ class GlonassSets:
         """Reference time of each set [s]."""
         return self.state[:, 0]
 
-    def since(self, origin: float) -> GlonassSets:
-        """Return the same sets with times that count from ``origin`` [s]."""
+    def shift_origin(self, origin: float) -> GlonassSets:
+        """Return the same sets with times since ``origin`` [s]."""
         state = self.state.copy()
         state[:, 0] -= origin
         return GlonassSets(self.sat, self.healthy, self.channel, state)
 
 
 class SatelliteStates(NamedTuple):
-    """Satellites at their instants of transmission."""
+    """States of satellites at their instants of transmission."""
 
     pos_e: FloatArray  # (K, 3) [m], e at transmission
     vel_e: FloatArray  # (K, 3) [m/s], e
@@ -122,12 +122,12 @@ class SatelliteStates(NamedTuple):
     relativity: FloatArray  # (K,) eccentric term of the clock [s]
 
 
-def frequencies(system: IntArray, channel: IntArray) -> FloatArray:
-    """Return the first and second carrier (K, 2) [Hz] of GPS (0) and GLONASS (1) satellites.
+def carrier_frequencies(system: IntArray, channel: IntArray) -> FloatArray:
+    """Return the frequencies of both carriers (K, 2) [Hz] of GPS (0) and GLONASS (1) satellites.
 
     Examples
     --------
-    >>> frequencies(np.array([0, 1]), np.array([0, -7]))
+    >>> carrier_frequencies(np.array([0, 1]), np.array([0, -7]))
     array([[1.5754200e+09, 1.2276000e+09],
            [1.5980625e+09, 1.2429375e+09]])
     """
@@ -240,15 +240,15 @@ def _glonass_kernel(
         clock_rate[k] = q[11]
 
 
-def states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
-    """Return satellites at given instants.
+def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
+    """Compute the states of satellites at given instants.
 
     Parameters
     ----------
     sets : KeplerSets or GlonassSets
         Ephemerides.
     rows : (K,) array of int
-        Which set serves each instant.
+        Row of the set to use at each instant.
     t : (K,) array
         Instants of transmission, GPS time since the origin of ``sets`` [s].
 
@@ -270,8 +270,8 @@ def states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> Sat
     return SatelliteStates(pos, vel, clock, rate, relativity)
 
 
-def nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
-    """Return for each satellite and instant the healthy set with the nearest reference time, -1 for none.
+def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
+    """Find the healthy set with the nearest reference time for each satellite and instant, or -1.
 
     Parameters
     ----------
@@ -282,57 +282,57 @@ def nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest
     t : (K,) array
         Instants [s].
     oldest : float
-        Largest distance from the reference time [s].
+        Largest allowed time to the reference time [s].
     """
     found = np.full(len(t), -1, np.int64)
     for number in np.unique(sat):
-        mine = np.flatnonzero((sets.sat == number) & sets.healthy)
-        if len(mine) == 0:
+        own = np.flatnonzero((sets.sat == number) & sets.healthy)
+        if len(own) == 0:
             continue
-        mine = mine[np.argsort(sets.t[mine], kind="stable")]
-        asked = np.flatnonzero(sat == number)
-        after = np.clip(np.searchsorted(sets.t[mine], t[asked]), 1, len(mine) - 1) if len(mine) > 1 else 0
-        later = mine[after]
-        before = mine[np.maximum(np.asarray(after) - 1, 0)]
-        closer = np.abs(sets.t[before] - t[asked]) <= np.abs(sets.t[later] - t[asked])
+        own = own[np.argsort(sets.t[own], kind="stable")]
+        rows = np.flatnonzero(sat == number)
+        after = np.clip(np.searchsorted(sets.t[own], t[rows]), 1, len(own) - 1) if len(own) > 1 else 0
+        later = own[after]
+        before = own[np.maximum(np.asarray(after) - 1, 0)]
+        closer = np.abs(sets.t[before] - t[rows]) <= np.abs(sets.t[later] - t[rows])
         best = np.where(closer, before, later)
-        found[asked] = np.where(np.abs(sets.t[best] - t[asked]) <= oldest, best, -1)
+        found[rows] = np.where(np.abs(sets.t[best] - t[rows]) <= oldest, best, -1)
     return found
 
 
-def transmission(
+def find_transmission(
     sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray, pseudorange: FloatArray
 ) -> tuple[FloatArray, SatelliteStates]:
-    """Return instants of transmission (K,) and the satellites there, from what a receiver knows.
+    """Compute the instants of transmission (K,) [s] and the satellites there, from measurements alone.
 
     Parameters
     ----------
     sets, rows : KeplerSets or GlonassSets, (K,) array of int
-        The ephemerides that serve.
+        The ephemerides to use.
     t : (K,) array
-        Time tag of the reception by the receiver's clock [s].
+        Time of reception by the receiver's clock [s].
     pseudorange : (K,) array
-        [m]; tag minus ``pseudorange / c`` is what the satellite's clock showed, whatever the receiver's.
+        [m]; ``t - pseudorange / c`` is the reading of the satellite's clock, for any error of the receiver's.
     """
     shown = t - pseudorange / C
-    first = states(sets, rows, shown)
+    first = compute_states(sets, rows, shown)
     t_sent = shown - (first.clock + first.relativity)
-    return t_sent, states(sets, rows, t_sent)
+    return t_sent, compute_states(sets, rows, t_sent)
 
 
-def walker(
+def make_walker(
     planes: int, per_plane: int, phasing: int, *, semi_axis: float, inclination: float, node_0: float = 0.0
 ) -> KeplerSets:
-    """Return circular orbits spread evenly, with perfect clocks, at t = 0.
+    """Make a Walker constellation: evenly spaced circular orbits with perfect clocks, at t = 0.
 
     Parameters
     ----------
     planes, per_plane, phasing : int
         Walker's T/P/F with ``T = planes * per_plane``.
     semi_axis : float
-        [m].
+        Radius of the orbits [m].
     inclination : float
-        [rad].
+        Inclination of the orbits [rad].
     node_0 : float
         Longitude of the first node at t = 0 [rad].
     """
@@ -346,18 +346,18 @@ def walker(
     return KeplerSets(np.arange(1, total + 1), np.ones(total, bool), elements)
 
 
-def nominal_gps() -> KeplerSets:
+def make_nominal_gps() -> KeplerSets:
     """Return 24 satellites in 6 planes at 55 deg, 26 560 km (A-2.1.2)."""
-    return walker(6, 4, 1, semi_axis=26.56e6, inclination=np.deg2rad(55.0))
+    return make_walker(6, 4, 1, semi_axis=26.56e6, inclination=np.deg2rad(55.0))
 
 
-def nominal_glonass() -> KeplerSets:
+def make_nominal_glonass() -> KeplerSets:
     """Return 24 satellites in 3 planes at 64.8 deg, 19 100 km high (A-2.1.2)."""
-    return walker(3, 8, 1, semi_axis=_A_PZ + 19.1e6, inclination=np.deg2rad(64.8))
+    return make_walker(3, 8, 1, semi_axis=_A_PZ + 19.1e6, inclination=np.deg2rad(64.8))
 
 
 class Track(NamedTuple):
-    """Satellites over a span of time as polynomials, cheap to evaluate anywhere in it."""
+    """Positions and clocks of satellites over a span of time as polynomials."""
 
     t_0: float  # start of the first interval [s]
     step: float  # length of an interval [s]
@@ -368,22 +368,22 @@ _NODES = 8  # per interval: the next term of an orbit is below 1e-8 m over five 
 TRACK_STEP = 300.0  # [s]
 
 
-def track(sets: KeplerSets | GlonassSets, t_0: float, t_1: float) -> tuple[IntArray, Track]:
-    """Return the satellites of ``sets`` that have an ephemeris all along a span, and where they are.
+def fit_track(sets: KeplerSets | GlonassSets, t_0: float, t_1: float) -> tuple[IntArray, Track]:
+    """Fit polynomials to the satellites of ``sets`` over a span of time.
 
     Parameters
     ----------
     sets : KeplerSets or GlonassSets
-        Ephemerides; each interval of five minutes is served by the one nearest in time.
+        Ephemerides; each interval of five minutes uses the set with the nearest reference time.
     t_0, t_1 : float
-        The span [s].
+        Start and end of the span [s].
 
     Returns
     -------
     sat : (S,) array of int
-        Satellites.
+        Healthy satellites.
     track : Track
-        Their motion, and their clocks with relativity.
+        Their positions, and their clocks with relativity.
     """
     intervals = max(1, int(np.ceil((t_1 - t_0) / TRACK_STEP)))
     middle = t_0 + TRACK_STEP * (np.arange(intervals) + 0.5)
@@ -391,10 +391,10 @@ def track(sets: KeplerSets | GlonassSets, t_0: float, t_1: float) -> tuple[IntAr
     if len(numbers) == len(sets):
         rows = np.repeat(np.argsort(sets.sat), intervals)
     else:
-        rows = nearest(sets, np.repeat(numbers, intervals), np.tile(middle, len(numbers)), np.inf)
+        rows = find_nearest(sets, np.repeat(numbers, intervals), np.tile(middle, len(numbers)), np.inf)
     u = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     t = np.tile(middle, len(numbers))[:, None] + 0.5 * TRACK_STEP * u
-    found = states(sets, np.repeat(rows, _NODES), t.ravel())
+    found = compute_states(sets, np.repeat(rows, _NODES), t.ravel())
     values = np.column_stack([found.pos_e, C * (found.clock + found.relativity)])
     values = values.reshape(len(rows), _NODES, 4)
     powers = np.linalg.inv(np.vander(u, increasing=True))

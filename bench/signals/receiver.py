@@ -1,7 +1,7 @@
-"""The receiver: satellites from its own pseudoranges, corrections, position, velocity, what was left out.
+"""A GNSS receiver: satellites from its own pseudoranges, corrections, position, velocity, fault exclusion.
 
-Simulated observations and those of a RINEX file go the same way: :func:`observe` (files only) computes the
-satellites, :func:`solve` the fixes.
+Simulated observations and those of a RINEX file take the same path: :func:`make_observations` (files only)
+computes the satellites, :func:`solve_fixes` the fixes.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from bench.signals.delays import (
 from bench.signals.orbits import GPS_EARTH_RATE, L1, C
 
 CORRECTIONS = ("sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks")
-"""What ``Processing.without`` may leave out; "clocks" means a second clock unknown for GLONASS."""
+"""Corrections that ``Processing.without`` may leave out; "clocks" is the separate clock offset of GLONASS."""
 
 Ionosphere = Literal["klobuchar", "free"]
 Systems = Literal["gps", "glonass", "both", "auto"]
 
 _OLDEST = (7200.0, 1800.0)
-"""Largest distance of an ephemeris from its reference time, GPS and GLONASS [s]: half of the 4 h fit interval
-of IS-GPS-200, 20.3.4.4; twice the 15 min GLONASS broadcasts are made for, as a station misses some."""
+"""Largest age of an ephemeris, GPS and GLONASS [s]: half of the 4 h fit interval of IS-GPS-200, 20.3.4.4;
+twice the 15 min validity of a GLONASS broadcast, because a station misses some."""
 
 _GAMMA = (orbits.L2 / L1) ** 2  # 0.607; 0.605 for GLONASS
-_ROUGH = 1e3  # a step this long leaves less than 0.1 m, enough for elevations and delays [m]
+_ROUGH = 1e3  # last step of a rough position [m]; its error is below 0.1 m, enough for elevations and delays
 
 
 class ErrorBudget(NamedTuple):
-    """Standard deviations that weigh the ranges; the defaults are those of a single-frequency receiver.
+    """Standard deviations for the weights of ranges; defaults for a single-frequency receiver.
 
     [45] RTKLIB, rtkpos.c and rtkcmn.c. [46] RTCA DO-229D, appendix J, as in GPSTk ComputeMOPSWeights.cpp.
     [47] Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed. (2013),
@@ -53,15 +53,15 @@ class ErrorBudget(NamedTuple):
 
     signal_in_space: float = 0.6  # GPS, ephemeris and satellite clock [m], Montenbruck et al. 2018
     signal_in_space_glonass: float = 2.0  # GLONASS [m], the same
-    zenith_ionosphere: float = 2.0  # what the Klobuchar model leaves [m], [47]
-    zenith_troposphere: float = 0.2  # what the model leaves [m], [47]
+    zenith_ionosphere: float = 2.0  # residual of the Klobuchar model [m], [47]
+    zenith_troposphere: float = 0.2  # residual of the model [m], [47]
     code: float = 0.5  # noise of the code, first band [m]: RTCA DO-229D class 1, [46]
     multipath_zenith: float = 0.13  # [m], [46]: 0.13 + 0.53 exp(-el / 10 deg)
     multipath_horizon: float = 0.53  # [m]
     multipath_decay: float = float(np.deg2rad(10.0))  # [rad]
-    doppler: float = 0.05  # range rate [m/s], [47]: value of the filter without INS
-    glonass: float = 1.5  # code noise of GLONASS over that of GPS [1], [45]
-    second_band: float = 1.0  # code noise of the second band over that of the first [1]
+    doppler: float = 0.05  # range rate [m/s], [47], example of a filter without INS
+    glonass: float = 1.5  # ratio of the code noise of GLONASS to GPS [1], [45]
+    second_band: float = 1.0  # ratio of the code noise of the second band to the first [1]
 
 
 GROUND = ErrorBudget()
@@ -75,23 +75,23 @@ class Processing:
     ionosphere: Ionosphere = "klobuchar"
     troposphere: Troposphere = "saastamoinen"
     mask: float = float(np.deg2rad(10.0))  # lowest elevation used [rad]
-    false_alarm: float = 1e-3  # of the residual test of one epoch [1]; 0 switches fault exclusion off
+    false_alarm: float = 1e-3  # probability of the residual test of one epoch [1]; 0: no fault exclusion
     without: frozenset[str] = frozenset()  # of CORRECTIONS
 
 
-class Solution(NamedTuple):
-    """Fixes and how they came about."""
+class ReceiverSolution(NamedTuple):
+    """Fixes with the clock, the satellites used and the residuals."""
 
-    fixes: GnssFixes  # a row per epoch, NaN and not valid where there is none
-    clock: FloatArray  # (M, 2) of the receiver against GPS and GLONASS [m]
-    drift: FloatArray  # (M,) [m/s]
+    fixes: GnssFixes  # a row per epoch; NaN and not valid without solution
+    clock: FloatArray  # (M, 2) offset of the receiver's clock against GPS and GLONASS [m]
+    drift: FloatArray  # (M,) of the receiver's clock [m/s]
     los_n: FloatArray  # (K, 3) receiver to satellite, n; NaN without a position
-    used: BoolArray  # (K,) in the position
-    residual: FloatArray  # (K,) [m]; NaN where not used
+    used: BoolArray  # (K,) used for the position
+    residual: FloatArray  # (K,) [m]; NaN if not used
 
 
 class Look(NamedTuple):
-    """What a receiver sees of its satellites from where it believes to be."""
+    """Directions and atmospheric delays of satellites from an assumed position of the receiver."""
 
     pos_e: FloatArray  # (M, 3) [m], e
     lla: FloatArray  # (M, 3) [rad, rad, m]
@@ -136,11 +136,11 @@ def _atmosphere_kernel(
 
 
 @kernel
-def _spread_kernel(
+def _pseudorange_sd_kernel(
     el: FloatArray, system: IntArray, frequency: FloatArray, code: FloatArray, budget: FloatArray, free: bool,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill out (K,) with the sd of corrected pseudoranges by elevation; ``code`` (K,) of the receiver."""
+    """Fill out (K,) with the sd of corrected pseudoranges; ``code`` (K,) is the noise of the receiver."""
     for k in range(out.shape[0]):
         if not el[k] > 0.0:
             out[k] = np.nan
@@ -165,7 +165,7 @@ def _to_n_kernel(
     C_en: FloatArray, vel_e: FloatArray, cov_pos_e: FloatArray, cov_vel_e: FloatArray,
     vel_n: FloatArray, cov_pos_n: FloatArray, cov_vel_n: FloatArray,
 ) -> None:  # fmt: skip
-    """Resolve velocities (M, 3) and covariances (M, 3, 3) of e in n."""
+    """Resolve velocities (M, 3) and covariances (M, 3, 3) from e to n."""
     for m in range(vel_e.shape[0]):
         C = C_en[m]
         for a in range(3):
@@ -179,7 +179,7 @@ def _to_n_kernel(
                 cov_pos_n[m, a, b], cov_vel_n[m, a, b] = pos, vel
 
 
-def spread(
+def pseudorange_sd(
     el: FloatArray,
     system: IntArray,
     frequency: FloatArray,
@@ -196,17 +196,17 @@ def spread(
     code : (K,) array
         Noise of the receiver's code measurement [m].
     budget : ErrorBudget
-        Everything else.
+        All other errors.
     ionosphere : str
-        "klobuchar", or "free" for the two-frequency combination, which has no ionosphere and three times the
+        "klobuchar", or "free" for the two-frequency combination, with no ionosphere and three times the
         noise.
     """
     out = np.empty(len(el))
-    _spread_kernel(el, system, frequency, code, np.array(budget, float), ionosphere == "free", out)
+    _pseudorange_sd_kernel(el, system, frequency, code, np.array(budget, float), ionosphere == "free", out)
     return out
 
 
-def look(
+def compute_look(
     pos_e: FloatArray,
     *,
     epoch_start: IntArray,
@@ -217,12 +217,12 @@ def look(
     troposphere: Troposphere = "saastamoinen",
     sagnac: bool = True,
 ) -> Look:
-    """Return directions and atmospheric delays of satellites.
+    """Compute directions and atmospheric delays of satellites.
 
     Parameters
     ----------
     pos_e : (M, 3) array
-        Receiver at each epoch [m]; a NaN row gives NaN.
+        Receiver at each epoch [m]; rows with NaN give NaN.
     epoch_start : (M + 1,) array of int
         First row of each epoch.
     t : (K,) array
@@ -259,8 +259,8 @@ def look(
     return seen
 
 
-def _look(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
-    return look(
+def _look_around(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
+    return compute_look(
         pos_e,
         epoch_start=o.epoch_start,
         t=o.t + o.gps_t0,
@@ -272,7 +272,7 @@ def _look(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Loo
     )
 
 
-def observe(
+def make_observations(
     *,
     t: FloatArray,
     epoch_start: IntArray,
@@ -287,7 +287,7 @@ def observe(
     processing: Processing,
     budget: ErrorBudget = GROUND,
 ) -> GnssObservations:
-    """Return raw observations with the satellites a receiver computes for them.
+    """Compute the satellites of raw observations as a receiver does.
 
     Parameters
     ----------
@@ -304,14 +304,14 @@ def observe(
     klobuchar : (8,) array or None
         Broadcast ionosphere; None counts as no delay.
     processing : Processing
-        Which corrections are left out of the satellite clocks, and how the ionosphere is removed.
+        Corrections of the satellite clocks to leave out, and the method for the ionosphere.
     budget : ErrorBudget
-        What the claimed sds are made of.
+        For the assumed standard deviations.
 
     Returns
     -------
     observations : GnssObservations
-        Rows without a fresh, healthy ephemeris have NaN satellites.
+        Satellites without a recent, healthy ephemeris are NaN.
     """
     K = len(sat)
     tag = np.repeat(t, np.diff(epoch_start))
@@ -320,23 +320,23 @@ def observe(
     clock, clock_rate, group_delay = np.full(K, np.nan), np.full(K, np.nan), np.zeros(K)
     channel = np.zeros(K, np.int64)
     for which, sets in ((GPS, kepler), (GLONASS, glonass)):
-        asked = np.flatnonzero((system == which) & np.isfinite(code))
-        if len(sets) == 0 or len(asked) == 0:
+        rows = np.flatnonzero((system == which) & np.isfinite(code))
+        if len(sets) == 0 or len(rows) == 0:
             continue
-        serving = orbits.nearest(sets, sat[asked], tag[asked], _OLDEST[which])
-        asked, serving = asked[serving >= 0], serving[serving >= 0]
-        _, found = orbits.transmission(sets, serving, tag[asked], code[asked])
-        pos[asked], vel[asked] = found.pos_e, found.vel_e
+        serving = orbits.find_nearest(sets, sat[rows], tag[rows], _OLDEST[which])
+        rows, serving = rows[serving >= 0], serving[serving >= 0]
+        _, found = orbits.find_transmission(sets, serving, tag[rows], code[rows])
+        pos[rows], vel[rows] = found.pos_e, found.vel_e
         relativity = 0.0 if "relativity" in processing.without else found.relativity
-        clock[asked] = C * (found.clock + relativity)
-        clock_rate[asked] = C * found.clock_rate
+        clock[rows] = C * (found.clock + relativity)
+        clock_rate[rows] = C * found.clock_rate
         if isinstance(sets, orbits.GlonassSets):
-            channel[asked] = sets.channel[serving]
+            channel[rows] = sets.channel[serving]
         elif "group-delay" not in processing.without:
-            group_delay[asked] = C * sets.elements[serving, orbits.KEPLER.index("group_delay")]
-    frequency = orbits.frequencies(system, channel)
+            group_delay[rows] = C * sets.elements[serving, orbits.KEPLER.index("group_delay")]
+    frequency = orbits.carrier_frequencies(system, channel)
     model = np.zeros(8) if klobuchar is None else klobuchar
-    made = GnssObservations(
+    raw = GnssObservations(
         t=tag,
         t_arrival=tag,
         sat=sat,
@@ -356,18 +356,20 @@ def observe(
         klobuchar=model,
         gps_t0=0.0,
     )
-    ranges = corrected(made, processing)
-    rough = least_squares.position(epoch_start, pos, ranges, made.sd_pseudorange, system, close=_ROUGH)
-    el = _look(made, rough.pos_e, processing).el
-    sd = spread(el, system, frequency[:, 0].copy(), np.full(K, budget.code), budget, processing.ionosphere)
-    columns = {name: getattr(made, name) for name in GnssObservations.__slots__}
+    ranges = correct_pseudoranges(raw, processing)
+    rough = least_squares.solve_positions(epoch_start, pos, ranges, raw.sd_pseudorange, system, close=_ROUGH)
+    el = _look_around(raw, rough.pos_e, processing).el
+    sd = pseudorange_sd(
+        el, system, frequency[:, 0].copy(), np.full(K, budget.code), budget, processing.ionosphere
+    )
+    columns = {name: getattr(raw, name) for name in GnssObservations.__slots__}
     return GnssObservations(**columns | {"sd_pseudorange": np.where(np.isfinite(sd), sd, 1e3)})
 
 
-def corrected(observations: GnssObservations, processing: Processing) -> FloatArray:
-    """Return pseudoranges (K,) corrected for satellite clock and group delay, not for the atmosphere [m].
+def correct_pseudoranges(observations: GnssObservations, processing: Processing) -> FloatArray:
+    """Return pseudoranges (K,) [m] corrected for satellite clock and group delay, not for the atmosphere.
 
-    With ``ionosphere = "free"`` they are the two-frequency combination, NaN where a band is missing.
+    With ``ionosphere = "free"`` it is the two-frequency combination, NaN if a band is missing.
     """
     ranges = observations.pseudorange
     if processing.ionosphere == "free":
@@ -376,27 +378,30 @@ def corrected(observations: GnssObservations, processing: Processing) -> FloatAr
     return ranges[:, 0] + observations.sat_clock - observations.group_delay
 
 
-def solve(observations: GnssObservations, processing: Processing, near: Look | None = None) -> Solution:
-    """Return the fixes of every epoch.
+def solve_fixes(
+    observations: GnssObservations, processing: Processing, near: Look | None = None
+) -> ReceiverSolution:
+    """Compute the fix of every epoch.
 
     Parameters
     ----------
     observations : GnssObservations
-        What the receiver measured, with its satellites.
+        Measurements of the receiver, with the satellites.
     processing : Processing
-        What it makes of it.
+        Settings.
     near : Look or None
-        What it sees from where it expects itself, within about 10 m. None: a rough position gives elevations
-        and delays, a second one the height that the troposphere depends on.
+        Directions and delays from a predicted position, accurate to about 10 m. None: a first rough position
+        gives elevations and delays, a second one the height for the troposphere.
 
     Notes
     -----
-    What is below the mask is not used; while the residuals are too large, the worst satellite is left out.
+    Satellites below the mask are not used. While the residuals are too large, the worst satellite is
+    excluded.
     """
     o, without = observations, processing.without
     start, system = o.epoch_start, o.system
     sagnac, one_clock = "sagnac" not in without, "clocks" in without
-    ranges = corrected(o, processing)
+    ranges = correct_pseudoranges(o, processing)
     wanted = np.ones(len(o), bool)
     if processing.systems in ("gps", "glonass"):
         wanted = system == (GPS if processing.systems == "gps" else GLONASS)
@@ -407,25 +412,25 @@ def solve(observations: GnssObservations, processing: Processing, near: Look | N
             rough, use, delayed = (
                 near.pos_e,
                 wanted & (near.el > processing.mask),
-                _less(ranges, near, processing),
+                _subtract_delays(ranges, near, processing),
             )
-        pos_e = least_squares.position(
+        pos_e = least_squares.solve_positions(
             start, o.sat_pos_e, delayed, o.sd_pseudorange, system,
             use=use, start_e=rough, close=_ROUGH, one_clock=one_clock, sagnac=sagnac,
         ).pos_e  # fmt: skip
-        near = _look(o, pos_e, processing)
+        near = _look_around(o, pos_e, processing)
     assert near is not None
-    ranges = _less(ranges, near, processing)
+    ranges = _subtract_delays(ranges, near, processing)
     use = wanted & (near.el > processing.mask) & np.isfinite(ranges)
     if processing.systems == "auto":
-        use, _ = least_squares.best_set(start, near.los_n, system, o.sd_pseudorange, use)
-    bounds = least_squares.thresholds(processing.false_alarm) if processing.false_alarm > 0 else None
-    fix = least_squares.position(
+        use, _ = least_squares.choose_satellites(start, near.los_n, system, o.sd_pseudorange, use)
+    bounds = least_squares.compute_thresholds(processing.false_alarm) if processing.false_alarm > 0 else None
+    fix = least_squares.solve_positions(
         start, o.sat_pos_e, ranges, o.sd_pseudorange, system,
         use=use, start_e=near.pos_e, threshold=bounds, one_clock=one_clock, sagnac=sagnac,
     )  # fmt: skip
     range_rate = o.range_rate[:, 0] + o.sat_clock_rate
-    speed = least_squares.velocity(
+    speed = least_squares.solve_velocities(
         start, o.sat_pos_e, o.sat_vel_e, range_rate, o.sd_range_rate, fix.used, fix.pos_e, sagnac=sagnac
     )
     lla = earth.to_geodetic(fix.pos_e)
@@ -436,8 +441,8 @@ def solve(observations: GnssObservations, processing: Processing, near: Look | N
     count = np.add.reduceat(np.append(fix.used, False).astype(np.int64), start[:-1])
     count = np.where(np.diff(start) > 0, count, 0)
     fixes = GnssFixes(
-        t=_of_epochs(o.t, start),
-        t_arrival=_of_epochs(o.t_arrival, start),
+        t=_take_first_rows(o.t, start),
+        t_arrival=_take_first_rows(o.t_arrival, start),
         valid=fix.passed,
         lla=lla,
         vel_n=vel_n,
@@ -445,16 +450,16 @@ def solve(observations: GnssObservations, processing: Processing, near: Look | N
         cov_vel_n=cov_vel_n,
         satellites=count,
     )
-    return Solution(fixes, fix.clock, speed.drift, near.los_n, fix.used, fix.residual)
+    return ReceiverSolution(fixes, fix.clock, speed.drift, near.los_n, fix.used, fix.residual)
 
 
-def _less(ranges: FloatArray, near: Look, processing: Processing) -> FloatArray:
-    """Return ranges (K,) less the delays of the atmosphere [m]."""
+def _subtract_delays(ranges: FloatArray, near: Look, processing: Processing) -> FloatArray:
+    """Subtract the delays of the atmosphere from ranges (K,) [m]."""
     if "ionosphere" not in processing.without and processing.ionosphere == "klobuchar":
         ranges = ranges - near.ionosphere
     return ranges if "troposphere" in processing.without else ranges - near.troposphere
 
 
-def _of_epochs(column: FloatArray, start: IntArray) -> FloatArray:
-    """Return the value of each epoch's first row; an epoch without rows has NaN."""
+def _take_first_rows(column: FloatArray, start: IntArray) -> FloatArray:
+    """Return the value in the first row of each epoch; NaN for an epoch without rows."""
     return np.where(np.diff(start) > 0, np.append(column, np.nan)[start[:-1]], np.nan)

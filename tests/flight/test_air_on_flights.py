@@ -15,7 +15,7 @@ def test_a_barometer_without_errors_reads_the_geopotential_height_of_the_flight(
     spec = BaroSpec("none", 10.0, 0.1, 5.0, 0.03, physical=StaticPressureSpec())
     record, bias = static_pressure.measure(short_truth, spec, 101325.0, (0.0, 0.0, 0.0), 1, 0)
     rows = np.searchsorted(short_truth.t, record.t - 1e-6)
-    assert_allclose(record.alt_baro, air.geopotential(short_truth.lla[rows, 2]), rtol=0, atol=0.06)
+    assert_allclose(record.alt_baro, air.to_geopotential(short_truth.lla[rows, 2]), rtol=0, atol=0.06)
     assert_allclose(bias, record.alt_baro - short_truth.lla[rows, 2], rtol=0, atol=1e-9)
     assert np.ptp(record.alt_baro) > 10.0
 
@@ -27,7 +27,7 @@ def test_a_port_that_minds_incidence_errs_more_in_the_turn(short_truth):
         unit = StaticPressureSpec(position_error_alpha=slope)
         felt[slope] = static_pressure.compute_port_pressure(short_truth, unit, 0.0, (0.0, 0.0, 0.0))
     around = short_truth.air
-    dynamic = 0.5 * air.standard(1200.0)[2] * around.airspeed_true**2
+    dynamic = 0.5 * air.standard_atmosphere(1200.0)[2] * around.airspeed_true**2
     assert_allclose(felt[0.1] - felt[0.0], 0.1 * around.alpha * dynamic, rtol=0.01, atol=0.02)
     turning = (around.t > 12.0) & (around.t < 15.0)
     assert around.alpha[turning].mean() > 1.1 * around.alpha[around.t < 9.0].mean()

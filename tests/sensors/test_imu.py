@@ -218,14 +218,14 @@ def test_analytic_allan_curve_is_that_of_the_autocovariance():
     weights = np.concatenate([-np.ones(m), np.ones(m)]) / m
     lag = step * np.abs(np.subtract.outer(np.arange(2 * m), np.arange(2 * m)))
     variance = 0.5 * weights @ np.exp(-lag / 2.0) @ weights
-    assert_allclose(allan.gauss_markov(m * step, 1.0, 2.0), np.sqrt(variance), rtol=1e-3)
+    assert_allclose(allan.gauss_markov_deviation(m * step, 1.0, 2.0), np.sqrt(variance), rtol=1e-3)
 
 
 def test_gauss_markov_curve_peaks_at_the_bias_instability():
     spec = TriadSpec(bias_instability=3.0, bias_correlation=7.0, bias_model="gauss-markov")
     correlation, sd = processes.choose_bias_stages(spec)
     tau = np.geomspace(0.7, 70.0, 2001)
-    curve = allan.gauss_markov(tau, sd[0], correlation[0])
+    curve = allan.gauss_markov_deviation(tau, sd[0], correlation[0])
     assert_allclose(curve.max(), 3.0, rtol=1e-3)
     assert_allclose(tau[curve.argmax()] / 7.0, 1.89, rtol=1e-2)
 
@@ -235,7 +235,9 @@ def test_flicker_curve_is_flat_at_the_bias_instability():
     spec = TriadSpec(bias_instability=3.0, bias_correlation=7.0)
     correlation, sd = processes.choose_bias_stages(spec)
     tau = 7.0 * np.geomspace(0.1, 10.0, 2001)
-    curve = np.sqrt(sum(allan.gauss_markov(tau, s, c) ** 2 for s, c in zip(sd, correlation, strict=True)))
+    curve = np.sqrt(
+        sum(allan.gauss_markov_deviation(tau, s, c) ** 2 for s, c in zip(sd, correlation, strict=True))
+    )
     assert np.abs(curve / 3.0 - 1).max() < 0.05
 
 

@@ -86,12 +86,12 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
     rows = np.searchsorted(turn.t, o.t - 1e-6)
     lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER)
     here = earth.to_ecef(lla)
-    sets = [orbits.nominal_gps(), orbits.nominal_glonass()]
+    sets = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
     for k in range(0, len(o), 37):
         travel = np.array([0.07])
         for _ in range(5):
             now = o.t[k] + o.gps_t0 - travel
-            pos = orbits.states(sets[o.system[k]], np.array([o.sat[k] - 1]), now).pos_e[0]
+            pos = orbits.compute_states(sets[o.system[k]], np.array([o.sat[k] - 1]), now).pos_e[0]
             c, s = np.cos(orbits.GPS_EARTH_RATE * travel[0]), np.sin(orbits.GPS_EARTH_RATE * travel[0])
             turned = np.array([c * pos[0] + s * pos[1], c * pos[1] - s * pos[0], pos[2]])
             travel = np.array([np.linalg.norm(turned - here[k])]) / orbits.C
@@ -116,7 +116,9 @@ def test_two_carriers_see_the_ionosphere(turn):
     no = measure(turn, replace(QUIET, bands=2, klobuchar=(0.0,) * 8)).observations
     free = receiver.Processing(ionosphere="free")
     assert np.abs(o.pseudorange - no.pseudorange).min() > 0.01
-    assert np.abs(receiver.corrected(o, free) - receiver.corrected(no, free)).max() < 1e-6
+    assert (
+        np.abs(receiver.correct_pseudoranges(o, free) - receiver.correct_pseudoranges(no, free)).max() < 1e-6
+    )
 
 
 def test_a_bank_loses_the_satellites_geometry_says():
@@ -287,7 +289,7 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
     runs = [clock.simulate_receiver_clock(truth, rows, what, 1, run) for run in range(24)]
     taus = np.geomspace(0.1, 1e4, 41)
     stages = zip(clock._fit_stage_sd(), clock._STAGES, strict=True)
-    flat = np.sqrt(sum(allan.gauss_markov(taus, sd, c) ** 2 for sd, c in stages))
+    flat = np.sqrt(sum(allan.gauss_markov_deviation(taus, sd, c) ** 2 for sd, c in stages))
     assert np.abs(flat - 1).max() < 0.02
     for tau in 2 ** np.arange(11):
         variances = []
@@ -389,7 +391,7 @@ def test_the_prediction_does_not_change_the_fix(turn):
     """From the sensor's own prediction or from the centre of the Earth: within 2 cm, as the delays are
     those of the prediction or of the receiver's own height, metres away."""
     found = measure(turn, FULL)
-    again = receiver.solve(found.observations, sky.make_processing(FULL))
+    again = receiver.solve_fixes(found.observations, sky.make_processing(FULL))
     assert np.abs(earth.difference_n(again.fixes.lla, found.fixes.lla)).max() < 0.02
     assert_array_equal(again.used, found.solution.used)
 
@@ -459,7 +461,7 @@ def test_real_satellites_fly_too(turn, tmp_path):
         (
             'systems = "both"\n',
             'almanac = "a"\nnavigation = ["b"]\n',
-            "almanac and navigation are two sources",
+            "give either almanac or navigation, not both",
         ),
     ],
 )

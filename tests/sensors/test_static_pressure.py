@@ -35,7 +35,7 @@ def flown(height, duration=60.0, rate=100.0, **columns):
     """A truth at a height as a function of time [m], in the standard atmosphere, other air data as told."""
     rest = still(duration, rate)
     truth = replace(rest, lla=np.column_stack([rest.lla[:, :2], height(rest.t)]))
-    pressure, temperature, _ = air.standard(air.geopotential(height(rest.air.t)))
+    pressure, temperature, _ = air.standard_atmosphere(air.to_geopotential(height(rest.air.t)))
     told = {name: value + 0 * rest.air.t for name, value in columns.items()}
     return replace(truth, air=replace(rest.air, pressure=pressure, temperature=temperature, **told))
 
@@ -74,7 +74,7 @@ def test_the_setting_moves_the_altitude_by_27_feet_per_hpa(hpa):
 def test_air_off_standard_makes_the_scale_wrong_by_four_percent_per_ten_kelvin(warmer):
     """Hydrostatic, closed form: H_read = H T0 / (T0 + dT), the lapse rate being the same."""
     for height in (0.0, 1000.0, 5000.0):
-        H = air.geopotential(height)
+        H = air.to_geopotential(height)
         found = read(level(height), replace(NONE, isa_deviation=warmer)).alt_baro
         assert_allclose(found, H * 288.15 / (288.15 + warmer), rtol=0, atol=1e-3)
     assert 0.03 < (1 - found[0] / H) / (warmer / 10) < 0.04
@@ -94,7 +94,7 @@ def test_the_port_errs_by_a_share_of_the_dynamic_pressure(field, air_column, val
     for speed in (0.0, 20.0, 40.0):
         truth = level(airspeed_true=speed, **{"alpha": 0.0, "beta": 0.0, air_column: value})
         moved.append(float((read(truth, replace(NONE, **{field: 0.05})).alt_baro - read(truth).alt_baro)[0]))
-    density = air.standard(air.geopotential(1000.0))[2]
+    density = air.standard_atmosphere(air.to_geopotential(1000.0))[2]
     assert moved[0] == 0.0
     assert_allclose(moved[1], -0.05 * factor * 0.5 * density * 20.0**2 / (density * 9.80665), rtol=5e-3)
     assert_allclose(moved[2], 4 * moved[1], rtol=5e-3)
@@ -121,7 +121,7 @@ def test_a_lag_reads_a_climb_behind_by_its_time():
 def test_pressure_noise_and_its_least_bit_become_altitude():
     """1 Pa is 1 / (rho g) of altitude: 0.092 m at 1000 m."""
     truth = level()
-    metre_per_pascal = 1 / (air.standard(air.geopotential(1000.0))[2] * 9.80665)
+    metre_per_pascal = 1 / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
     exact = read(truth).alt_baro
     noise = read(truth, replace(NONE, pressure_white_sd=1.2)).alt_baro - exact
     low, high = band(len(noise))
@@ -142,7 +142,7 @@ def test_constant_errors_of_the_pressure_have_their_sd(figure, pascals):
     exact = read(truth).alt_baro[0]
     unit = replace(NONE, **{figure: getattr(FULL, figure)})
     found = np.array([read(truth, unit, run=run).alt_baro[0] for run in range(2000)]) - exact
-    expected = pascals / (air.standard(air.geopotential(1000.0))[2] * 9.80665)
+    expected = pascals / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
     low, high = band(len(found))
     assert 0.99 * low < np.mean(found**2) / expected**2 < 1.01 * high
 
@@ -161,7 +161,7 @@ def test_the_pressure_at_sea_level_walks_with_the_root_of_time():
     """After an hour its sd is 60 qnh_walk, +-5 %; a walk per step instead of per sqrt(s) fails."""
     rest = still(3600.0, 1 / 60)
     truth = replace(rest, lla=np.column_stack([rest.lla[:, :2], 0 * rest.t]))
-    pressure, temperature, _ = air.standard(0 * rest.air.t)
+    pressure, temperature, _ = air.standard_atmosphere(0 * rest.air.t)
     truth = replace(truth, air=replace(rest.air, pressure=pressure, temperature=temperature))
     unit = replace(NONE, qnh_walk=0.4)
     found = np.array([read(truth, unit, run=run, rate=1 / 60).alt_baro[-1] for run in range(6000)])

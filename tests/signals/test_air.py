@@ -20,7 +20,7 @@ from bench.signals import air
     ],
 )
 def test_the_layers_of_the_standard_atmosphere(height, pressure, density, temperature):
-    found = air.standard(height)
+    found = air.standard_atmosphere(height)
     assert_allclose(found, [pressure, temperature, density], rtol=5e-6)
     assert_allclose(air.pressure_altitude(pressure), height, rtol=0, atol=0.05)
 
@@ -31,8 +31,8 @@ def test_the_layers_of_the_standard_atmosphere(height, pressure, density, temper
 )
 def test_pressures_of_a_published_table(feet, psi):
     """To the last digit when its heights are geometric; as the geopotential ones it calls them, 1 % off."""
-    height = air.geopotential(0.3048 * feet)
-    assert_allclose(air.standard(height)[0] / 6894.757, psi, rtol=0, atol=6e-4)
+    height = air.to_geopotential(0.3048 * feet)
+    assert_allclose(air.standard_atmosphere(height)[0] / 6894.757, psi, rtol=0, atol=6e-4)
     assert_allclose(air.pressure_altitude(psi * 6894.757), height, rtol=0, atol=4.0)
 
 
@@ -40,20 +40,23 @@ def test_pressures_of_a_published_table(feet, psi):
 def test_the_air_weighs_what_it_presses(deviation):
     """dp/dH = -rho g by central differences, in every layer and across their borders; p = rho R T."""
     height = np.array([-500.0, 0.0, 3000.0, 10999.0, 11500.0, 19000.0, 21000.0, 31000.0])
-    above, below = air.standard(height + 0.5, deviation)[0], air.standard(height - 0.5, deviation)[0]
-    pressure, temperature, density = air.standard(height, deviation)
+    above, below = (
+        air.standard_atmosphere(height + 0.5, deviation)[0],
+        air.standard_atmosphere(height - 0.5, deviation)[0],
+    )
+    pressure, temperature, density = air.standard_atmosphere(height, deviation)
     assert_allclose(above - below, -density * 9.80665, rtol=2e-5)
     assert_allclose(pressure, density * 287.05287 * temperature, rtol=1e-12)
-    assert_allclose(temperature - air.standard(height)[1], deviation, atol=1e-9)
+    assert_allclose(temperature - air.standard_atmosphere(height)[1], deviation, atol=1e-9)
 
 
 def test_a_height_beyond_the_layers_is_refused():
     with pytest.raises(ValueError, match="ends at 32000 m; got 40000 m"):
-        air.standard([0.0, 40000.0])
+        air.standard_atmosphere([0.0, 40000.0])
 
 
 def test_geopotential_and_geometric_height_part_by_the_square_over_the_radius():
-    assert_allclose(air.geopotential(10000.0), 10000.0 - 10000.0**2 / 6356766.0, atol=0.03)
+    assert_allclose(air.to_geopotential(10000.0), 10000.0 - 10000.0**2 / 6356766.0, atol=0.03)
 
 
 @pytest.mark.parametrize("pressure", [101325.0, 26500.0])

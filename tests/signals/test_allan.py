@@ -42,31 +42,33 @@ def test_our_overlapping_deviation_is_that_of_allantools(samples):
 
     rate = 50.0
     values = np.random.default_rng(4).normal(size=(samples, 3)).cumsum(axis=0) + 5.0
-    spans = allan.octaves(samples, 4)
-    ours = allan.overlapping(values / rate, 1 / rate, spans)
+    spans = allan.make_octaves(samples, 4)
+    ours = allan.measure_deviation(values / rate, 1 / rate, spans)
     for axis in range(3):
         theirs = allantools.oadev(values[:, axis], rate, "freq", spans / rate)[1]
         assert_allclose(ours[:, axis], theirs, rtol=1e-9)
-    assert_allclose(allan.overlapping(values[:, 0] / rate, 1 / rate, spans), ours[:, 0], rtol=1e-12)
+    assert_allclose(allan.measure_deviation(values[:, 0] / rate, 1 / rate, spans), ours[:, 0], rtol=1e-12)
 
 
 def test_too_long_an_average_is_refused():
     with pytest.raises(ValueError, match="1 to 5 for 10 samples; got 6"):
-        allan.overlapping(np.zeros(10), 1.0, [6])
+        allan.measure_deviation(np.zeros(10), 1.0, [6])
 
 
 def test_the_curves_are_those_of_the_standard():
     """IEEE Std 952-1997, annex C: N / sqrt(tau), K sqrt(tau / 3), sqrt(3) Q / tau with Q = lsb / sqrt(12)."""
     tau = np.geomspace(0.01, 1000.0, 30)
-    assert_allclose(allan.deviation(allan.white(3.0), tau), 3.0 / np.sqrt(tau), rtol=1e-9)
-    assert_allclose(allan.deviation(allan.rate_walk(3.0), tau), 3.0 * np.sqrt(tau / 3), rtol=1e-9)
-    assert_allclose(allan.deviation(allan.quantization(3.0), tau), 3.0 / np.sqrt(4.0) / tau, rtol=1e-9)
+    assert_allclose(allan.expected_deviation(allan.white(3.0), tau), 3.0 / np.sqrt(tau), rtol=1e-9)
+    assert_allclose(allan.expected_deviation(allan.rate_walk(3.0), tau), 3.0 * np.sqrt(tau / 3), rtol=1e-9)
+    assert_allclose(
+        allan.expected_deviation(allan.quantization(3.0), tau), 3.0 / np.sqrt(4.0) / tau, rtol=1e-9
+    )
     near = tau > 1.0  # where the closed form still has its digits
-    curve = allan.deviation(allan.markov(2.0, 20.0), tau[near])
-    assert_allclose(curve, allan.gauss_markov(tau[near], 2.0, 20.0), rtol=1e-6)
-    short = allan.deviation(allan.markov(2.0, 1e5), tau[~near])  # a walk of K = sd sqrt(2 / T)
+    curve = allan.expected_deviation(allan.markov(2.0, 20.0), tau[near])
+    assert_allclose(curve, allan.gauss_markov_deviation(tau[near], 2.0, 20.0), rtol=1e-6)
+    short = allan.expected_deviation(allan.markov(2.0, 1e5), tau[~near])  # a walk of K = sd sqrt(2 / T)
     assert_allclose(short, 2.0 * np.sqrt(2e-5) * np.sqrt(tau[~near] / 3), rtol=1e-4)
-    both = allan.deviation(allan.total(allan.white(3.0), allan.rate_walk(2.0)), tau)
+    both = allan.expected_deviation(allan.add_processes(allan.white(3.0), allan.rate_walk(2.0)), tau)
     assert_allclose(both**2, 9.0 / tau + 4.0 * tau / 3, rtol=1e-9)
 
 
@@ -84,11 +86,11 @@ def test_lines_between_instants_have_the_allan_deviation_of_their_curve(tau):
     start = np.arange(10 * fine, 11 * fine)
     second = angle[start + 2 * m] - 2 * angle[start + m] + angle[start]
     variance = np.mean(np.sum(second**2, axis=1)) / (2 * tau**2)
-    assert_allclose(allan.deviation(allan.rate_walk(1.0, 1.0), tau), np.sqrt(variance), rtol=2e-3)
-    slow = allan.deviation(allan.markov(50.0, 5000.0, 1.0), tau)  # K = 1 over these times
+    assert_allclose(allan.expected_deviation(allan.rate_walk(1.0, 1.0), tau), np.sqrt(variance), rtol=2e-3)
+    slow = allan.expected_deviation(allan.markov(50.0, 5000.0, 1.0), tau)  # K = 1 over these times
     assert_allclose(slow, np.sqrt(variance), rtol=5e-3)
     if tau <= 1.0:
-        assert abs(allan.deviation(allan.rate_walk(1.0), tau) / np.sqrt(variance) - 1) > 0.1
+        assert abs(allan.expected_deviation(allan.rate_walk(1.0), tau) / np.sqrt(variance) - 1) > 0.1
 
 
 def test_degrees_of_freedom_of_white_noise_are_those_of_sp_1065():
@@ -128,7 +130,7 @@ def test_the_spread_of_the_estimate_is_that_of_its_degrees_of_freedom():
     for _ in range(count // 3 + 1):
         rate = processes.simulate_gauss_markov(decay, np.ones(1), rng.normal(size=(n + 1, 1, 3)))
         angle = 0.5 * (rate[1:] + rate[:-1])
-        values += list(allan.overlapping(angle, 1.0, [m])[0] ** 2)
+        values += list(allan.measure_deviation(angle, 1.0, [m])[0] ** 2)
     edf = allan.degrees_of_freedom(allan.markov(1.0, 30.0), n, 1.0, m)
     ratio = np.var(values, ddof=1) / np.mean(values) ** 2 * edf / 2
     spread = 3.29 * np.sqrt((2 + 12 / edf) / len(values))  # the kurtosis of chi-square is 3 + 12 / edf
@@ -198,7 +200,7 @@ def test_a_wrong_figure_is_seen(figure, factor):
         claimed = replace(FULL, **{name: replace(triad, **{figure: factor * getattr(triad, figure)})})
         measured = next(curve for curve in measure_model(FULL, 3) if curve.triad == name)
         terms = processes.make_noise_terms(getattr(claimed, name))
-        expected = allan.deviation(allan.total(*terms.values()), measured.tau)
+        expected = allan.expected_deviation(allan.add_processes(*terms.values()), measured.tau)
         low, high = (
             expected * np.sqrt(2 * gammaincinv(measured.edf / 2, tail) / measured.edf)
             for tail in (0.0005, 0.9995)
@@ -328,7 +330,7 @@ def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
         (["allan"], "give a UNIT of the catalog or --log FILE"),
         (["allan", "stim30"], "Did you mean 'stim300'?"),
         (["allan", "--log", "nowhere.csv"], "nowhere.csv: no such file"),
-        (["allan", "stim300", "-o", "picture.txt"], "ends in .png, .svg or .pdf"),
+        (["allan", "stim300", "-o", "picture.txt"], "must end in .png, .svg or .pdf"),
         (["allan", "silent.toml"], "silent: it has no random error to measure"),
     ],
 )

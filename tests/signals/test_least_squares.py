@@ -40,7 +40,7 @@ def view(constellations, lla, t, mask, first=0):
         which, when = np.tile(np.arange(len(sets)), len(t)), np.repeat(t, len(sets))
         travel = np.full(len(when), 0.07)
         for _ in range(5):
-            found = orbits.states(sets, which, when - travel)
+            found = orbits.compute_states(sets, which, when - travel)
             c, s = np.cos(GPS_EARTH_RATE * travel), np.sin(GPS_EARTH_RATE * travel)
             turned = np.column_stack(
                 [
@@ -72,7 +72,7 @@ def view(constellations, lla, t, mask, first=0):
 
 @pytest.fixture(scope="module")
 def both():
-    sets = [orbits.nominal_gps(), orbits.nominal_glonass()]
+    sets = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
     return view(sets, THERE, np.arange(0.0, 86400.0, 300.0), np.deg2rad(5.0))
 
 
@@ -85,7 +85,7 @@ def test_from_the_centre_of_the_earth_in_six_steps(both):
     clock = np.array([5000.0, -3000.0])
     measured = both.distance + clock[both.system]
     centre = np.zeros((len(both.epoch_start) - 1, 3))
-    fix = least_squares.position(
+    fix = least_squares.solve_positions(
         both.epoch_start, both.pos_e, measured, np.ones(len(measured)), both.system, start_e=centre
     )
     assert fix.steps.max() <= 6
@@ -105,8 +105,8 @@ def test_without_sagnac_the_fix_goes_east(both):
     away = np.linalg.norm(both.pos_e - earth.to_ecef(THERE), axis=1)
     assert_allclose(both.distance - away, added, rtol=0, atol=1e-3)
     ones = np.ones(len(away))
-    exact = least_squares.position(both.epoch_start, both.pos_e, both.distance, ones, both.system)
-    wrong = least_squares.position(
+    exact = least_squares.solve_positions(both.epoch_start, both.pos_e, both.distance, ones, both.system)
+    wrong = least_squares.solve_positions(
         both.epoch_start, both.pos_e, both.distance, ones, both.system, sagnac=False
     )
     shift_n = (wrong.pos_e - exact.pos_e) @ earth.matrix_en(THERE[0], THERE[1])
@@ -117,8 +117,10 @@ def test_without_sagnac_the_fix_goes_east(both):
 def test_one_clock_for_two_systems_is_wrong_by_their_offset(both):
     measured = both.distance + 6.2 * both.system
     ones = np.ones(len(measured))
-    two = least_squares.position(both.epoch_start, both.pos_e, measured, ones, both.system)
-    one = least_squares.position(both.epoch_start, both.pos_e, measured, ones, both.system, one_clock=True)
+    two = least_squares.solve_positions(both.epoch_start, both.pos_e, measured, ones, both.system)
+    one = least_squares.solve_positions(
+        both.epoch_start, both.pos_e, measured, ones, both.system, one_clock=True
+    )
     assert np.linalg.norm(two.pos_e - earth.to_ecef(THERE), axis=1).max() < 1e-7
     assert np.median(np.linalg.norm(one.pos_e - earth.to_ecef(THERE), axis=1)) > 0.3
 
@@ -132,7 +134,7 @@ def test_doppler_velocity_is_exact(both):
         a, b = delays.range_rate_kernel(*both.pos_e[k], *both.vel_e[k], *here, *e, d, GPS_EARTH_RATE)
         closed[k] = (a - np.dot(e, VELOCITY_E)) / b
     M = len(both.epoch_start) - 1
-    fix = least_squares.velocity(
+    fix = least_squares.solve_velocities(
         both.epoch_start, both.pos_e, both.vel_e, closed + 77.0, np.full(len(closed), 0.1),
         np.ones(len(closed), bool), np.tile(here, (M, 1)),
     )  # fmt: skip
@@ -142,14 +144,14 @@ def test_doppler_velocity_is_exact(both):
 
 def test_the_range_rate_is_the_rate_of_the_range():
     """Differences of distances, each with its own emission time, to a receiver that moves at 200 m/s."""
-    sets, h = orbits.nominal_gps(), 0.05
+    sets, h = orbits.make_nominal_gps(), 0.05
     t0, here = 30000.0, earth.to_ecef(THERE)
 
     def moved(t):
         there = here + VELOCITY_E * t
         travel = np.full(24, 0.07)
         for _ in range(6):
-            found = orbits.states(sets, np.arange(24), np.full(24, t0 + t) - travel)
+            found = orbits.compute_states(sets, np.arange(24), np.full(24, t0 + t) - travel)
             ranges = np.array([delays.range_kernel(*p, *there, GPS_EARTH_RATE)[0] for p in found.pos_e])
             travel = ranges / orbits.C
         return ranges, found
@@ -170,11 +172,11 @@ def test_rms_error_is_sd_times_pdop(both):
     start = np.arange(4001) * first
     measured = both.distance[rows] + draw.normal(scale=sd, size=len(rows))
     here = np.tile(earth.to_ecef(THERE), (4000, 1))
-    fix = least_squares.position(
+    fix = least_squares.solve_positions(
         start, both.pos_e[rows], measured, np.full(len(rows), sd), both.system[rows], start_e=here
     )
     rms = np.sqrt(np.mean(np.sum((fix.pos_e - here) ** 2, axis=1)))
-    pdop = least_squares.dop(both.epoch_start[:2], both.los_n[:first], both.system[:first]).p[0]
+    pdop = least_squares.compute_dop(both.epoch_start[:2], both.los_n[:first], both.system[:first]).p[0]
     assert abs(rms / (sd * pdop) - 1) < 0.03
     assert_allclose(np.sqrt(np.trace(fix.cov_e[0])), sd * pdop, rtol=1e-3)
     ratio = fix.chi2.mean() / (first - 5)
@@ -187,7 +189,7 @@ def test_weights_by_elevation_beat_equal_weights(both):
     sd = 0.5 / -both.los_n[:, 2]
     measured = both.distance + sd * draw.standard_normal(len(sd))
     fixes = [
-        least_squares.position(both.epoch_start, both.pos_e, measured, weights, both.system)
+        least_squares.solve_positions(both.epoch_start, both.pos_e, measured, weights, both.system)
         for weights in (sd, np.ones(len(sd)))
     ]
     weighted, plain = (np.sqrt(np.mean(np.sum((f.pos_e - earth.to_ecef(THERE)) ** 2, axis=1))) for f in fixes)
@@ -199,7 +201,7 @@ def test_dop_against_the_inverse_of_its_definition(both):
         a, b = both.epoch_start[m : m + 2]
         G = np.column_stack([-both.los_n[a:b], both.system[a:b] == 0, both.system[a:b] == 1])
         Q = np.linalg.inv(G.T @ G)
-        dop = least_squares.dop(both.epoch_start, both.los_n, both.system)
+        dop = least_squares.compute_dop(both.epoch_start, both.los_n, both.system)
         expected = [Q[0, 0] + Q[1, 1], Q[2, 2], np.trace(Q[:3, :3]), Q[3, 3], np.trace(Q)]
         assert_allclose([d[m] for d in dop], np.sqrt(expected), rtol=1e-10)
 
@@ -209,7 +211,7 @@ def test_the_best_set_is_that_of_brute_force(both, sd_glonass):
     """#28: over 24 h, by inverting each of the three sets' own normal matrix."""
     sd = np.where(both.system == 0, 1.0, sd_glonass)
     use = np.ones(len(sd), bool)
-    kept, chosen = least_squares.best_set(both.epoch_start, both.los_n, both.system, sd, use)
+    kept, chosen = least_squares.choose_satellites(both.epoch_start, both.los_n, both.system, sd, use)
     for m in range(0, len(chosen), 7):
         a, b = both.epoch_start[m : m + 2]
         figures = []
@@ -240,10 +242,10 @@ def test_a_fault_is_found_and_left_out(both):
     broken = sound.copy()
     broken[victim] += 40.0
     ones, here = np.ones(len(sound)), earth.to_ecef(THERE)
-    bounds = least_squares.thresholds(1e-2)
+    bounds = least_squares.compute_thresholds(1e-2)
 
     def solved(measured, threshold):
-        return least_squares.position(
+        return least_squares.solve_positions(
             both.epoch_start, both.pos_e, measured, ones, both.system, threshold=threshold
         )
 
@@ -268,7 +270,7 @@ def test_too_few_satellites_give_no_fix_and_the_next_epoch_recovers(both):
     use[a : a + 4] = both.system[a : a + 4] == 0
     lonely = both.system.copy()
     lonely[a] = 1  # four satellites, two clocks: five unknowns
-    fix = least_squares.position(
+    fix = least_squares.solve_positions(
         both.epoch_start, both.pos_e, both.distance, np.ones(len(use)), lonely, use=use
     )
     assert np.isnan(fix.pos_e[1]).all()
@@ -280,7 +282,9 @@ def test_too_few_satellites_give_no_fix_and_the_next_epoch_recovers(both):
 def test_what_is_not_finite_is_not_used(both):
     measured = both.distance.copy()
     measured[both.epoch_start[:-1]] = np.nan
-    fix = least_squares.position(both.epoch_start, both.pos_e, measured, np.ones(len(measured)), both.system)
+    fix = least_squares.solve_positions(
+        both.epoch_start, both.pos_e, measured, np.ones(len(measured)), both.system
+    )
     assert not fix.used[both.epoch_start[:-1]].any()
     assert np.linalg.norm(fix.pos_e - earth.to_ecef(THERE), axis=1).max() < 1e-6
 
@@ -295,4 +299,4 @@ def test_inverse_kernel_against_numpy_and_a_singular_matrix():
         assert least_squares._inverse_kernel(A, n, inverse)
         assert_allclose(inverse[:n, :n] @ want, np.eye(n), rtol=0, atol=1e-9)
     assert not least_squares._inverse_kernel(np.ones((5, 5)), 4, np.zeros((5, 5)))
-    assert_array_equal(least_squares.thresholds(1e-3)[0], np.inf)
+    assert_array_equal(least_squares.compute_thresholds(1e-3)[0], np.inf)

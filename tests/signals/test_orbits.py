@@ -50,7 +50,7 @@ def eccentric(**elements):
 
 def at(sets, t, row=0):
     t = np.atleast_1d(np.asarray(t, float))
-    return orbits.states(sets, np.full(len(t), row), t)
+    return orbits.compute_states(sets, np.full(len(t), row), t)
 
 
 def test_velocity_and_clock_rate_are_the_derivatives():
@@ -99,8 +99,8 @@ def test_position_and_clock_are_those_of_the_interface_document(changed):
 def test_another_origin_of_time_moves_no_satellite():
     """t_oe and t_oc count from the origin, t_oe_week from the start of the week: it stays."""
     sets = eccentric()
-    assert_allclose(at(sets.since(5000.0), 3000.0).pos_e, at(sets, 8000.0).pos_e, rtol=0, atol=1e-6)
-    assert_allclose(at(sets.since(5000.0), 3000.0).clock, at(sets, 8000.0).clock, rtol=0, atol=1e-18)
+    assert_allclose(at(sets.shift_origin(5000.0), 3000.0).pos_e, at(sets, 8000.0).pos_e, rtol=0, atol=1e-6)
+    assert_allclose(at(sets.shift_origin(5000.0), 3000.0).clock, at(sets, 8000.0).clock, rtol=0, atol=1e-18)
 
 
 def test_without_harmonics_the_inertial_motion_keeps_keplers_laws():
@@ -178,7 +178,7 @@ def test_two_consecutive_broadcast_sets_meet_half_way(name, median, most):
     """Independent computation of the same files: median 0.28 m (max 3.0) GPS, 0.96 m (max 5.1) GLONASS."""
     nav = rinex.read_navigation(gnss_file(name))
     sets = nav.kepler if len(nav.kepler) else nav.glonass
-    sets = sets.since(float(sets.t.min()))
+    sets = sets.shift_origin(float(sets.t.min()))
     apart, longest = [], 7200.0 if len(nav.kepler) else 1800.0
     for sat in np.unique(sets.sat):
         mine = np.flatnonzero((sets.sat == sat) & sets.healthy)
@@ -198,7 +198,7 @@ def test_two_consecutive_broadcast_sets_meet_half_way(name, median, most):
 def test_a_track_follows_its_ephemerides():
     """Positions and clocks within rounding, rates within 1e-6 m/s, anywhere in the span."""
     sets = eccentric()
-    _, track = orbits.track(sets, 0.0, 3600.0)
+    _, track = orbits.fit_track(sets, 0.0, 3600.0)
     out = np.empty(8)
     for t in np.linspace(0.0, 3600.0, 41):
         orbits.track_kernel(track.t_0, track.step, track.coefficients, 0, t, True, out)
@@ -217,7 +217,7 @@ def test_the_nearest_healthy_set_serves():
     )
     sets.elements[:, 0] = [7200.0, 0.0, 14400.0, 0.0]
     sat, t = np.array([3, 3, 3, 7, 9]), np.array([3000.0, 4000.0, 14400.0, 8000.0, 0.0])
-    assert orbits.nearest(sets, sat, t, 7200.0).tolist() == [1, 0, 0, -1, -1]
+    assert orbits.find_nearest(sets, sat, t, 7200.0).tolist() == [1, 0, 0, -1, -1]
 
 
 def test_the_instant_of_transmission_is_that_of_the_satellites_clock():
@@ -227,7 +227,9 @@ def test_the_instant_of_transmission_is_that_of_the_satellites_clock():
     found = at(sets, t_sent)
     showed = t_sent + found.clock[0] + found.relativity[0]
     tag = 5000.08 + wrong
-    got, states = orbits.transmission(sets, np.zeros(1, int), np.array([tag]), np.array([C * (tag - showed)]))
+    got, states = orbits.find_transmission(
+        sets, np.zeros(1, int), np.array([tag]), np.array([C * (tag - showed)])
+    )
     assert_allclose(got, t_sent, rtol=0, atol=1e-12)
     assert_allclose(states.pos_e, found.pos_e, rtol=0, atol=1e-7)
 
@@ -242,7 +244,7 @@ REFERENCE = {  # A-2.1.2: phi 50 deg, mask 5 deg, 24 h
 @pytest.mark.parametrize("which", REFERENCE)
 def test_dop_table_of_the_nominal_constellations(which):
     """Register A-2.1.2 and #25 within 0.05, at the longitude 30 deg of its other examples."""
-    sets = {"gps": [orbits.nominal_gps()], "glonass": [orbits.nominal_glonass()]}
+    sets = {"gps": [orbits.make_nominal_gps()], "glonass": [orbits.make_nominal_glonass()]}
     sets["both"] = sets["gps"] + sets["glonass"]
     there = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 0.0])
     seen = view(
@@ -256,7 +258,7 @@ def test_dop_table_of_the_nominal_constellations(which):
     visible = np.diff(seen.epoch_start)
     assert (visible.min(), visible.max()) == (count[0], count[2])
     assert abs(visible.mean() - count[1]) < 0.06
-    dop = least_squares.dop(seen.epoch_start, seen.los_n, seen.system)
+    dop = least_squares.compute_dop(seen.epoch_start, seen.los_n, seen.system)
     assert_allclose([np.median(d) for d in dop], medians, rtol=0, atol=0.05)
     assert abs(dop.p.max() - most) < 0.05
     assert visible.min() >= 4
@@ -273,9 +275,9 @@ def test_yuma_almanacs_fly_like_gps(name, day, week, sick):
     assert len(sets) == 31
     assert sets.sat[~sets.healthy].tolist() == sick
     assert (sets.t // orbits.WEEK == week).all()
-    sets = sets.since(near)
-    now = orbits.states(sets, np.arange(31), np.zeros(31))
-    later = orbits.states(sets, np.arange(31), np.full(31, 86164.1))
+    sets = sets.shift_origin(near)
+    now = orbits.compute_states(sets, np.arange(31), np.zeros(31))
+    later = orbits.compute_states(sets, np.arange(31), np.full(31, 86164.1))
     assert np.abs(np.linalg.norm(now.pos_e, axis=1) - 26.56e6).max() < 0.7e6
     assert np.median(np.linalg.norm(later.pos_e - now.pos_e, axis=1)) < 60e3
     top = np.abs(earth.to_geodetic(now.pos_e)[:, 0]).max()

@@ -36,7 +36,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     start = np.append(first, len(sky))
     count = np.add.reduceat(sky.used, first, dtype=np.int64).astype(float)
     above = np.diff(start).astype(float)
-    dop = least_squares.dop(start, _toward_n(sky), sky.system, sky.used)
+    dop = least_squares.compute_dop(start, _toward_n(sky), sky.system, sky.used)
     strength = [
         Plot(entity("satellites", "cn0", name), f"C/N0 of {name} satellites [dB-Hz]", series)
         for name, code in (("GPS", GPS), ("GLONASS", 1 - GPS))
