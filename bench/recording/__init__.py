@@ -1,7 +1,7 @@
-"""A run as a rerun recording: the flight in space, and every error next to the 3 sigma the filter claims.
+"""A run as a rerun recording: the flight in space, and every error with the 3 sigma of the filter.
 
-Spatial data are float32 metres in the local level frame of the start (rigid, north,
-east, down); plots are float64. The recording is a view of a run, not its archive.
+Spatial data are float32 metres in the local level frame of the start (rigid, north, east, down); plots are
+float64. The recording is for viewing a run, not for archiving it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def write(
     Parameters
     ----------
     path : Path
-        The file to write, ``flight.rrd``; it appears complete or not at all.
+        The file to write, ``flight.rrd``; it is written completely or not at all.
     profile : Profile or LogSpec
         The experiment, for the summary.
     truth, sensed : Trajectory or None, Sensed
@@ -52,9 +52,9 @@ def write(
     Raises
     ------
     OSError
-        When the file cannot be written.
+        If the file cannot be written.
     bench.errors.NothingToShowError
-        Without a truth, when no estimator has a motion to show.
+        If there is no truth and no estimator has a motion to show.
     """
     recorded = _record(profile, truth, sensed, solutions, errors, metrics, outages)
     part = path.with_name(f"{path.name}.tmp")
@@ -85,14 +85,14 @@ def _record(
     mask = None if sky is None else sky.antenna_mask
     content = Content(motion, sensed, solutions, errors, profile.evaluation_from, mask)
     plots = {tab.name: tab.plots(content) for tab in TABS}
-    scene = space.scene(motion, sensed, solutions)
+    scene = space.make_scene(motion, sensed, solutions)
     shades = drawing.shades(sensed.events)
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
         stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()
-        stream.send_blueprint(layout.blueprint(scene, plots, next(iter(solutions), "")))
+        stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(solutions), "")))
         title, mesh = profile.name, None
         if isinstance(profile, Profile):
             title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
@@ -132,7 +132,7 @@ def column(
     Raises
     ------
     KeyError
-        When the recording has no such column.
+        If the recording has no such column.
     """
     from rerun.chunk import RrdReader
 

@@ -1,4 +1,4 @@
-"""How a recording opens: the tabs of the rerun viewer and what stands in them."""
+"""Layout of a recording: the tabs of the rerun viewer and their views."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from bench.recording.tabs.flight_data import FLIGHT
 from bench.recording.tabs.navigation_errors import ATTITUDE, POSITION
 
 Plots = Mapping[str, Mapping[str, Rows]]
-"""By the name of the tab, then by the label of the estimator."""
+"""Name of the tab -> label of the estimator -> its rows of plots."""
 
 SIDE_BY_SIDE = 3
-"""Up to this many estimators stand in columns next to each other; more get a tab each."""
+"""Up to this many estimators are shown side by side; with more, each has a tab."""
 
 
-def blueprint(scene: Scene, plots: Plots, main: str) -> Any:
-    """Return the blueprint of a recording.
+def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
+    """Make the blueprint of a recording.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ def blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     """
     import rerun.blueprint as rrb
 
-    views = [_overview(scene, plots, main)]
+    views = [_make_overview(scene, plots, main)]
     for tab in TABS:
         columns = {label: rows for label, rows in plots[tab.name].items() if any(rows)}
         if columns:
-            views.append(_tab(scene, tab, columns))
+            views.append(_make_tab(scene, tab, columns))
     return rrb.Blueprint(
         rrb.Tabs(*views, active_tab=0),
         rrb.TimePanel(timeline=TIMELINE, play_state="paused", playback_speed=10.0, state="collapsed"),
@@ -55,30 +55,30 @@ def blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     )
 
 
-def _overview(scene: Scene, plots: Plots, main: str) -> Any:
+def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
     import rerun.blueprint as rrb
 
     position, attitude = (plots[tab.name].get(main, ()) for tab in (POSITION, ATTITUDE))
     key_plots = [row[0] for row in (*position, *attitude[2:])] or [plots[FLIGHT.name][""][0][0]]
 
-    where = rrb.Vertical(_space(scene), _map(scene), row_shares=[3, 2])
-    errors = rrb.Vertical(*[_plot(scene, plot) for plot in key_plots], _strip(scene))
+    where = rrb.Vertical(_make_space_view(scene), _make_map(scene), row_shares=[3, 2])
+    errors = rrb.Vertical(*[_make_plot(scene, plot) for plot in key_plots], _make_phases(scene))
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        _log(),
+        _make_event_log(),
         row_shares=[3, 2],
     )
     return rrb.Horizontal(where, errors, words, column_shares=[5, 5, 3], name="Overview")
 
 
-def _tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
+def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     import rerun.blueprint as rrb
 
     narrow = all(len(row) == 1 for rows in columns.values() for row in rows)
     grids = [
         rrb.Vertical(
-            *[_row(scene, row) for row in rows],
-            *([_strip(scene)] if narrow else []),
+            *[_make_row(scene, row) for row in rows],
+            *([_make_phases(scene)] if narrow else []),
             row_shares=[4.0] * len(rows) + ([2.0] if narrow else []),
             name=label or None,
         )
@@ -94,14 +94,14 @@ def _tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     return rrb.Tabs(*grids, name=tab.name, active_tab=0)
 
 
-def _row(scene: Scene, row: Sequence[Plot]) -> Any:
+def _make_row(scene: Scene, row: Sequence[Plot]) -> Any:
     import rerun.blueprint as rrb
 
-    views = [_plot(scene, plot) for plot in row]
+    views = [_make_plot(scene, plot) for plot in row]
     return views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
 
-def _whole_flight(scene: Scene) -> Any:
+def _make_time_axis(scene: Scene) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -109,26 +109,26 @@ def _whole_flight(scene: Scene) -> Any:
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
 
 
-def _plot(scene: Scene, plot: Plot) -> Any:
+def _make_plot(scene: Scene, plot: Plot) -> Any:
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(
         origin=plot.path,
         contents="$origin/**",
         name=plot.title,
-        axis_x=_whole_flight(scene),
+        axis_x=_make_time_axis(scene),
         axis_y=rrb.ScalarAxis(range=plot.limits()),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
 
 
-def _strip(scene: Scene) -> Any:
+def _make_phases(scene: Scene) -> Any:
     import rerun.blueprint as rrb
 
-    return rrb.StateTimelineView(origin="/phase", name="Legs, GNSS, faults", time_view=_whole_flight(scene))
+    return rrb.StateTimelineView(origin="/phase", name="Legs, GNSS, faults", time_view=_make_time_axis(scene))
 
 
-def _log() -> Any:
+def _make_event_log() -> Any:
     import rerun.blueprint as rrb
 
     return rrb.TextLogView(
@@ -138,7 +138,7 @@ def _log() -> Any:
     )
 
 
-def _up_to_cursor(paths: Sequence[str], hidden: Sequence[str]) -> dict[Any, Any]:
+def _show_past(paths: Sequence[str], hidden: Sequence[str]) -> dict[Any, Any]:
     import rerun.blueprint as rrb
 
     past = rrb.VisibleTimeRange(
@@ -150,11 +150,11 @@ def _up_to_cursor(paths: Sequence[str], hidden: Sequence[str]) -> dict[Any, Any]
     return shown | {path: rrb.EntityBehavior(visible=False) for path in hidden}
 
 
-def _below(paths: Sequence[str], root: str) -> list[str]:
+def _filter_paths(paths: Sequence[str], root: str) -> list[str]:
     return [path for path in paths if path.startswith(root)]
 
 
-def _space(scene: Scene) -> Any:
+def _make_space_view(scene: Scene) -> Any:
     import rerun.blueprint as rrb
 
     middle = 0.5 * (scene.low + scene.high)
@@ -164,11 +164,11 @@ def _space(scene: Scene) -> Any:
         name=f"Flight path (grid {scene.grid:g} m, aircraft enlarged)",
         eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0.0, 0.0, -1.0)),
         line_grid=rrb.LineGrid3D(visible=True, spacing=scene.grid),
-        overrides=_up_to_cursor(_below(scene.fixes, "/world"), _below(scene.hidden, "/world")),
+        overrides=_show_past(_filter_paths(scene.fixes, "/world"), _filter_paths(scene.hidden, "/world")),
     )
 
 
-def _map(scene: Scene) -> Any:
+def _make_map(scene: Scene) -> Any:
     import rerun.blueprint as rrb
 
     # at zoom z a tile of 256 points covers (length of the parallel) / 2^z; a view has about 500 points
@@ -178,5 +178,5 @@ def _map(scene: Scene) -> Any:
         origin="/map",
         name="Map",
         zoom=float(np.clip(zoom, 1.0, 18.0)),
-        overrides=_up_to_cursor(_below(scene.fixes, "/map"), _below(scene.hidden, "/map")),
+        overrides=_show_past(_filter_paths(scene.fixes, "/map"), _filter_paths(scene.hidden, "/map")),
     )

@@ -22,8 +22,8 @@ _BODY, _WHITE, _DARK, _ORANGE = [225, 228, 232], [245, 245, 245], [90, 95, 105],
 _RED, _GREEN = [225, 50, 50], [40, 190, 80]  # the tips, left and right
 
 
-def _loft(*rings: Any) -> tuple[FloatArray, Triangles]:
-    """Return the skin over rings of equally many points (K, 3), closed at both ends, normals outward."""
+def _make_loft(*rings: Any) -> tuple[FloatArray, Triangles]:
+    """Return the closed surface over rings with equal numbers of points (K, 3), normals outward."""
     points = np.array(rings, float)
     n, k = points.shape[:2]
     j = np.arange(k)
@@ -39,35 +39,35 @@ def _loft(*rings: Any) -> tuple[FloatArray, Triangles]:
     return vertices, triangles[:, ::-1] if inside_out else triangles
 
 
-def _ring(x: float, radius: float, z: float = 0.0, y: float = 0.0) -> FloatArray:
+def _make_ring(x: float, radius: float, z: float = 0.0, y: float = 0.0) -> FloatArray:
     return np.array([x, y, z]) + radius * _CIRCLE
 
 
-def _foil(x: float, y: float, z: float, chord: float) -> FloatArray:
+def _make_foil(x: float, y: float, z: float, chord: float) -> FloatArray:
     return np.array([x, y, z]) + chord * _FOIL
 
 
-def _fin(x: float, z: float, chord: float) -> FloatArray:
+def _make_fin(x: float, z: float, chord: float) -> FloatArray:
     return np.array([x, 0.0, z]) + chord * _FIN
 
 
-def _mirrored(*sections: tuple[float, float, float, float]) -> tuple[FloatArray, ...]:
-    """Return foils from the left to the right: sections (x, y, z, chord) of the right half, y = 0 first."""
+def _mirror_foils(*sections: tuple[float, float, float, float]) -> tuple[FloatArray, ...]:
+    """Return foils from left to right for the sections (x, y, z, chord) of the right half, y = 0 first."""
     left = [(x, -y, z, chord) for x, y, z, chord in sections[:0:-1]]
-    return tuple(_foil(*section) for section in (*left, *sections))
+    return tuple(_make_foil(*section) for section in (*left, *sections))
 
 
-def _wing(*sections: tuple[float, float, float, float]) -> list[tuple[Sequence[FloatArray], list[int]]]:
+def _make_wing(*sections: tuple[float, float, float, float]) -> list[tuple[Sequence[FloatArray], list[int]]]:
     """Return a wing from the sections (x, y, z, chord) of its right half; the last panels are the tips."""
-    foils = _mirrored(*sections)
+    foils = _mirror_foils(*sections)
     return [(foils[1:-1], _WHITE), (foils[:2], _RED), (foils[-2:], _GREEN)]
 
 
-def _assembled(parts: Iterable[tuple[Sequence[FloatArray], list[int]]]) -> Mesh:
-    """Return the skins over the rings of all parts as one mesh."""
+def _join_parts(parts: Iterable[tuple[Sequence[FloatArray], list[int]]]) -> Mesh:
+    """Join the surfaces of all parts into one mesh."""
     vertices, triangles, colours, start = [], [], [], 0
     for rings, colour in parts:
-        points, faces = _loft(*rings)
+        points, faces = _make_loft(*rings)
         vertices.append(points)
         triangles.append(faces + start)
         colours.append(np.tile(colour, (len(faces), 1)))
@@ -75,31 +75,31 @@ def _assembled(parts: Iterable[tuple[Sequence[FloatArray], list[int]]]) -> Mesh:
     return np.vstack(vertices), np.vstack(triangles), np.vstack(colours)
 
 
-def _uav() -> Mesh:
+def _make_uav() -> Mesh:
     """Return a small twin-boom pusher."""
 
-    def boom(y: float) -> list[FloatArray]:
-        return [_ring(x, 0.010, -0.03, y) for x in (0.0, -0.38)]
+    def make_boom(y: float) -> list[FloatArray]:
+        return [_make_ring(x, 0.010, -0.03, y) for x in (0.0, -0.38)]
 
     body = [
-        _ring(x, radius)
+        _make_ring(x, radius)
         for x, radius in ((0.36, 0.006), (0.30, 0.04), (0.15, 0.06), (-0.10, 0.06), (-0.20, 0.03))
     ]
-    return _assembled(
+    return _join_parts(
         [
             (body, _BODY),
-            *_wing((0.0, 0.0, -0.04, 0.17), (0.02, 0.40, -0.04, 0.13), (0.03, 0.50, -0.05, 0.10)),
-            (boom(-0.14), _DARK),
-            (boom(0.14), _DARK),
-            (_mirrored((-0.40, 0.0, -0.16, 0.09), (-0.38, 0.14, -0.03, 0.10)), _ORANGE),
+            *_make_wing((0.0, 0.0, -0.04, 0.17), (0.02, 0.40, -0.04, 0.13), (0.03, 0.50, -0.05, 0.10)),
+            (make_boom(-0.14), _DARK),
+            (make_boom(0.14), _DARK),
+            (_mirror_foils((-0.40, 0.0, -0.16, 0.09), (-0.38, 0.14, -0.03, 0.10)), _ORANGE),
         ]
     )
 
 
-def _light_single() -> Mesh:
+def _make_light_single() -> Mesh:
     """Return a low-wing single with a canopy and a propeller disc."""
     body = [
-        _ring(x, radius, z)
+        _make_ring(x, radius, z)
         for x, radius, z in (
             (0.30, 0.025, 0.01),
             (0.27, 0.050, 0.01),
@@ -109,25 +109,25 @@ def _light_single() -> Mesh:
         )
     ]
     canopy = [
-        _ring(x, radius, -0.05)
+        _make_ring(x, radius, -0.05)
         for x, radius in ((0.09, 0.008), (0.05, 0.045), (-0.06, 0.045), (-0.16, 0.008))
     ]
-    return _assembled(
+    return _join_parts(
         [
             (body, _BODY),
             (canopy, _DARK),
-            ([_ring(0.302, 0.115, 0.01), _ring(0.308, 0.115, 0.01)], _DARK),
-            *_wing((0.02, 0.0, 0.05, 0.21), (0.02, 0.40, 0.02, 0.15), (0.02, 0.50, 0.01, 0.12)),
-            (_mirrored((-0.46, 0.0, -0.03, 0.12), (-0.46, 0.20, -0.03, 0.08)), _ORANGE),
-            ([_fin(-0.44, -0.01, 0.16), _fin(-0.49, -0.17, 0.08)], _ORANGE),
+            ([_make_ring(0.302, 0.115, 0.01), _make_ring(0.308, 0.115, 0.01)], _DARK),
+            *_make_wing((0.02, 0.0, 0.05, 0.21), (0.02, 0.40, 0.02, 0.15), (0.02, 0.50, 0.01, 0.12)),
+            (_mirror_foils((-0.46, 0.0, -0.03, 0.12), (-0.46, 0.20, -0.03, 0.08)), _ORANGE),
+            ([_make_fin(-0.44, -0.01, 0.16), _make_fin(-0.49, -0.17, 0.08)], _ORANGE),
         ]
     )
 
 
-def _jet() -> Mesh:
+def _make_jet() -> Mesh:
     """Return a swept low-wing transport with four engines under the wing."""
     body = [
-        _ring(x, radius, z)
+        _make_ring(x, radius, z)
         for x, radius, z in (
             (0.52, 0.008, 0.01),
             (0.49, 0.030, 0.0),
@@ -137,21 +137,26 @@ def _jet() -> Mesh:
         )
     ]
 
-    def engine(x: float, y: float) -> list[FloatArray]:
+    def make_engine(x: float, y: float) -> list[FloatArray]:
         return [
-            _ring(x + dx, radius, 0.065, y) for dx, radius in ((0.05, 0.018), (0.02, 0.022), (-0.05, 0.012))
+            _make_ring(x + dx, radius, 0.065, y)
+            for dx, radius in ((0.05, 0.018), (0.02, 0.022), (-0.05, 0.012))
         ]
 
-    return _assembled(
+    return _join_parts(
         [
             (body, _BODY),
-            *_wing((0.06, 0.0, 0.03, 0.26), (-0.15, 0.40, 0.0, 0.09), (-0.22, 0.50, -0.01, 0.06)),
-            *((engine(x, side * y), _DARK) for x, y in ((0.08, 0.20), (-0.03, 0.34)) for side in (-1, 1)),
-            (_mirrored((-0.44, 0.0, -0.03, 0.14), (-0.56, 0.19, -0.05, 0.05)), _ORANGE),
-            ([_fin(-0.42, -0.03, 0.18), _fin(-0.56, -0.21, 0.07)], _ORANGE),
+            *_make_wing((0.06, 0.0, 0.03, 0.26), (-0.15, 0.40, 0.0, 0.09), (-0.22, 0.50, -0.01, 0.06)),
+            *(
+                (make_engine(x, side * y), _DARK)
+                for x, y in ((0.08, 0.20), (-0.03, 0.34))
+                for side in (-1, 1)
+            ),
+            (_mirror_foils((-0.44, 0.0, -0.03, 0.14), (-0.56, 0.19, -0.05, 0.05)), _ORANGE),
+            ([_make_fin(-0.42, -0.03, 0.18), _make_fin(-0.56, -0.21, 0.07)], _ORANGE),
         ]
     )
 
 
-MESHES = {"uav": _uav, "light-single": _light_single, "jet": _jet}
+MESHES = {"uav": _make_uav, "light-single": _make_light_single, "jet": _make_jet}
 """Shapes by ``AircraftSpec.mesh``."""

@@ -29,7 +29,7 @@ from bench.recording.meshes import MESHES
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the views in space need to know."""
+    """Extent of the flight, and the entities of the views in space."""
 
     end: float  # of the flight [s]
     low: FloatArray  # (3,) corner of the box around the true path [m], local NED
@@ -49,8 +49,8 @@ class Scene:
         return round_number(self.size / 5.0)
 
 
-def scene(truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
-    """Return what the views in space show; estimators after the first are switched off."""
+def make_scene(truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
+    """Make the scene of the views in space; all estimators except the first are hidden."""
     path = earth.local_ned(truth.lla[thin(truth.t)], truth.lla[0])
     others = list(solutions)[1:]
     return Scene(
@@ -102,7 +102,7 @@ def send(
     time = [rr.TimeColumn(TIMELINE, duration=t)]
     vehicle = "truth/aircraft" if isinstance(truth, Trajectory) else "vehicle"
     _send_vehicle(stream, f"/world/{vehicle}", mesh, size)
-    q_sb = _in_start_frame(truth.q_nb[keep], lla, origin)
+    q_sb = _convert_to_start_frame(truth.q_nb[keep], lla, origin)
     stream.send_columns(
         f"/world/{vehicle}",
         time,
@@ -132,7 +132,7 @@ def send(
 
 
 def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:
-    """Send the shape that moves: an aircraft, or body axes."""
+    """Send the shape of the vehicle: an aircraft, or body axes without a mesh."""
     import rerun as rr
 
     scale = max(1.0, 0.12 * size)
@@ -157,7 +157,7 @@ def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> Non
 
 
 def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, colour: Colour) -> None:
-    """Send a whole path, in space and on the map; every fifth of at most 50 points a second is enough."""
+    """Send a path in space and on the map, with every fifth point."""
     import rerun as rr
 
     lla = np.vstack([lla[:-1:5], lla[-1:]])
@@ -173,8 +173,8 @@ def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, co
     )
 
 
-def _in_start_frame(q_nb: FloatArray, lla: FloatArray, origin: FloatArray) -> FloatArray:
-    """Return the attitude relative to the local level frame of the start instead of the one here."""
+def _convert_to_start_frame(q_nb: FloatArray, lla: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return the attitude q_sb (N, 4) relative to the local level frame of the start."""
     C_es = earth.matrix_en(origin[0], origin[1])
     C_sn = C_es.T @ earth.matrix_en(lla[:, 0], lla[:, 1])
     return rotation.multiply(rotation.from_matrix(C_sn), q_nb)

@@ -32,7 +32,7 @@ def send(
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
     import rerun as rr
 
-    page = summary(profile, truth, metrics) + drift_page(outages)
+    page = make_summary(profile, truth, metrics) + make_drift_page(outages)
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
@@ -67,13 +67,13 @@ def send(
     struck = sensed.events.select("fault")
     if struck:
         edges = sorted({float(truth.t[0]), *(edge for start, end, _ in struck for edge in (start, end))})
-        changes = [(edge, _faults_at(edge, struck)) for edge in edges if edge < truth.t[-1]]
+        changes = [(edge, _name_faults(edge, struck)) for edge in edges if edge < truth.t[-1]]
         changes.append((float(truth.t[-1]), ""))
         _send_phase(stream, "/phase/faults", changes, {})
 
 
-def _faults_at(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
-    """Name the faults that are there at an instant [s]."""
+def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
+    """Return the names of the faults that are active at an instant [s]."""
     return ", ".join(text.partition(":")[0] for start, end, text in struck if start <= t < end) or "none"
 
 
@@ -89,13 +89,17 @@ def _send_phase(
     stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=t)], rr.StateChange.columns(state=states))
 
 
-def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Mapping[str, Any]]) -> str:
+def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
     colours = ", ".join(
         f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )
-    told = _log(profile, colours) if isinstance(profile, LogSpec) else _run(profile, truth, colours)
-    lines = [f"# {profile.title}", "", *told]
+    lines_above = (
+        _describe_log(profile, colours)
+        if isinstance(profile, LogSpec)
+        else _describe_run(profile, truth, colours)
+    )
+    lines = [f"# {profile.title}", "", *lines_above]
     for label, values in metrics.items():
         if values.get("reason"):
             lines += ["", f"**{label}** did not converge: {values['reason']}."]
@@ -111,18 +115,18 @@ def summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Map
     for name in dict.fromkeys(name for values in metrics.values() for name in values):
         row = [values.get(name) for values in metrics.values()]
         if find_metric(name) is not None and not name.endswith("_all"):
-            lines.append(f"| {name} | {' | '.join(_number(value) for value in row)} |")
+            lines.append(f"| {name} | {' | '.join(_format_number(value) for value in row)} |")
     return "\n".join(lines) + "\n"
 
 
-def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
-    """Return what is said of a flight above its metrics."""
+def _describe_run(profile: Profile, truth: Motion, colours: str) -> list[str]:
+    """Describe a flight in lines above its metrics."""
     sensors = profile.sensors
     lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
     return [
         f"- profile `{profile.name}`, seed {profile.seed}",
-        f"- {_flight(profile.flight, truth)}",
-        *[f"- {what} `{unit.name}`" for what, unit in _units(sensors)],
+        f"- {_describe_flight(profile.flight, truth)}",
+        *[f"- {what} `{unit.name}`" for what, unit in _list_sensors(sensors)],
         *([f"- GNSS outage {lost}"] if lost else []),
         *[
             f"- fault {k}, {fault.start:g} to {fault.end:g} s: {fault.text}"
@@ -135,12 +139,12 @@ def _run(profile: Profile, truth: Motion, colours: str) -> list[str]:
     ]
 
 
-def _log(log: LogSpec, colours: str) -> list[str]:
-    """Return what is said of a recording above its metrics."""
+def _describe_log(log: LogSpec, colours: str) -> list[str]:
+    """Describe a log in lines above its metrics."""
     kept = f"one fix in {log.withhold}" if log.withhold else "no fix"
     return [
         f"- recording `{log.name}`",
-        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in _units(log.assumed)],
+        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in _list_sensors(log.assumed)],
         "",
         f"GNSS is yellow; {colours}. There is no truth: {kept} was kept from the filters, and errors are "
         "estimate minus these fixes, at the antenna. ±3σ is what a filter claims about itself. Plots are "
@@ -148,14 +152,14 @@ def _log(log: LogSpec, colours: str) -> list[str]:
     ]
 
 
-def _units(specs: SensorsSpec | AssumedSpecs) -> list[tuple[str, Any]]:
-    """Return title and spec of the units that there are."""
+def _list_sensors(specs: SensorsSpec | AssumedSpecs) -> list[tuple[str, Any]]:
+    """Return title and spec of each sensor present."""
     titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
     units = [(title, getattr(specs, name)) for name, title in titles.items()]
     return [(title, unit) for title, unit in units if unit is not None]
 
 
-def _flight(flight: Flight, truth: Motion) -> str:
+def _describe_flight(flight: Flight, truth: Motion) -> str:
     length = f"{truth.t[-1] - truth.t[0]:.0f} s"
     if not isinstance(flight, FlightSpec):
         beyond = len(truth.events.select("sanity"))
@@ -169,11 +173,11 @@ def _flight(flight: Flight, truth: Motion) -> str:
     )
 
 
-def _number(value: Any) -> str:
+def _format_number(value: Any) -> str:
     return "–" if value is None else f"{value:.4g}"
 
 
-def drift_page(table: Sequence[Mapping[str, Any]]) -> str:
+def make_drift_page(table: Sequence[Mapping[str, Any]]) -> str:
     """Return the drift over outages of a log in Markdown; nothing when none was cut."""
     if not table:
         return ""

@@ -613,7 +613,7 @@ def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(ru
     sensors = replace(
         run["profile"].sensors, mag=MagSpec("demo-mag", 10.0, 1e-7), airspeed=AirspeedSpec("demo-pitot", 10.0)
     )
-    said = words.summary(replace(run["profile"], sensors=sensors), run["truth"], run["metrics"])
+    said = words.make_summary(replace(run["profile"], sensors=sensors), run["truth"], run["metrics"])
     assert "- magnetometer `demo-mag`\n- airspeed unit `demo-pitot`" in said
 
 
@@ -627,14 +627,14 @@ def test_a_flight_without_gnss_and_barometer_is_recorded_too(run, tmp_path):
 
 def test_summary_gives_the_numbers_and_what_the_filter_leaves_out(run):
     profile, truth, metrics = run["profile"], run["truth"], run["metrics"]
-    text = words.summary(profile, truth, metrics)
+    text = words.make_summary(profile, truth, metrics)
     assert "| pos_rmse_h_m | 1.235 | 1900 |" in text
     assert "| heading_rmse_deg | 0.41 | – |" in text
     assert "pos_rmse_h_m_all" not in text
     assert f"not modelled by **{MAIN}**: gyro scale factor, GNSS Markov errors." in text
     assert "GNSS outage 20 to 26 s" in text
     lost = {"drift": {"converged": False, "reason": "covariance is not finite at t = 3 s", "nees_mean": None}}
-    assert "**drift** did not converge: covariance is not finite" in words.summary(profile, truth, lost)
+    assert "**drift** did not converge: covariance is not finite" in words.make_summary(profile, truth, lost)
 
 
 def test_events_are_told_in_order_of_time(run, flight):
