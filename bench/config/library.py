@@ -204,8 +204,8 @@ def _make_aircraft(
         raise ConfigError(f"guidance.xml: no such file in {', '.join(str(place) for place in systems)}")
     return AircraftSpec(
         name=folder.name,
-        folder=folder,
-        systems=with_guidance,
+        folder=folder.absolute(),  # it is read in a process that works elsewhere
+        systems=with_guidance.absolute(),
         gains=table.guidance,
         min_speed=limits.min_speed_mps,
         max_speed=limits.max_speed_mps,

@@ -63,7 +63,6 @@ class Index(NamedTuple):
 
     baro_bias: int
     gnss_pos: int  # gnss_vel follows
-    gyro_scale: int  # accel_scale follows
     g_sensitivity_x: int  # the first of 9, row by row
     clock_offset: int  # clock_drift and glonass_offset follow
     antenna_b: int

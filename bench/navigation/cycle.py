@@ -114,22 +114,32 @@ def work_for(n: int, drives: int) -> Work:
 
 @inner
 def increments_kernel(
-    state: FloatArray, dt: float, scale: int, g_sensitivity: int, dth: FloatArray, dv: FloatArray
+    state: FloatArray, dt: float, drives: IntArray, dth: FloatArray, dv: FloatArray
 ) -> None:
-    """Take the estimated errors out of measured increments over dt, in place (A-5.4.11)."""
+    """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
+
+    Scale factors divide: those of the accelerometers before what the specific force drives, those of the
+    gyros last.
+    """
     for i in range(3):
-        dth[i] -= state[10 + i] * dt
-        dv[i] -= state[13 + i] * dt
-    if scale >= 0:
-        for i in range(3):
-            dv[i] /= 1.0 + state[scale + 4 + i]
-    if g_sensitivity >= 0:
-        for i in range(3):
-            for j in range(3):
-                dth[i] -= state[g_sensitivity + 1 + 3 * i + j] * dv[j]
-    if scale >= 0:
-        for i in range(3):
-            dth[i] /= 1.0 + state[scale + 1 + i]
+        dth[i] -= state[GYRO + 1 + i] * dt
+        dv[i] -= state[GYRO + 4 + i] * dt
+    for d in range(drives.shape[0]):
+        error, by = drives[d, 1] - GYRO, drives[d, 2]
+        if error == by and error >= 3:
+            dv[error - 3] /= 1.0 + state[drives[d, 0] + 1]
+    for d in range(drives.shape[0]):
+        error, by = drives[d, 1] - GYRO, drives[d, 2]
+        if error != by:
+            part = state[drives[d, 0] + 1] * (dth[by] if by < 3 else dv[by - 3])
+            if error < 3:
+                dth[error] -= part
+            else:
+                dv[error - 3] -= part
+    for d in range(drives.shape[0]):
+        error, by = drives[d, 1] - GYRO, drives[d, 2]
+        if error == by and error < 3:
+            dth[error] /= 1.0 + state[drives[d, 0] + 1]
 
 
 @inner
@@ -197,7 +207,7 @@ def advance_kernel(
     """
     state, P, Phi = now.state, now.P, work.Phi
     drives, interval = process.drives, steps.interval
-    scale, sensitivity, clock = index.gyro_scale, index.g_sensitivity_x, index.clock_offset
+    clock = index.clock_offset
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
     C, C_mean, reference, F, G = work.C, work.C_mean, work.reference, work.F, work.G
@@ -226,7 +236,7 @@ def advance_kernel(
         for i in range(3):
             dth[i] = dtheta_b[row, i] * share
             dv[i] = dvel_b[row, i] * share
-        increments_kernel(state, dt, scale, sensitivity, dth, dv)
+        increments_kernel(state, dt, drives, dth, dv)
         for i in range(3):
             w_ib_b[i] = dth[i] / dt
         if driven > 0:

@@ -437,6 +437,16 @@ def test_outages(tmp_path):
     ]
 
 
+def test_an_aircraft_beside_a_relative_profile_has_a_whole_path(tmp_path, monkeypatch):
+    """It is flown in a process that works in another folder."""
+    shutil.copytree(PACKAGE.parent / "aircraft", tmp_path / "aircraft")
+    shutil.copy(PACKAGE / "profiles" / "figure-eight.toml", tmp_path / "own.toml")
+    monkeypatch.chdir(tmp_path)
+    aircraft = config.load_profile("own.toml").flight.aircraft
+    assert aircraft.folder == tmp_path / "aircraft" / "aerosonde"
+    assert aircraft.systems.is_absolute()
+
+
 def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_path):
     (message,) = errors(write(tmp_path), overrides={"aircraft": "aerosond"})
     assert message.startswith("own.toml: aircraft = 'aerosond' is not found. Did you mean 'aerosonde'?\n")

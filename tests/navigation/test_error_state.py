@@ -231,6 +231,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
     nav, f_b, w_ib_b, F = dynamics_of(case)
     correction = plain(cycle.increments_kernel, LONG_NUMPY)
     begin = {"gyro scale": 16, "accel scale": 19, "g-sensitivity": 22}
+    drives = np.array([(begin[name] - 1 + i, bias, by) for name, i, bias, by in MEMS_STATES])
     reading = np.concatenate([w_ib_b, f_b]).astype(float)
 
     def slope(name, index, dt):
@@ -241,7 +242,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
             state[:10] = nav
             state[begin[name] + index] = sign * size
             dth, dv = w_ib_b * dt, f_b * dt
-            correction(state, dt, 15, 21, dth, dv)
+            correction(state, dt, drives, dth, dv)
             rates = long_zeros(6)
             ends.append(one_step(nav, dv / dt, dth / dt, rates, dt))
         return (difference(ends[0], nav) - difference(ends[1], nav)) / (2 * size) / dt
