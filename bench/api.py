@@ -1,6 +1,6 @@
-"""The public functions of Python: what ``bench run`` does.
+"""The public Python functions behind the verbs of the command line.
 
-``run`` is its four steps in a row; each can be called by itself, with any of its inputs exchanged:
+``run`` does four steps in a row. Each step can be called on its own, with any of its inputs replaced:
 
     profile = bench.load_profile("figure-eight", seed=7)
     truth = bench.fly(profile)
@@ -83,24 +83,25 @@ def run(
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name, path of a TOML file, or a profile already read, which takes ``run`` alone.
+        Shipped name, path of a TOML file, or a profile already read; with the last, only ``run`` may be
+        given.
     seed : int or None
-        Seed of the noise and of the turbulence; the profile's own when None.
+        Seed of noise and turbulence; None takes that of the profile.
     run : int
-        The noise draw of the seed.
+        Number of the noise draw of this seed.
     estimators : sequence of str or None
         Built-in names, ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
-        The profile's own when None, but no programs: `load_profile` with ``allow_commands`` lets it.
+        None takes those of the profile, but no programs; `load_profile` with ``allow_commands`` permits them.
     sensors : mapping or None
-        Units to exchange, for example ``{"imu": "icm-42688-p"}``.
+        Sensors to replace, for example ``{"imu": "icm-42688-p"}``.
     progress : callable or None
-        Told the seconds flown so far.
+        Called with the seconds flown so far.
 
     Returns
     -------
     result : RunResult
-        Metrics, errors and solutions by estimator, the truth and what the sensors reported, and what it
-        takes to repeat them.
+        Metrics, errors and solutions by estimator; truth and sensor data; seeds and versions, to repeat the
+        run.
 
     Raises
     ------
@@ -113,7 +114,9 @@ def run(
     """
     if isinstance(profile, Profile):
         if (seed, estimators, sensors) != (None, None, None):
-            raise ConfigError("bench.run: a profile already read takes no seed, estimators or sensors")
+            raise ConfigError(
+                "bench.run: with a profile already read, seed, estimators and sensors cannot be given"
+            )
     else:
         overrides = {f"sensors.{kind}": name for kind, name in (sensors or {}).items()}
         profile = load_profile(str(profile), overrides, seed, estimators)
@@ -123,38 +126,41 @@ def run(
 
 
 def fly(profile: str | Path | Profile) -> Trajectory:
-    """Return the truth of a profile; it is flown once and cached."""
+    """Return the truth of a profile, from the cache if it was flown before. Errors as for :func:`run`."""
     return pipeline.fly(_read_profile(profile))
 
 
 def describe_flight(
     profile: str | Path | Profile, progress: Callable[[float], None] | None = None
 ) -> Mapping[str, Any]:
-    """Fly the truth of a profile, keep it in the cache, and return its figures.
+    """Fly the truth of a profile into the cache and return its figures.
 
-    Legs, extremes of altitude, speed and attitude, what no aircraft of its class does, and how far an
-    error-free strapdown strays from it. Names end in their unit, SI and radians. Memory does not grow with
-    the length of the flight. Errors as for :func:`run`.
+    These are the legs, the extremes of altitude, speed and attitude, motions that are implausible for the
+    aircraft class, and the error of an error-free strapdown against the truth. Names end in their unit, SI
+    and radians. Memory does not grow with the length of the flight. Errors as for :func:`run`.
     """
     return pipeline.fly_over(_read_profile(profile), progress)
 
 
 def sense(profile: str | Path | Profile, truth: Trajectory, run: int = 0) -> Sensed:
-    """Return what the sensors of a profile report on a truth, in one noise draw."""
+    """Return the sensor data of a profile for a truth, with one noise draw."""
     return pipeline.sense(_read_profile(profile), truth, run)
 
 
 def navigate(
     use: str, data: SensorData, initial: InitialState, options: Mapping[str, Any] | None = None
 ) -> NavSolution:
-    """Return the solution of an estimator, a built-in name or ``module:Class``."""
+    """Run an estimator, a built-in name or ``module:Class``, and return its solution.
+
+    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if its ``run`` raises.
+    """
     return pipeline.navigate(EstimatorChoice(use, use, dict(options or {})), data, initial)
 
 
 def judge(
     profile: str | Path | Profile, truth: Trajectory, solution: NavSolution
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution and its metrics."""
+    """Return the errors of a solution relative to a truth, and its metrics."""
     return pipeline.judge(_read_profile(profile), truth, solution)
 
 
@@ -166,31 +172,31 @@ def save(
     force: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> Path:
-    """Write a result and its records into a results folder, as a whole or not at all.
+    """Write a result and its records into a results folder, completely or not at all.
 
     Parameters
     ----------
     result : RunResult
-        Of :func:`run`, :func:`navigate_log` or :func:`load`.
+        As :func:`run`, :func:`navigate_log` or :func:`load` returns it.
     folder : str or Path
-        Where to; :func:`load` reads it back.
+        The results folder; :func:`load` reads it back.
     recording : bool
-        Write ``flight.rrd`` too; not of a result that was read back.
+        Also write ``flight.rrd``; not possible for a result that was read back.
     force : bool
         Replace an existing results folder.
     say : callable
-        Told why there is no recording.
+        Called with the reason if there is no recording.
 
     Raises
     ------
     bench.errors.ConfigError
-        If the folder cannot be made or is not to be replaced, or the result has no records.
+        If the folder cannot be made or must not be replaced, or the result has no records.
     OSError
         If the file cannot be written; nothing is left behind.
     """
     folder, sensed = Path(folder), result.sensed
     if sensed is None:
-        raise ConfigError("bench.save: the result holds no records of its sensors")
+        raise ConfigError("bench.save: the result has no sensor data")
     if recording and "spec" not in result.records:
         raise ConfigError("bench.save: a result that was read back makes no recording; use recording=False")
     store.check_folder(folder, force=force)
@@ -210,14 +216,15 @@ def save(
 def read_log(
     path: str | Path, *, estimators: Sequence[str] | None = None, allow_commands: bool = False
 ) -> RecordedLog:
-    """Read a recording of real sensors and check it against itself; nothing is repaired.
+    """Read a recording of real sensors and check its consistency; nothing is repaired.
 
     Parameters
     ----------
     path : str or Path
-        The ``.toml`` of the log: its files, how the sensors were mounted, the datasheets the filters assume.
+        The ``.toml`` file of the log: recorded files, mounting of the sensors, datasheets that filters
+        assume.
     estimators : sequence of str or None
-        As for :func:`run`; those of the log when None.
+        As for :func:`run`; None takes those of the log.
     allow_commands : bool
         Let the log start the programs it names.
 
@@ -229,9 +236,9 @@ def read_log(
     Raises
     ------
     bench.errors.ConfigError
-        If a file is missing or wrong; file and row are named.
+        If a file is missing or wrong; the message names file and row.
     bench.errors.EstimatorError
-        If an estimator cannot be built, or needs what the log lacks.
+        If an estimator cannot be built, or needs data that the log does not have.
     """
     from bench import log_pipeline
 
@@ -241,22 +248,22 @@ def read_log(
 def navigate_log(
     log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
 ) -> RunResult:
-    """Run estimators on a recording and judge them by fixes they were not given.
+    """Run estimators on a recording and judge them by withheld fixes.
 
     Parameters
     ----------
     log : str, Path or RecordedLog
-        As :func:`read_log` takes or returns it.
+        The path of a log, or what :func:`read_log` returns.
     outages : sequence of float
-        GNSS outages to cut [s]; each at ``places`` places, each in a run of its own.
+        Durations of GNSS outages to simulate [s]; each is simulated at ``places`` places, in separate runs.
     places : int
-        Places of the recording where each outage is cut.
+        Number of places of each outage.
 
     Returns
     -------
     result : RunResult
-        ``errors`` against the fixes that were withheld [m, m/s; n], ``metrics``; ``more`` holds the checks
-        of the recording and the drift over the outages [m].
+        ``errors`` relative to the withheld fixes [m, m/s; n], ``metrics``; ``more`` holds the checks of the
+        recording and the drift over the outages [m].
 
     Raises
     ------
@@ -281,24 +288,24 @@ def measure_allan(
     Parameters
     ----------
     unit : str or None
-        Name in the catalog or path of a datasheet: its model is measured, or a log is compared with it.
+        Catalog name or path of a datasheet. Its model is measured or, with a log, compared with the log.
     log : str, Path or None
-        CSV of a unit at rest, as `bench.exchange.resting_log.read_resting_log` takes it.
+        CSV of an IMU at rest, as `bench.exchange.resting_log.read_resting_log` reads it.
     seed : int
-        Of the noise of the model.
+        Seed of the noise of the model.
     picture : str, Path or None
-        Drawn there, a .png, .svg or .pdf.
+        File to draw the curves into, .png, .svg or .pdf.
 
     Returns
     -------
     measured : AllanResult
-        ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with their 99.9 % bands, and those of
+        ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
         each term of the datasheet.
 
     Raises
     ------
     bench.errors.ConfigError
-        If the unit or the log is missing or wrong.
+        If the datasheet or the log is missing or wrong.
     """
     from bench import report
     from bench.config.datasheets import read_imu
@@ -316,9 +323,9 @@ def measure_allan(
         curves = noise_curves.measure_model(spec, seed)
         name = spec.name
     else:
-        raise ConfigError("measure_allan needs a unit of the catalog or a log")
+        raise ConfigError("measure_allan needs an IMU of the catalog or a log")
     if not curves:
-        raise ConfigError(f"{name}: it has no random error to measure")
+        raise ConfigError(f"{name}: has no random error to measure")
     measured = noise_curves.AllanResult(name, tuple(curves), spec, simulated=log is None)
     if picture is not None:
         report.draw_allan(Path(picture), measured)
@@ -335,7 +342,7 @@ def solve_rinex(
     mask_deg: float = 10.0,
     without: Sequence[str] = (),
 ) -> RinexFixes:
-    """Solve the observations of a GNSS receiver for its fixes, epoch by epoch.
+    """Compute the fixes of a GNSS receiver from its observations, epoch by epoch.
 
     Parameters
     ----------
@@ -344,7 +351,7 @@ def solve_rinex(
     navigation : str, Path or a sequence of them
         RINEX 2 or 3 navigation files.
     systems : str
-        "gps", "glonass", "both", or "auto": the least PDOP times standard deviation at every epoch.
+        "gps", "glonass", "both", or "auto": at each epoch those with the least PDOP times standard deviation.
     ionosphere : str
         "klobuchar": the broadcast model on the first carrier; "free": the combination of two carriers.
     troposphere : str
@@ -362,7 +369,7 @@ def solve_rinex(
     Raises
     ------
     bench.errors.ConfigError
-        If a file is wrong, or the ephemerides do not serve the observations.
+        If a file is wrong, or no ephemeris fits the observations.
     """
     from bench.exchange import rinex_fixes
     from bench.signals import delays, receiver
@@ -397,7 +404,7 @@ def export_run(
     include: Sequence[str] = (),
     force: bool = False,
 ) -> Path:
-    """Write the sensors of a run in the format another tool reads.
+    """Export the sensor data of a run in the format of another tool.
 
     Parameters
     ----------
@@ -406,28 +413,28 @@ def export_run(
     kind : str
         One of :func:`list_exports`: "csv", "kf-gins", "tum" ...
     out : str, Path or None
-        Where to; beside the results folder, with the format in its name, when None.
+        Folder to write; None makes one beside the results folder, with the format in its name.
     include : sequence of str
-        What goes out beside the sensors: "truth", "solution:NAME".
+        Tracks to export besides the sensors: "truth", "solution:NAME".
     force : bool
-        Replace an export that is there.
+        Replace an existing export.
 
     Returns
     -------
     out : Path
-        The folder of the files and of a README.md that says what is in them.
+        The folder with the files, and a README.md that describes them.
 
     Raises
     ------
     bench.errors.BenchError
-        If it cannot be done; nothing is left behind.
+        If the run cannot be exported; nothing is left behind.
     """
     from bench.exchange import exports
 
     if kind not in exports.FORMATS:
         raise ConfigError(f"export format {kind!r} is unknown{suggest(kind, exports.FORMATS, 'formats')}")
     folder = Path(folder)
-    # "." and ".." have no name of their own
+    # "." and ".." are not usable as a name
     beside = folder.resolve() if folder.name in ("", "..") else folder
     out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
     exports.check_export_folder(out, force=force)
@@ -446,21 +453,21 @@ def stream_run(
     allow_remote: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> Streamed:
-    """Send the sensors of a run to a socket as they would arrive, for a filter in the loop.
+    """Send the sensor data of a run to a socket at the pace of its arrival, for a filter in the loop.
 
     Parameters
     ----------
     folder : str or Path
         A results folder.
     udp, tcp : str or None
-        One of them, ``IP:PORT``: a datagram per message goes there, or one connection is waited for there;
-        TCP port 0 is any that is free.
+        Exactly one of them, ``IP:PORT``. UDP sends each message as a datagram to the address; TCP waits for
+        one connection at the address, and port 0 takes any free port.
     rate : float
-        Seconds of the run per second; 0 or infinity: as fast as it goes.
+        Seconds of the run per second; 0 or infinity: as fast as possible.
     allow_remote : bool
-        Let the messages out to another machine.
+        Permit an address on another machine.
     say : callable
-        Told the address before the first message.
+        Called with a line that names the address, before the first message.
 
     Raises
     ------
@@ -488,22 +495,22 @@ def score_solution(
     out: str | Path | None = None,
     force: bool = False,
 ) -> Score:
-    """Judge anyone's solution on a run, as if an estimator of the bench had given it.
+    """Judge the solution of any program on a run, like that of an estimator of the bench.
 
     Parameters
     ----------
     solution : str or Path
-        Table of the motion of the IMU on its own times, as `bench.exchange.solutions` reads it.
+        Table of the motion of the IMU at its own times, as `bench.exchange.solutions` reads it.
     folder : str or Path
         A results folder.
     label : str or None
-        What the solution is called; the name of its file when None.
+        Label of the solution; None takes the name of the file.
     t_0 : float
-        What the file calls the start of the run [s].
+        Time in the file at the start of the run [s].
     longest : float or None
-        The longest interval between rows that is interpolated [s]; None: twice the usual one, 2 s at most.
+        Longest interval between rows that is interpolated [s]; default twice the median, at most 2 s.
     out : str, Path or None
-        Where to write the results folder with the solution added, without the recording.
+        Folder for a copy of the results with the solution added, without the recording.
     force : bool
         Replace an existing results folder.
 
@@ -538,23 +545,23 @@ def check_limits(
     runs: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Verdict]:
-    """Fly profiles and compare their accuracy with its limits.
+    """Fly profiles and compare their accuracy with their limits.
 
     Parameters
     ----------
     profiles : sequence of str
-        By the name of their file of limits; all there are when empty.
+        Names of the profiles; empty checks all that have limits.
     directory : str or Path
-        Folder of the limits, ``<profile>.json`` each.
+        Folder of the limits, one ``<profile>.json`` each.
     runs : int or None
-        Noise draws of each profile; as many as its limits are from when None.
+        Number of noise draws per profile; None takes as many as its limits are made from.
     progress : callable or None
-        Told the profile, the run and the number of runs.
+        Called with the profile, the number of finished runs and the number of all runs.
 
     Raises
     ------
     bench.errors.ConfigError
-        If limits or a profile are missing or wrong; before anything flies.
+        If limits or a profile are missing or wrong. This is checked before anything is flown.
     """
     from bench import baselines
 
@@ -568,14 +575,14 @@ def record_limits(
     runs: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Path]:
-    """Fly profiles and write what they measure as their limits; return the files.
+    """Fly profiles, write their metrics as new limits, and return the files.
 
     Parameters
     ----------
     profiles : sequence of str
-        By shipped name or path; those that have limits when empty.
+        Shipped names or paths; empty records all that have limits.
     directory, runs, progress
-        As for :func:`check_limits`; `bench.baselines.RUNS` runs when None.
+        As for :func:`check_limits`; ``runs`` is `bench.baselines.RUNS` by default.
 
     Raises
     ------
@@ -597,7 +604,7 @@ def record_limits(
 
 
 def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> None:
-    """Raise ConfigError if a value is none of those there are."""
+    """Raise ConfigError if a value is not one of the known ones."""
     for value in values:
         if value not in known:
             raise ConfigError(f"{name} = {value!r} must be one of {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Arguments in, exit status out; no numbers. Nothing heavy is imported before a verb runs."""
+"""The command line: parse arguments, run a verb, return the exit status. Heavy imports wait for the verb."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from bench.cli import flights, records
 from bench.cli.group import commands
 from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 
-__all__ = ["commands", "flights", "main", "records"]  # the modules are here for their verbs
+__all__ = ["commands", "flights", "main", "records"]  # importing the modules adds their verbs
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; a bug keeps its traceback.
+    """Run one command line and return its exit status; a bug prints its traceback.
 
     Parameters
     ----------
     arguments : sequence of str or None
-        What follows ``bench``; the arguments of this process when None.
+        The arguments behind ``bench``; None takes those of this process.
     """
     before = signal.signal(signal.SIGTERM, _interrupt)
-    often = gc.get_threshold()
-    gc.set_threshold(1_000_000, 9, 9)  # imports keep what they make; looking through it is a tenth of a run
+    threshold = gc.get_threshold()
+    gc.set_threshold(1_000_000, 9, 9)  # collecting during imports takes a tenth of a run and frees nothing
     try:
         return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
     except click.UsageError as error:
@@ -44,13 +44,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         traceback.print_exc()
         return BUG
     finally:
-        gc.set_threshold(*often)
+        gc.set_threshold(*threshold)
         signal.signal(signal.SIGTERM, before)
 
 
 def _fail(status: int, message: str) -> int:
-    told = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # a stranger's file is quoted
-    click.echo(f"error: {told}", err=True)
+    printable = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # may quote a file
+    click.echo(f"error: {printable}", err=True)
     return status
 
 

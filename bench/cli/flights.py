@@ -1,4 +1,4 @@
-"""Verbs of simulated flights, run, fly, list, new, view, check, and the guide."""
+"""The verbs of simulated flights: run, fly, list, guide, new, view, check."""
 
 from __future__ import annotations
 
@@ -103,11 +103,11 @@ def run(
 @set_option
 @seed_option
 def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
-    """Fly only the truth of a profile and say what was flown.
+    """Fly only the truth of a profile and describe the flight.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). The
-    truth is kept in the cache, where bench run finds it. The last line says how
-    far an error-free strapdown strays from it.
+    truth is stored in the cache, where bench run finds it. The last line is the
+    error of an error-free strapdown against it.
     """
     from bench.workbench.flight_verbs import fly as fly_profile
 
@@ -167,12 +167,12 @@ def guide(topic: str | None) -> int:
 @click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
 @click.argument("name")
 def new(kind: str, name: str) -> int:
-    """Write a starting point that works, to be changed.
+    """Write a working example as a starting point for your own.
 
     \b
     estimator NAME writes, in the present folder:
       NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
-      test_NAME.py   its test: the contract of the bench, and that it finds its way
+      test_NAME.py   its test: the contract of the bench, and its accuracy
 
     \b
     Example:
@@ -190,7 +190,7 @@ def new(kind: str, name: str) -> int:
 def view(folder: Path | None, web: bool) -> int:
     """Open the viewer on a results folder.
 
-    DIR is what bench run wrote; the newest one below ./runs when not given.
+    DIR is a results folder; default the newest one below ./runs.
     """
     from bench.workbench.viewer import view as view_folder
 
@@ -206,15 +206,15 @@ def view(folder: Path | None, web: bool) -> int:
     default=Path("tests/baselines"),
     show_default=True,
     metavar="DIR",
-    help="folder of the limits, <profile>.json each",
+    help="folder of the limits, one <profile>.json each",
 )
 @click.option("--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each profile")
-@click.option("--record", is_flag=True, help="write what is measured as the new limits")
+@click.option("--record", is_flag=True, help="write the measured metrics as the new limits")
 def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: bool) -> int:
     """Compare the accuracy of profiles with their limits.
 
-    PROFILE names those to check, all that have limits when none is given; with
-    --record also a profile that has none yet.
+    PROFILE is a profile to check; default all that have limits. With --record it
+    may also be a profile without limits.
     """
     from bench.workbench.flight_verbs import check_limits, record_limits
 

@@ -1,4 +1,4 @@
-"""What the verbs share: the group they belong to, exit statuses, options of a profile, the console."""
+"""What the verbs share: their group, the exit statuses, common options, the console."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HELP = {"max_content_width": 100}
 
 
 def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
-    """Read KEY=VALUE, the value as in a TOML file; what is not TOML is a text."""
+    """Parse KEY=VALUE; the value is read as TOML or, if that fails, as a text."""
     values: dict[str, Any] = {}
     for item in given:
         key, equals, text = item.partition("=")
@@ -44,7 +44,7 @@ def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[st
 
 
 def parse_durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:
-    """Read durations in seconds, with commas between."""
+    """Parse durations in seconds, separated by commas."""
     try:
         values = tuple(float(text) for text in given.split(",")) if given else ()
     except ValueError:
@@ -68,12 +68,12 @@ seed_option = click.option(
 
 
 def out_option(what: str, metavar: str = "DIR") -> Decorator:
-    """Return the option -o: where a verb writes."""
+    """Return the option -o: the file or folder a verb writes."""
     return click.option("-o", "--out", type=click.Path(path_type=Path), metavar=metavar, help=what)
 
 
 def estimator_option(which: str) -> Decorator:
-    """Return the option -e, which may stand more than once: use only these."""
+    """Return the option -e, which may be repeated: use only these estimators."""
     return click.option(
         "-e",
         "--estimator",
@@ -102,7 +102,7 @@ def commands(ctx: click.Context) -> None:
 
 
 def new_console(*, stderr: bool = False) -> Console:
-    """Return what a verb prints tables and progress on."""
+    """Return the console for tables and progress."""
     from rich.console import Console
 
     return Console(stderr=stderr, markup=False, highlight=False)

@@ -1,4 +1,4 @@
-"""Verbs of what others recorded, made or want: navigate, fixes, allan, export, score, stream."""
+"""The verbs of recorded data and other tools: navigate, fixes, allan, export, score, stream."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench.errors import DONE, NEGATIVE, ConfigError
 
 
 class _LogCommand(click.Command):
-    """Says what the verb for RINEX files is when their options are given."""
+    """Names the verb for RINEX files if their options are given."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any(arg.partition("=")[0] in ("--observations", "--navigation") for arg in args):
@@ -29,7 +29,7 @@ class _LogCommand(click.Command):
     "--outages",
     callback=parse_durations,
     metavar="S,S,...",
-    help="cut GNSS for so many seconds and judge by the fixes that were cut out",
+    help="cut out GNSS for this long and judge the drift by the fixes that were cut out",
 )
 @click.option(
     "--places",
@@ -60,10 +60,10 @@ def navigate(
     """Run estimators on a recording of real sensors.
 
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
-    mounted, and the datasheets the filters believe (bench guide own-log). What looks
-    wrong in the recording is said first. Every fifth fix is kept from the filters and judges
-    them; --outages cuts GNSS at several places and judges the drift by what was cut out.
-    Writes the folder of bench run, without truth.
+    mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
+    data is reported first. Every fifth fix is withheld from the filters to judge them;
+    --outages cuts out GNSS at several places and judges the drift by the fixes there.
+    Writes a results folder as bench run does, without truth.
 
     \b
     Example:
@@ -98,7 +98,7 @@ def navigate(
     type=click.Choice(["gps", "glonass", "both", "auto"]),
     default="both",
     show_default=True,
-    help="satellites to use; auto takes the least PDOP times sd at every epoch",
+    help="satellites to use; auto takes those with the least PDOP times sd at each epoch",
 )
 @click.option(
     "--ionosphere",
@@ -128,7 +128,7 @@ def navigate(
     type=click.Choice(["WGS-84", "PZ-90.11", "SK-42"]),
     default="WGS-84",
     show_default=True,
-    help="of the positions in --out",
+    help="datum of the positions in --out",
 )
 @out_option("file for the fixes", "FILE.csv")
 @click.option(
@@ -142,11 +142,11 @@ def fixes(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Solve the observations of a GNSS receiver for its fixes.
+    """Compute the fixes of a GNSS receiver from its observations.
 
     OBSERVATIONS is a RINEX 2 or 3 observation file, NAVIGATION one or more navigation
-    files: position from the code, velocity from the Doppler where there is one, GPS and
-    GLONASS. Errors are against the position in the header of the file.
+    files of GPS and GLONASS. Position is from the code, velocity from the Doppler if the
+    file has it. Errors are relative to the position in the header of the file.
 
     \b
     Example:
@@ -165,7 +165,7 @@ def fixes(
 @commands.command(epilog=STATUS)
 @click.argument("unit", required=False, metavar="[UNIT]")
 @click.option(
-    "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of a unit at rest"
+    "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of an IMU at rest"
 )
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
 @click.option(
@@ -174,13 +174,13 @@ def fixes(
 def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> int:
     """Measure the Allan deviation of an IMU and compare it with its datasheet.
 
-    UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml: its
-    model is measured at rest, below 8 s at 200 Hz, from there on for 18 h at 1 Hz,
-    and each value is held against the analytic curve of all its terms. With --log a
-    log is measured; UNIT, when given, is what it is compared with.
+    UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml. Its
+    model is measured at rest: averaging times below 8 s at 200 Hz, longer ones for
+    18 h at 1 Hz. Each value is compared with the analytic curve of all its terms.
+    With --log a log is measured and, if UNIT is given, compared with it.
 
     FILE is CSV with a header: t_s, gyro_x_rad_s (or deg_s), gyro_y_..., gyro_z_...,
-    accel_x_m_s2 (or g), ...: rates of a unit at rest, a row per sample.
+    accel_x_m_s2 (or g), ...: rates of an IMU at rest, one row per sample.
 
     \b
     Examples:
@@ -204,14 +204,14 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     "wanted",
     multiple=True,
     metavar="NAME",
-    help="truth or solution:NAME, beside the sensors; repeat for more",
+    help="truth or solution:NAME, besides the sensors; repeat for more",
 )
-@click.option("--force", is_flag=True, help="replace an export that is there")
+@click.option("--force", is_flag=True, help="replace an existing export")
 def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], force: bool) -> int:
-    """Write the sensors of a run in the format another tool reads.
+    """Export the sensor data of a run in the format of another tool.
 
-    RUN is a results folder of bench run, FORMAT one of bench list exports. The truth
-    and the solutions go out only when asked for by name.
+    RUN is a results folder of bench run, FORMAT one of bench list exports. Truth and
+    solutions are exported only if named.
 
     \b
     Examples:
@@ -219,8 +219,8 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
       bench export runs/figure-eight-20260101 --to tum --with truth --with solution:loose-15
 
     \b
-    Writes to DIR the files of the format and a README.md that says what is in
-    them: columns, units, frames, row counts.
+    Writes to DIR the files of the format and a README.md that describes their
+    columns, units, frames and row counts.
     """
     from bench.workbench.record_verbs import export_run
 
@@ -231,7 +231,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
 @commands.command(epilog=STATUS)
 @click.argument("solution", type=click.Path(path_type=Path))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
-@click.option("--label", metavar="NAME", help="what it is called  [default: the name of its file]")
+@click.option("--label", metavar="NAME", help="label of the solution  [default: the name of its file]")
 @click.option(
     "--t0",
     type=float,
@@ -244,7 +244,7 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     "--max-gap",
     type=click.FloatRange(min=0),
     metavar="S",
-    help="longest interval between rows that is interpolated  [default: twice the usual one, 2 s at most]",
+    help="longest interval between rows that is interpolated  [default: twice the median, at most 2 s]",
 )
 @out_option("write the results folder with the solution added, without the recording")
 @click.option(
@@ -261,21 +261,21 @@ def score(
     as_json: bool,
     force: bool,
 ) -> int:
-    """Judge anyone's solution on a run, beside the estimators of the bench.
+    """Judge the solution of any program on a run, beside the estimators of the bench.
 
     RUN is a results folder of bench run, SOLUTION a table (.csv, .parquet, .mat) of
-    the motion of the IMU on its own times. Columns are named by quantity, frame and
-    unit; besides the time one of position, velocity, attitude is enough:
+    the motion of the IMU at its own times. Column names give quantity, frame and unit;
+    time and one of position, velocity, attitude are required:
 
     \b
       t_s                                     since the start of the run
       lat_deg, lon_deg, alt_m                 or ecef_x_m, ecef_y_m, ecef_z_m
       vel_n_mps, vel_e_mps, vel_d_mps         or ecef_vel_x_mps, ...
       roll_deg, pitch_deg, heading_deg        or q_nb_w, _x, _y, _z, or q_eb_w, ...
-      sd_pos_n_m, sd_vel_n_mps, sd_phi_n_deg  with _e, _d: claimed, optional
+      sd_pos_n_m, sd_vel_n_mps, sd_phi_n_deg  with _e, _d: optional
       cov_pos_n_pos_n, cov_pos_n_vel_e, ...   instead of sd_: in SI and radians
 
-    Nothing is extrapolated; the share of instants it covers is reported.
+    Nothing is extrapolated; the fraction of the output times it covers is reported.
 
     \b
     Examples:
@@ -302,19 +302,21 @@ def score(
 
 @commands.command(epilog=STATUS)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
-@click.option("--udp", metavar="IP:PORT", help="send there, a datagram per message")
-@click.option("--tcp", metavar="IP:PORT", help="wait there for one connection; port 0 takes a free one")
+@click.option("--udp", metavar="IP:PORT", help="send each message as a datagram to this address")
+@click.option(
+    "--tcp", metavar="IP:PORT", help="wait for one connection at this address; port 0 takes a free one"
+)
 @click.option(
     "--rate",
     type=float,
     default=1.0,
     show_default=True,
     metavar="R",
-    help="seconds of the run per second; 0 or inf: as fast as it goes",
+    help="seconds of the run per second; 0 or inf: as fast as possible",
 )
-@click.option("--allow-remote", is_flag=True, help="let the messages out to another machine")
+@click.option("--allow-remote", is_flag=True, help="permit an address on another machine")
 def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_remote: bool) -> int:
-    """Send the sensors of a run as they would arrive, for a filter in the loop.
+    """Send the sensor data of a run at the pace of its arrival, for a filter in the loop.
 
     RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
     IMU and the other instruments are binary frames, little-endian:
@@ -322,7 +324,7 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
     \b
       0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed, 5 radar, 6 odometer),
       length n, uint32 number,
-      n bytes payload: float64 each, then one byte, 1 when valid;
+      n bytes payload: float64 values, then one byte, 1 if valid;
       uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
     \b
       IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
@@ -330,8 +332,8 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
       mag       t [s], field x y z [T], sd [T]
       others    t [s], value and its sd: airspeed [m/s], radar [m], odometer [m/s]
 
-    A message leaves when it would reach the filter: at its time and the latency of
-    its sensor. Only addresses of this machine are taken without --allow-remote.
+    A message is sent when it would reach the filter: at its time plus the latency of
+    its sensor. Without --allow-remote only addresses of this machine are accepted.
 
     \b
     Examples:

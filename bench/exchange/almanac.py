@@ -1,4 +1,4 @@
-"""YUMA almanacs of GPS: where every satellite roughly is, for weeks around a date."""
+"""Read YUMA almanacs: approximate orbits of all GPS satellites, for weeks around a date."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bench.errors import ConfigError
 from bench.exchange.rinex import Lines, open_lines
 from bench.signals.orbits import KEPLER, WEEK, KeplerSets
 
-_ROLLOVER = 1024 * WEEK  # the week number of an almanac counts modulo this [s]
+_ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]
 _ENTRIES = {
     "id": "sat",
     "health": "health",
@@ -27,7 +27,7 @@ _ENTRIES = {
     "af1": "af_1",
     "week": "week",
 }
-"""How the name of an entry begins, in small letters -> what it is."""
+"""Beginning of the name of an entry, in small letters -> column."""
 _LIMITS = {"sat": (1, 63), "e": (0.0, 0.2), "t_oe_week": (0.0, WEEK), "sqrt_a": (4900.0, 5400.0)}
 
 
@@ -39,15 +39,15 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
     path : Path
         The file.
     near : float
-        A time in s since 1980-01-06 within ten years of the almanac: its week number is known modulo 1024
-        only (19.6 years).
+        A time within ten years of the almanac, in s since 1980-01-06; the week number in the file is modulo
+        1024 (19.6 years).
     shown : str or None
-        What messages call the file; its name when None.
+        Name of the file in messages; default its file name.
 
     Returns
     -------
     sets : KeplerSets
-        Times in s since 1980-01-06; what an almanac does not give (harmonics, group delay) is 0.
+        Times in s since 1980-01-06; elements that an almanac does not have (harmonics, group delay) are 0.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
         if entries:
             raise lines.error(_describe_unfinished(entries, begun))
     if not rows:
-        raise ConfigError(f"{shown}: holds no almanac")
+        raise ConfigError(f"{shown}: has no almanac in it")
     elements = np.zeros((len(rows), len(KEPLER)))
     for k, row in enumerate(rows):
         t_oe = row["week"] * WEEK + row["t_oe_week"]
@@ -90,11 +90,11 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
 
 
 def _parse_entry(lines: Lines, line: str) -> tuple[str, float]:
-    """Return what a line gives, by the name of the column."""
+    """Return the column and the value of a line."""
     label, colon, text = line.partition(":")
     name = next((n for begin, n in _ENTRIES.items() if label.strip().lower().startswith(begin)), None)
     if not colon or name is None:
-        raise lines.error(f"{line.strip()[:30]!r} is no entry of a YUMA almanac")
+        raise lines.error(f"{line.strip()[:30]!r} is not an entry of a YUMA almanac")
     if not re.fullmatch(r"\s*[+-]?\d+(\.\d*)?([EeDd][+-]?\d+)?\s*", text):
         raise lines.error(f"{label.strip()} must be a number; got {text.strip()[:30]!r}")
     value = float(text.upper().replace("D", "E"))

@@ -1,20 +1,19 @@
-"""A run as messages, in the order in which they reach a filter: NMEA for the fixes, binary frames for the
-rest.
+"""A run as messages in their order of arrival: NMEA sentences for the fixes, binary frames for the rest.
 
 A frame, little-endian:
 
-    offset  bytes  what
+    offset  bytes  content
     0       2      0xAA 0x55
     2       1      kind: 1 IMU; the others are `bench.instruments.Instrument.frame`: 2 barometer,
                    3 magnetometer, 4 airspeed
     3       1      n, length of the payload
     4       4      number of the frame, from 0, unsigned
-    8       n      payload: float64 each, then one byte, 1 when the unit calls the row valid
+    8       n      payload: float64 values, then one byte, 1 if the sensor marks the row as valid
     8 + n   2      CRC-16/CCITT-FALSE of bytes 2 to 8 + n (polynomial 0x1021, start 0xFFFF), unsigned
 
 Payloads: IMU t, dt [s], increments of angle x, y, z [rad] and of velocity x, y, z [m/s] over the interval
-that ends at t, forward, right, down (n = 65); every other instrument t [s], its value or values, their sd, in
-SI: barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25).
+that ends at t, forward, right, down (n = 65); other instruments t [s], value or values, and sd, in SI:
+barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25).
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ SYNC = b"\xaa\x55"
 IMU = 1
 
 Message = tuple[float, bytes]
-"""When it reaches the filter [s], and its bytes: one sentence or one frame."""
+"""Time of arrival at the filter [s], and the bytes of one sentence or frame."""
 
 
 def make_messages(run: ExportData) -> Iterator[Message]:
-    """Yield every message of a run in the order of arrival; the rows of one sensor stay in their order."""
+    """Yield every message of a run in order of arrival; rows of one sensor keep their order."""
     imu = run.imu
     streams = [_make_payloads(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
     if run.fixes is not None:
@@ -58,7 +57,7 @@ def make_messages(run: ExportData) -> Iterator[Message]:
 
 
 def make_frame(kind: int, number: int, payload: bytes) -> bytes:
-    """Return a frame.
+    """Return a frame around a payload.
 
     Examples
     --------
@@ -89,7 +88,7 @@ def _make_sentences(run: ExportData) -> Iterator[tuple[float, int, bytes]]:
 
 
 def _order_arrivals(arrival: FloatArray) -> list[float]:
-    """Return times that never go back: a row that is late, or has no time, comes with the one before it."""
+    """Return non-decreasing times: a row without a time, or too early, gets that of the row before."""
     known = np.where(np.isfinite(arrival), arrival, -np.inf)
     running: list[float] = np.maximum(np.maximum.accumulate(known), 0.0).tolist()
     return running

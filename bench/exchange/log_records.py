@@ -1,8 +1,8 @@
-"""A recording of somebody's IMU, GNSS receiver and barometer as the records estimators get.
+"""Convert recorded IMU, GNSS and barometer files to the records that estimators read.
 
-Each file is read by the adapter of its format into the same few columns (`LogRows`); from there on all
-formats are one. t = 0 is the first row of the IMU. A rate is what held over the interval that ends at its
-time; an interval much longer than usual is a gap, and its row stands for one usual interval.
+The adapter of each format reads a file into the same columns (`LogRows`). t = 0 is the first row of the IMU.
+A rate is the mean over the interval that ends at its time. An interval much longer than the median is a gap;
+the row after it covers one median interval.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from bench.specs import AssumedSpecs
 from bench.units import SAME_INSTANT
 
 GAP = 3.0
-"""An interval longer than so many usual ones is a gap [1]."""
+"""An interval longer than this many median intervals is a gap [1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogRecords:
-    """What was recorded, in b and on one clock."""
+    """Recorded data, in b and on one clock."""
 
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
     baro: BaroData | None
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
-    notes: tuple[str, ...]  # what the files hold that is not used
+    notes: tuple[str, ...]  # content of the files that is not used
 
 
 def read_records(spec: LogSpec) -> LogRecords:
-    """Return the records of a log; rows are as they are, in the order of their files.
+    """Read the records of a log; rows keep the order of their files, and none is repaired.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read, has no such columns or holds what cannot be: one line with file and row.
+        If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
     assert spec.gnss is not None
     imu_rows, gnss_rows = _read_rows(spec.imu, "imu"), _read_rows(spec.gnss, "gnss")
@@ -56,8 +56,8 @@ def read_records(spec: LogSpec) -> LogRecords:
     if not ((fixes.t >= 0) & (fixes.t <= last)).any():
         there = f"{fixes.t.min() + origin:.9g} to {fixes.t.max() + origin:.9g} s"
         raise ConfigError(
-            f"{spec.gnss.path.name}: its times, {there}, are not those of {spec.imu.path.name}, "
-            f"{origin:.9g} to {last + origin:.9g} s; both must be on one clock"
+            f"{spec.gnss.path.name}: its times, {there}, do not overlap those of {spec.imu.path.name}, "
+            f"{origin:.9g} to {last + origin:.9g} s; both files must use one clock"
         )
     return LogRecords(
         imu=imu,
@@ -74,14 +74,16 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     if source.format == "table":
         kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
         table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
-        rows = LogRows.of(table, source.path.name)
+        rows = LogRows.from_table(table, source.path.name)
     else:
         rows = imports.read(source.format, source.path, kind, source.topic)
     bad = ~np.isfinite(rows.t)
     if not len(rows.t) or bad.all():
         raise ConfigError(f"{source.path.name}: no rows")
     if bad.any():
-        raise ConfigError(f"{source.path.name}: row {int(np.argmax(bad)) + 1}: its time is no finite number")
+        raise ConfigError(
+            f"{source.path.name}: row {int(np.argmax(bad)) + 1}: its time is not a finite number"
+        )
     if kind == "imu" and len(rows.t) < 2:
         raise ConfigError(f"{source.path.name}: one row; an IMU record needs at least two")
     return replace(rows, t=rows.t + source.time_offset)
@@ -92,10 +94,10 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     steps = np.diff(t)
     forward = steps[steps > 0]
     if not len(forward):
-        raise ConfigError(f"{spec.imu.path.name}: no row comes after the row before")
-    usual = float(np.median(forward))
-    dt = np.concatenate([[usual], steps])
-    dt[(dt <= 0) | (dt > GAP * usual)] = usual
+        raise ConfigError(f"{spec.imu.path.name}: its times never increase")
+    median = float(np.median(forward))
+    dt = np.concatenate([[median], steps])
+    dt[(dt <= 0) | (dt > GAP * median)] = median
     q_bs = multiply(from_euler(*spec.misalignment), from_euler(*spec.mounting))
     if "dtheta" in rows.values:
         dtheta, dvel = rows.values["dtheta"], rows.values["dvel"]
@@ -123,14 +125,13 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
     off = (lla[:, 2] < -1e3) | (lla[:, 2] > 1e5)
     if off.any():
         row = int(np.argmax(off))
-        said = f"height {lla[row, 2]:.9g} m is outside -1000 to 100000 m"
-        raise ConfigError(f"{shown}: row {row + 1}: {said}")
+        raise ConfigError(f"{shown}: row {row + 1}: height {lla[row, 2]:.9g} m is outside -1000 to 100000 m")
     t = rows.t - origin
     vel_n = _shift_velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
     valid = np.asarray(np.isfinite(lla).all(axis=1))
     if spec.quality:
         if "quality" not in values:
-            raise ConfigError(f"{shown}: [gnss] quality is asked for, but the file has no such column")
+            raise ConfigError(f"{shown}: [gnss] quality is set, but the file has no column quality")
         valid &= np.isin(values["quality"], spec.quality)
     gnss = spec.assumed.gnss
     assert gnss is not None
@@ -150,7 +151,7 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
 
 
 def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, shown: str) -> FloatArray:
-    """Return velocities at the times of the fixes, from those valid an offset away; NaN without any."""
+    """Return velocities at the times of the fixes, from velocities at offset times; NaN without any."""
     if vel_n is None:
         return np.full((len(t), 3), np.nan)
     if offset == 0.0:
@@ -162,12 +163,12 @@ def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, sh
     moved = np.stack([np.interp(t, own, column, left=np.nan, right=np.nan) for column in vel_n.T], axis=-1)
     step = np.diff(own)
     after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
-    moved[step[after - 1] > GAP * np.median(step)] = np.nan  # nothing to take it from
+    moved[step[after - 1] > GAP * np.median(step)] = np.nan  # no velocity near enough
     return moved
 
 
 def _make_covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArray:
-    """Return diagonal covariances (N, 3, 3); what is not reported is as assumed."""
+    """Return diagonal covariances (N, 3, 3), from the reported sd or else from the assumed one."""
     spread = np.tile(assumed, (n, 1)) if sd is None else sd
     cov = np.zeros((n, 3, 3))
     cov[:, range(3), range(3)] = spread**2
@@ -183,17 +184,17 @@ def _make_baro(rows: LogRows, assumed: AssumedSpecs, origin: float) -> BaroData:
 
 
 def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
-    """Return an IMU record whose intervals end at every cut, too: an interval is divided in proportion.
+    """Return an IMU record whose intervals also end at the given cuts, divided in proportion to time.
 
-    A fix between two samples is then used at its own time. At 16 m/s a fix used half a sample late, 5 ms,
-    is 8 cm off. Rows that do not come after all rows before are left as they are.
+    A fix between two samples is then used at its own time. At 16 m/s a fix used half a sample late (5 ms) is
+    8 cm off. Rows whose time is not later than that of all rows before are left unchanged.
 
     Parameters
     ----------
     imu : ImuData
-        The record.
+        The record to divide.
     cuts : (M,) array
-        Instants [s]; those inside no interval have no effect.
+        Instants [s]; those outside all intervals have no effect.
     """
     before = np.concatenate([[-np.inf], np.maximum.accumulate(imu.t)[:-1]])
     ordered: BoolArray = (imu.t > before) & imu.valid

@@ -1,7 +1,7 @@
-"""MATLAB files of version 5 to 7: arrays of numbers, and structures of them.
+"""Read MATLAB files of version 5 to 7: numeric arrays, and structures of them.
 
-Read here and not by scipy, whose compiled reader can crash on a file made to do so. The format is that of
-"MAT-File Format", MathWorks: elements of a tag (type, length) and data, packed ones with zlib.
+scipy is not used, because a manipulated file can crash its compiled reader. The format is described in
+"MAT-File Format", MathWorks: elements with a tag (type, length) and data, possibly compressed with zlib.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 
 MOST_BYTES = 1_000_000_000
-"""Of all variables of a file when unpacked."""
+"""Largest size of all variables of a file, uncompressed [byte]."""
 _BLOCK = 1 << 20  # [byte]
-_DEEPEST = 4  # structures in structures
+_DEEPEST = 4  # levels of structures within structures
 _MATRIX, _PACKED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""Type of an element -> how its numbers are stored (table 1-1)."""
+"""Type of an element -> type of its numbers (table 1-1)."""
 _STRUCTURE, _NUMERIC, _COMPLEX = 2, range(6, 16), 0x0800  # array classes and a flag (table 1-3, figure 1-4)
 
 Value = FloatArray | dict[str, Any] | None
-"""Numbers; a structure by field; None, what is neither."""
+"""An array of numbers; a structure, by field; None for anything else."""
 
 
 def read_mat(path: Path) -> dict[str, Value]:
-    """Return the variables of a MATLAB file by name; vectors without their second dimension.
+    """Return the variables of a MATLAB file by name; row and column vectors are one-dimensional.
 
     Raises
     ------
     ConfigError
-        If it is none, of version 7.3, broken, or larger than it may be when unpacked.
+        If the file is not a MATLAB file, is of version 7.3, is broken, or is too large when unpacked.
     """
     shown = path.name
-    found: dict[str, Value] = {}
+    variables: dict[str, Value] = {}
     try:
         with path.open("rb") as file:
             head = file.read(128)
             if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
-                raise ConfigError(f"{shown}: a MATLAB file of version 7.3; save it with -v7")
+                raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
             if not head.startswith(b"MATLAB 5.0") or head[126:128] not in (b"IM", b"MI"):
-                raise ConfigError(f"{shown}: no MATLAB file of version 5 to 7")
+                raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
             order = "<" if head[126:128] == b"IM" else ">"
             left = MOST_BYTES
             while tag := file.read(8):
@@ -57,21 +57,21 @@ def read_mat(path: Path) -> dict[str, Value]:
                 for element, data in _split_elements(memoryview(body), order):
                     if element == _MATRIX:
                         name, value = _read_array(data, order, 0)
-                        found[name] = value
+                        variables[name] = value
     except (ValueError, OverflowError, MemoryError, zlib.error) as error:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
-    return found
+    return variables
 
 
 def get_vector(value: Value, name: str, shown: str) -> FloatArray:
-    """Return a variable as a column of numbers."""
+    """Return a variable as a vector (N,); raise ConfigError if it is not one."""
     if not isinstance(value, np.ndarray) or value.ndim > 1:
-        what = "no numbers"
+        kind = "not numeric"
         if value is not None:
-            what = f"of shape {value.shape}" if isinstance(value, np.ndarray) else "a structure"
-        raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {what}")
+            kind = f"of shape {value.shape}" if isinstance(value, np.ndarray) else "a structure"
+        raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {kind}")
     return np.atleast_1d(value)
 
 
@@ -83,7 +83,7 @@ def _read_exactly(file: Any, size: int, left: int) -> bytes:
 
 
 def _unpack(file: Any, size: int, left: int) -> bytes:
-    """Return a packed element, or a little more than may be when it is longer."""
+    """Return an uncompressed element; stop soon after ``left`` bytes if it is longer."""
     unpack, parts, count = zlib.decompressobj(), [], 0
     while size > 0 and count <= left:
         block = file.read(min(size, _BLOCK))
@@ -99,11 +99,11 @@ def _unpack(file: Any, size: int, left: int) -> bytes:
 
 
 def _split_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Give the elements of some bytes: type, data."""
+    """Yield type and data of each element."""
     at = 0
     while at + 8 <= len(data):
         kind, size = (int(x) for x in np.frombuffer(data[at : at + 8], f"{order}u4", 2))
-        if kind >> 16:  # a small one: length, type and four bytes of data
+        if kind >> 16:  # small element: length, type and four bytes of data
             kind, size, begin, step = kind & 0xFFFF, kind >> 16, at + 4, 8
             if size > 4:
                 raise ValueError("a small element is too long")
@@ -116,7 +116,7 @@ def _split_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryv
 
 
 def _read_array(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
-    """Return the name and value of an array."""
+    """Return the name and the value of an array."""
     if not len(data):
         return "", None
     parts = _split_elements(data, order)
@@ -124,7 +124,7 @@ def _read_array(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
     if len(flags) < 1:
         raise ValueError("an array has no flags")
     kind, marks = int(flags[0]) & 0xFF, int(flags[0])
-    if kind > 15:  # of a kind this format does not have, such as a function
+    if kind > 15:  # a class outside this format, such as a function
         return "", None
     shape = tuple(int(n) for n in _take_numbers(parts, order))
     if not 2 <= len(shape) <= 32 or min(shape) < 0:
@@ -164,7 +164,7 @@ def _take_numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> np.nda
     """Return the numbers of the next element."""
     kind, data = next(parts, (0, memoryview(b"")))
     if kind not in _NUMBERS:
-        raise ValueError(f"an element of type {kind} is not one of numbers")
+        raise ValueError(f"an element of type {kind} does not hold numbers")
     stored = np.dtype(order + _NUMBERS[kind])
     return np.frombuffer(data[: len(data) // stored.itemsize * stored.itemsize], stored)
 

@@ -1,8 +1,8 @@
-"""A filter that is a program of its own: ``use = "command:./myfilter {sensors} {solution}"``.
+"""Run an external program as an estimator: ``use = "command:./myfilter {sensors} {solution}"``.
 
-The program, in any language, runs in a temporary folder that holds the sensors as ``bench export --to csv``
-writes them, and nothing of the truth; it writes its solution as `bench.exchange.solutions` reads it. No shell
-is between. A program that fails is a result that says why.
+The program, in any language, runs in a temporary folder with the sensor data as ``bench export --to csv``
+writes it, without the truth. It writes a solution that `bench.exchange.solutions` reads. No shell is used. If
+the program fails, the result says why.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from bench.specs import EstimatorChoice
 from bench.store import make_start_document
 
 TIMEOUT = 600.0
-"""How long a program may take unless told otherwise [s]."""
+"""Default time limit of a program [s]."""
 
 PROGRAM, STDERR = "program", "stderr"
 """Kinds of events: how the program ended; the end of what it wrote to stderr."""
 
 FILE, COMMAND = "file:", "command:"
-"""How the ``use`` of a solution in a file, and of a program, begins."""
+"""Prefixes of ``use`` for a solution in a file and for a program."""
 
 _FIELDS = ("sensors", "solution", "here")
-_MOST_STDERR = 4000  # what is kept of it, from its end [byte]
-_MOST_WRITTEN = 2_000_000_000  # the program is stopped when its solution grows beyond [byte]
-_LOOK = 0.05  # between looks at the program [s]
-_PATIENCE = 2.0  # between asking it to end and ending it [s]
+_MOST_STDERR = 4000  # last part of stderr that is kept [byte]
+_MOST_WRITTEN = 2_000_000_000  # largest solution; beyond it the program is stopped [byte]
+_LOOK = 0.05  # interval between checks of the program [s]
+_PATIENCE = 2.0  # between SIGTERM and SIGKILL [s]
 
 
 def load(choice: EstimatorChoice) -> Estimator:
-    """Build what stands for an estimator: ``file:solution.csv``, ``command:./filter {sensors} {solution}``.
+    """Build an estimator from ``file:solution.csv`` or ``command:./filter {sensors} {solution}``.
 
     Raises
     ------
     EstimatorError, ConfigError
-        If there is no such file or program, or an option is wrong: one line.
+        If there is no such file or program, or an option is wrong.
     """
     if choice.use.startswith(FILE):
         path = choice.beside / choice.use.removeprefix(FILE)
@@ -68,24 +68,24 @@ def load(choice: EstimatorChoice) -> Estimator:
 
 
 class CommandEstimator:
-    """A program in the place of an estimator.
+    """An estimator that runs a program.
 
     Parameters
     ----------
     command : str
-        Program and arguments, as in a shell but without one. ``{sensors}`` is the folder with the tables,
-        ``{solution}`` the file to write, both have to be there; ``{here}`` is ``beside``.
+        Program and arguments, quoted as in a shell. ``{sensors}``, the folder with the tables, and
+        ``{solution}``, the file to write, are required; ``{here}`` is ``beside``.
     beside : Path
-        Where a program given with a relative path is.
+        Folder from which a relative path of the program is taken.
     timeout_s : float
-        How long it may take.
+        Time limit of the program [s].
     max_gap_s : float or None
-        As `bench.exchange.solutions.resample` takes it.
+        Longest interval that is interpolated [s], as in `bench.exchange.solutions.resample`.
 
     Raises
     ------
     EstimatorError
-        If there is no such program or the command is not complete.
+        If there is no such program, the command is incomplete, or an option is wrong.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class CommandEstimator:
         self._arguments[0] = _find_program(self._arguments[0], self._beside)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Return what the program says at ``sensors.output_t``; NaN and an event "failed" when it fails."""
+        """Run the program; return its solution at ``sensors.output_t``, or NaN and an event "failed"."""
         with tempfile.TemporaryDirectory(prefix="bench-outside-", ignore_cleanup_errors=True) as scratch:
             folder = Path(scratch) / "sensors"
             folder.mkdir()
@@ -110,24 +110,26 @@ class CommandEstimator:
             write_tables(folder, out, "csv")
             np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
             solution = Path(scratch) / "solution.csv"
-            told = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
-            arguments = [argument.format_map(told) for argument in self._arguments]
-            ended, stderr, status = self._watched(arguments, Path(scratch), solution)
+            fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
+            arguments = [argument.format_map(fields) for argument in self._arguments]
+            ended, stderr, status = self._run_program(arguments, Path(scratch), solution)
             events = [(0.0, 0.0, PROGRAM, ended), *([(0.0, 0.0, STDERR, stderr)] if stderr else [])]
             if status != 0:
                 last = stderr.strip().splitlines()[-1:]
                 return _make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
             try:
-                given = read_solution(solution)
-                check_unit(given, initial.t, initial.lla)
+                own_solution = read_solution(solution)
+                check_unit(own_solution, initial.t, initial.lla)
             except ConfigError as error:
                 return _make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
-            found = resample(given, sensors.output_t, self._longest)
-        rows = [*zip(found.events.t, found.events.t_end, found.events.kind, found.events.text, strict=True)]
-        return _replace_events(found, [*rows, *events])
+            result = resample(own_solution, sensors.output_t, self._longest)
+        rows = [
+            *zip(result.events.t, result.events.t_end, result.events.kind, result.events.text, strict=True)
+        ]
+        return replace(result, events=Events.from_rows([*rows, *events]))
 
-    def _watched(self, arguments: list[str], cwd: Path, solution: Path) -> tuple[str, str, int]:
-        """Run the program to its end or to its limit; return how it ended, the end of stderr, its status."""
+    def _run_program(self, arguments: list[str], cwd: Path, solution: Path) -> tuple[str, str, int]:
+        """Run the program until its end or a limit; return how it ended, its last stderr, its status."""
         (cwd / "home").mkdir()
         environment = {
             "PATH": os.environ.get("PATH", os.defpath),
@@ -162,17 +164,17 @@ class CommandEstimator:
                     stopped = f"stopped: its solution is larger than {_MOST_WRITTEN // 1_000_000} MB"
         finally:
             _end_group(child)
-        said = tail.text()
+        stderr = tail.read()
         if stopped:
-            return stopped, said, -1
+            return stopped, stderr, -1
         status = child.returncode
         if status < 0:
-            return f"ended by signal {signal.Signals(-status).name}", said, status
-        return f"exit status {status}", said, status
+            return f"ended by signal {signal.Signals(-status).name}", stderr, status
+        return f"exit status {status}", stderr, status
 
 
 class _Tail:
-    """The end of what a stream says, read as it comes: the writer never waits, memory is bounded."""
+    """The last part of a stream, read in a thread: the writer never waits and memory is bounded."""
 
     def __init__(self, stream: IO[bytes] | None) -> None:
         assert stream is not None  # it is a pipe
@@ -184,8 +186,8 @@ class _Tail:
         while block := os.read(self._stream.fileno(), 1 << 16):
             self._kept = (self._kept + block)[-_MOST_STDERR:]
 
-    def text(self) -> str:
-        """Return it, without what a terminal would obey."""
+    def read(self) -> str:
+        """Wait for the end of the stream; return its last part without control characters."""
         self._thread.join(_PATIENCE)
         text = self._kept.decode("utf-8", errors="replace")
         if not self._thread.is_alive():
@@ -199,12 +201,12 @@ def _split_command(command: str) -> list[str]:
         names = [name for argument in arguments for _, name, _, _ in string.Formatter().parse(argument)]
     except ValueError as error:
         raise EstimatorError(f"command {command!r}: {error}") from None
-    asked = [name for name in names if name is not None]
-    unknown = sorted(set(asked) - set(_FIELDS))
+    used = [name for name in names if name is not None]
+    unknown = sorted(set(used) - set(_FIELDS))
     if unknown:
         known = ", ".join(f"{{{name}}}" for name in _FIELDS)
-        raise EstimatorError(f"command {command!r}: {{{unknown[0]}}} is none of {known}")
-    missing = [name for name in ("sensors", "solution") if name not in asked]
+        raise EstimatorError(f"command {command!r}: {{{unknown[0]}}} is not one of {known}")
+    missing = [name for name in ("sensors", "solution") if name not in used]
     if missing:
         example = "'./myfilter {sensors} {solution}'"
         raise EstimatorError(f"command {command!r}: {{{missing[0]}}} is missing; for example {example}")
@@ -212,14 +214,16 @@ def _split_command(command: str) -> list[str]:
 
 
 def _find_program(name: str, beside: Path) -> str:
-    """Return the program a command names: with a slash a path from ``beside``, without one of the PATH."""
+    """Return the path of a program: from ``beside`` if the name has a slash, else from the PATH."""
     if "{" in name.replace("{here}", ""):
-        raise EstimatorError(f"command: the program is {name!r}; it must stand there itself")
+        raise EstimatorError(f"command: the program is {name!r}; it must not come from a field")
     name = name.replace("{here}", str(beside))
     if "/" not in name and os.sep not in name:
         found = shutil.which(name)
         if found is None:
-            raise EstimatorError(f"command: no program {name!r} on the PATH; one that is here is './{name}'")
+            raise EstimatorError(
+                f"command: no program {name!r} on the PATH; one in this folder is './{name}'"
+            )
         return found.replace("{", "{{").replace("}", "}}")
     path = (beside / name).absolute()
     if not path.is_file() or not os.access(path, os.X_OK):
@@ -237,7 +241,7 @@ def _measure_size(path: Path) -> int:
 
 
 def _end_group(child: subprocess.Popen[bytes]) -> None:
-    """End what is left of the program's process group, politely first."""
+    """End the process group of the program: SIGTERM, then SIGKILL."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, number)
@@ -263,7 +267,3 @@ def _make_failed_solution(
         innovations=no_innovations(),
         events=Events.from_rows([(0.0, 0.0, FAILED, why), *events]),
     )
-
-
-def _replace_events(solution: NavSolution, rows: list[tuple[float, float, str, str]]) -> NavSolution:
-    return replace(solution, events=Events.from_rows(rows))

@@ -1,4 +1,4 @@
-"""The log of an IMU at rest, for its Allan deviation."""
+"""Read the log of an IMU at rest, to measure its Allan deviation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from bench.evaluation.noise_curves import INDEPENDENT
 from bench.units import STANDARD_GRAVITY
 
 FEWEST = 2 * INDEPENDENT
-"""Rows that the shortest averaging time needs."""
+"""Fewest rows: the shortest averaging time needs them."""
 _COLUMNS = {
     "gyro": {"rad_s": 1.0, "deg_s": math.radians(1.0)},
     "accel": {"m_s2": 1.0, "g": STANDARD_GRAVITY},
 }
-"""Triad -> unit its columns of a log may end in -> factor to SI."""
+"""Triad -> unit at the end of its column names -> factor to SI."""
 
 
 def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -28,13 +28,15 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
     Parameters
     ----------
     path : Path
-        CSV with a header: ``t_s`` and, of a triad, ``gyro_x_rad_s``, ``gyro_y_rad_s``, ``gyro_z_rad_s`` (or
-        ``deg_s``), ``accel_x_m_s2`` ... (or ``g``): rates, not increments. Other columns are not read.
+        CSV with a header: ``t_s`` and one or both triads, ``gyro_x_rad_s``, ``gyro_y_rad_s``,
+        ``gyro_z_rad_s`` (or ``deg_s``), ``accel_x_m_s2`` ... (or ``g``): rates, not increments. Other columns
+        are not read.
 
     Raises
     ------
     ConfigError
-        If the file is missing, not such a table, irregular in time or too short; file and line are named.
+        If the file is missing, is not such a table, has irregular times or is too short. The message names
+        file and line.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -72,14 +74,14 @@ def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
 
 
 def _choose_columns(path: Path, header: list[str]) -> list[tuple[int, float]]:
-    """Return position and factor to SI of the columns to read: time, then three per triad there is."""
+    """Return index and factor to SI of each column to read: time, then three for each triad in the file."""
     if "t_s" not in header:
         raise ConfigError(f"{path}: line 1: no column 't_s'; the header is {', '.join(header)[:80]!r}")
     wanted = [(header.index("t_s"), 1.0)]
     for triad, units in _COLUMNS.items():
         given = [unit for unit in units if f"{triad}_x_{unit}" in header]
         if len(given) > 1:
-            raise ConfigError(f"{path}: line 1: {triad} is there in two units; give one of them")
+            raise ConfigError(f"{path}: line 1: {triad} is given in two units; give one of them")
         for unit in given:
             for axis in "xyz":
                 column = f"{triad}_{axis}_{unit}"

@@ -1,4 +1,4 @@
-"""Fixes from the RINEX files of a real receiver: position from the code, velocity from the Doppler."""
+"""Fixes from RINEX files: position from the code, velocity from the Doppler."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class RinexFixes:
 
     @property
     def fixes(self) -> GnssFixes:
-        """The fixes of the antenna, a row per epoch; NaN and not valid where there is none."""
+        """The fixes of the antenna, one row per epoch; NaN and not valid if there is no fix."""
         return self.solution.fixes
 
     @property
     def name(self) -> str:
-        """The marker of the observation file, or what the file is called."""
+        """The marker name in the observation file, else the name of the file."""
         return self.observations.marker or self.observations.shown
 
     @property
     def day(self) -> str:
-        """Date of the first epoch, ISO 8601, GPS time."""
+        """The date of the first epoch, ISO 8601, GPS time."""
         return _format_day(self.observations.origin + self.observations.t[0])
 
     def errors(self) -> FloatArray:
-        """Return fix minus header position plus antenna offset (M, 3) [m], n.
+        """Return fix minus antenna position (header position plus antenna offset) (M, 3) [m], n.
 
         Raises
         ------
@@ -71,9 +71,9 @@ class RinexFixes:
         return earth.difference_n(self.fixes.lla, there)
 
     def figures(self) -> dict[str, Any]:
-        """Return counts, medians and 95 % quantiles, the unit in each name.
+        """Return counts, medians and 95 % quantiles; names end in the unit.
 
-        Errors are against the position in the header of the file.
+        Errors are relative to the position in the header of the file.
         """
         raw, fixes, good = self.observations, self.fixes, self.fixes.valid
         figures: dict[str, Any] = {"epochs": len(fixes), "fixes": int(good.sum())}
@@ -98,7 +98,7 @@ class RinexFixes:
         return figures
 
     def write_csv(self, path: Path, datum: str = "WGS-84") -> None:
-        """Write a row per epoch, times in GPS time, positions in one of `bench.earth.DATUMS`.
+        """Write one row per epoch as CSV; times in GPS time, positions in one of `bench.earth.DATUMS`.
 
         Raises
         ------
@@ -132,7 +132,7 @@ def solve_rinex(
     Raises
     ------
     ConfigError
-        If a file is wrong, or the ephemerides do not serve the observations.
+        If a file is wrong, or no ephemeris fits the observations.
     """
     raw = read_observations(observations, str(observations))
     nav = merge_navigation([read_navigation(path, str(path)) for path in navigation])
@@ -156,7 +156,7 @@ def solve_rinex(
     )
     if not np.isfinite(seen.sat_clock).any():
         raise ConfigError(
-            f"{nav.shown}: its ephemerides, {_format_days(nav)}, serve no satellite of {raw.shown}, "
+            f"{nav.shown}: its ephemerides, {_format_days(nav)}, fit no satellite of {raw.shown}, "
             f"{_format_day(raw.origin + raw.t[0])} to {_format_day(raw.origin + raw.t[-1])}"
         )
     solution = receiver.solve_fixes(seen, processing)

@@ -1,4 +1,4 @@
-"""The columns every log comes down to, whatever its format."""
+"""The columns of a log, in which every format is read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.exchange.table_files import Group, TableColumns, group, list_names
 from bench.signals.air import pressure_altitude
 
 MOST_ROWS = 5_000_000
-"""Rows of a file of a log: 3.5 hours at 400 Hz."""
+"""Most rows of a file of a log: 3.5 hours at 400 Hz."""
 
 _TIMES = (group("clock", "t"), group("clock", "time"))
 
@@ -29,7 +29,7 @@ IMU: Mapping[str, tuple[Group, ...]] = {
         {**_name_axes("angle", "dtheta"), **_name_axes("speed", "dvel")},
     ),
 }
-"""Rates and specific forces, or increments of angle and velocity, along the axes of the IMU."""
+"""Rates and specific forces, or increments of angle and velocity, in the axes of the IMU."""
 
 GNSS: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
@@ -57,22 +57,22 @@ BARO: Mapping[str, tuple[Group, ...]] = {
 """Barometric altitude, or static pressure."""
 
 OPTIONAL = ("velocity", "position sd", "velocity sd", "quality", "satellites")
-"""Kinds that may be missing."""
+"""Kinds of columns that may be missing."""
 
 COLUMNS = {
     what: "; ".join(f"{kind}: {list_names(groups)}" for kind, groups in kinds.items())
     for what, kinds in {"imu": IMU, "gnss": GNSS, "baro": BARO}.items()
 }
-"""What the tables of a log may hold, for people."""
+"""Column names of the tables of a log, as text."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogRows:
-    """The rows of one file in SI, along the axes of the IMU or in n.
+    """The rows of one file in SI, in the axes of the IMU or in n.
 
-    ``values`` holds, of an IMU, ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel``
-    [m/s], (N, 3); of a receiver ``lla`` (N, 3) and, where there are any, ``vel_n``, ``sd_pos``, ``sd_vel``
-    (N, 3), ``quality`` and ``satellites`` (N,); of a barometer ``alt_baro`` (N, 1) [m].
+    ``values`` of an IMU: ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel`` [m/s], (N,
+    3). Of a receiver: ``lla`` (N, 3) and, if the file has them, ``vel_n``, ``sd_pos``, ``sd_vel`` (N, 3),
+    ``quality`` and ``satellites`` (N,). Of a barometer: ``alt_baro`` (N, 1) [m].
     """
 
     t: FloatArray  # (N,) on the clock of the file [s]
@@ -80,8 +80,8 @@ class LogRows:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, table: TableColumns, shown: str) -> LogRows:
-        """Build from the columns of a table."""
+    def from_table(cls, table: TableColumns, shown: str) -> LogRows:
+        """Return the rows of a table."""
         found, stems = table.columns, table.stems
         values: dict[str, FloatArray] = {}
         if "motion" in found:
@@ -113,7 +113,7 @@ def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> Float
 
 
 def to_lla(pos_e: FloatArray) -> FloatArray:
-    """Return geodetic positions of Earth-fixed ones; rows that are not finite stay so."""
+    """Convert Earth-fixed to geodetic positions (N, 3); rows that are not finite become NaN."""
     lla = np.full_like(pos_e, np.nan)
     good = np.isfinite(pos_e).all(axis=1)
     lla[good] = to_geodetic(pos_e[good])
@@ -121,7 +121,7 @@ def to_lla(pos_e: FloatArray) -> FloatArray:
 
 
 def _to_altitude(pressure: FloatArray) -> FloatArray:
-    """Return pressure altitudes [m]; what is no pressure is NaN."""
+    """Convert pressures [Pa] to pressure altitudes [m]; values that are not positive become NaN."""
     altitude = np.full_like(pressure, np.nan)
     good = np.isfinite(pressure) & (pressure > 0)
     altitude[good] = pressure_altitude(pressure[good])

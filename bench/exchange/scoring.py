@@ -1,4 +1,4 @@
-"""A solution from anywhere, judged on a run as if an estimator of the bench had given it."""
+"""Judge a solution from a file on a run, like that of an estimator of the bench."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A solution and how wrong it is, beside the run it is judged on."""
+    """A solution, its errors and metrics, and the run it is judged on."""
 
     label: str
-    solution: NavSolution  # at the instants of the run's own solutions; NaN where it has none
+    solution: NavSolution  # at the output times of the run; NaN where the file has no solution
     errors: ErrorSeries
     metrics: Mapping[str, Any]
     run: RunResult
-    coverage: float  # share of those instants at which it says anything [1]
-    rows: int  # of its file
+    coverage: float  # fraction of the output times with a solution [1]
+    rows: int  # number of rows in the file
 
 
 def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
@@ -54,16 +54,16 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         ]
         outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
         faults = fault_tables.read_faults(profile.get("fault", []))
-        asked = select_output_times(truth.t, evaluation["output_hz"], outages)
+        t = select_output_times(truth.t, evaluation["output_hz"], outages)
     if label in run.metrics:
-        raise ConfigError(f"{label!r} is in {folder} already; --label names the solution")
-    given = read_solution(path, t_0=t_0)
-    check_unit(given, float(truth.t[0]), truth.lla[0])
-    solution = resample(given, asked, longest)
+        raise ConfigError(f"{folder} has a solution {label!r} already; choose another name with --label")
+    foreign = read_solution(path, t_0=t_0)
+    check_unit(foreign, float(truth.t[0]), truth.lla[0])
+    solution = resample(foreign, t, longest)
     errors, measured = metrics.judge(
         truth, solution, evaluation_from=evaluation["from_s"], outages=outages, faults=faults
     )
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
-    silent = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
-    coverage = float(np.mean(np.isfinite(solution.t) & ~silent))
-    return Score(label, solution, errors, measured, run, coverage, len(given))
+    empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
+    coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
+    return Score(label, solution, errors, measured, run, coverage, len(foreign))

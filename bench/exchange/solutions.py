@@ -1,9 +1,9 @@
-"""Anyone's solution in: a table of time and position, velocity or attitude, in the place of an estimator.
+"""Read a solution from a table of time and position, velocity or attitude, and use it as an estimator.
 
-A column says what it is in its name: quantity, frame and unit (`COLUMNS`). The covariance is optional; what a
-table does not give is NaN in the solution. Between rows: position is the cubic with the velocities of its two
-ends (a straight line without them), velocity, biases and covariance go straight, attitude turns at a constant
-rate. Nothing is said before the first row, after the last one, and within a gap.
+Column names give quantity, frame and unit (`COLUMNS`). Covariance is optional. Values that the table does not
+give are NaN. Between rows, position is a cubic with the velocities at both ends (linear without velocities);
+velocity, biases and covariance are linear; attitude turns at a constant rate. There is no solution before the
+first row, after the last row, and in a gap.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from bench.units import SAME_INSTANT
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
-_GAPS, _LONGEST = 2.0, 2.0  # usual intervals and seconds that are interpolated at most
-_NORM_WRONG = 1e-2  # a quaternion whose norm is off 1 by more is refused
-_NEAR, _FAST = 1e5, 1e3  # farther from the start than [m], and than [m/s] times the time: another unit
+_GAPS, _LONGEST = 2.0, 2.0  # longest interpolated interval: median intervals, and [s]
+_NORM_WRONG = 1e-2  # largest accepted |norm of a quaternion - 1|
+_NEAR, _FAST = 1e5, 1e3  # a start farther off than [m] plus [m/s] times the time is in another unit
 
 _STATES = tuple(f"{block}_{axis}" for block in ("pos", "vel", "phi") for axis in "ned")
 _DEVIATIONS = {
@@ -46,27 +46,28 @@ _ALL = {**KINDS, **_DEVIATIONS, **_BIASES, **_COVARIANCES}
 _OPTIONAL = tuple(kind for kind in _ALL if kind != "time")
 
 COLUMNS = {kind: list_names(groups) for kind, groups in {**KINDS, **_DEVIATIONS, **_BIASES}.items()}
-"""What a solution may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
+"""Column names of a solution, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
-As `bench.exchange.trajectory.COLUMNS`, and the standard deviations of the errors along n; phi is the attitude
-error, ``C_nb_estimate = exp([phi x]) C_nb_true``. Instead of them ``cov_pos_n_pos_n``,
-``cov_pos_n_vel_e`` ... in SI and radians: of each block the whole diagonal, and what is given of the rest.
+They are those of `bench.exchange.trajectory.COLUMNS`, and the standard deviations of the errors along n; phi
+is the attitude error, ``C_nb_estimate = exp([phi x]) C_nb_true``. Instead of standard deviations the table
+may have covariances ``cov_pos_n_pos_n``, ``cov_pos_n_vel_e`` ... in SI and radians: the whole diagonal of
+each block; other elements are optional and 0 by default.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class ForeignSolution:
-    """A solution as somebody wrote it; a block that is not given is NaN throughout."""
+    """A solution as read from a file; a block that the file does not have is NaN."""
 
     shown: str
-    rows: IntArray  # (N,) where they stand in the file, from 1
+    rows: IntArray  # (N,) number of each row in the file, from 1
     t: FloatArray  # (N,) [s]
     lla: FloatArray  # (N, 3) [rad, rad, m]
     vel_n: FloatArray  # (N, 3) [m/s]
     q_nb: FloatArray  # (N, 4)
     gyro_bias_b: FloatArray  # (N, 3) [rad/s]
     accel_bias_b: FloatArray  # (N, 3) [m/s^2]
-    cov: FloatArray | None  # (N, 9, 9), None: none is claimed
+    cov: FloatArray | None  # (N, 9, 9); None if the file has none
     remarks: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -74,19 +75,20 @@ class ForeignSolution:
 
 
 def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
-    """Return the solution in a file.
+    """Read the solution in a file.
 
     Parameters
     ----------
     path : Path
         ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind.
     t_0 : float
-        What the file calls the start of the run [s].
+        Time in the file at the start of the run [s].
 
     Raises
     ------
     ConfigError
-        If it cannot be read or is no solution; one line says which row, 1 being the first below the header.
+        If the file cannot be read or is not a solution. One line names the row; 1 is the first below the
+        header.
     """
     shown = path.name
     try:
@@ -94,7 +96,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     if not stat.S_ISREG(kind):
-        raise ConfigError(f"{shown}: no file")
+        raise ConfigError(f"{shown}: not a regular file")
     table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
     _check_groups(table, shown)
     t = table.columns["time"][:, 0]
@@ -102,18 +104,16 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     given = {kind: values for kind, values in table.columns.items() if not np.isnan(values).all()}
     blocks = [kind for kind in ("position", "velocity", "attitude") if kind in given]
     if not blocks:
-        raise ConfigError(f"{shown}: no number for position, velocity or attitude in it")
+        raise ConfigError(f"{shown}: it has no values of position, velocity or attitude")
     whole = np.all([np.isfinite(values).all(axis=1) for values in given.values()], axis=0)
     rows = np.flatnonzero(whole)
     if not len(rows):
-        raise ConfigError(f"{shown}: no row has a finite number in each of its columns")
+        raise ConfigError(f"{shown}: no row has a finite number in every column")
     given = {kind: values[rows] for kind, values in given.items()}
     n = len(rows)
     lla = _read_positions(table, given, rows, shown)
     q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
-    remarks = (
-        [f"{len(t) - n} of {len(t)} rows left out: not a finite number in each column"] if n < len(t) else []
-    )
+    remarks = [f"{len(t) - n} of {len(t)} rows left out: a value is not finite"] if n < len(t) else []
     if table.unused:
         more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
         remarks.append(f"columns not used: {', '.join(table.unused[:20])[:400]}{more}")
@@ -135,7 +135,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
 
 
 def _check_groups(table: TableColumns, shown: str) -> None:
-    """Refuse a kind of which some columns are there and some are not."""
+    """Raise ConfigError if only some columns of a kind are present."""
     from bench.units import split_unit
 
     unused = {split_unit(name)[0] for name in table.unused}
@@ -149,7 +149,7 @@ def _check_groups(table: TableColumns, shown: str) -> None:
             raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}")
     both = [kind for kind in _DEVIATIONS if kind in table.columns]
     if both and any(name in table.columns for name in _COVARIANCES):
-        raise ConfigError(f"{shown}: {both[0]}_n and a covariance: give one of them")
+        raise ConfigError(f"{shown}: {both[0]}_n and covariances: give only one of them")
 
 
 def _check_times(t: FloatArray, name: str, shown: str) -> None:
@@ -157,7 +157,7 @@ def _check_times(t: FloatArray, name: str, shown: str) -> None:
         raise ConfigError(f"{shown}: no rows")
     wrong = ~np.isfinite(t)
     if wrong.any():
-        raise ConfigError(f"{shown}: row {int(np.argmax(wrong)) + 1}: {name} is no finite number")
+        raise ConfigError(f"{shown}: row {int(np.argmax(wrong)) + 1}: {name} is not a finite number")
     back = np.diff(t) <= 0
     if back.any():
         k = int(np.argmax(back))
@@ -167,7 +167,7 @@ def _check_times(t: FloatArray, name: str, shown: str) -> None:
 def _read_positions(
     table: TableColumns, given: Mapping[str, FloatArray], rows: IntArray, shown: str
 ) -> FloatArray:
-    """Return lla (N, 3), NaN without a position."""
+    """Return lla (N, 3); NaN if there is no position."""
     if "position" not in given:
         return np.full((len(rows), 3), np.nan)
     position, names = given["position"], table.names["position"]
@@ -200,7 +200,7 @@ def _read_velocities(
     if table.stems["velocity"][0] == "vel_n":
         return given["velocity"]
     if "position" not in given:
-        raise ConfigError(f"{shown}: {table.names['velocity'][0]} without a position has no north")
+        raise ConfigError(f"{shown}: {table.names['velocity'][0]} needs a position column to find north")
     return rotation.rotate(rotation.conjugate(q_en), given["velocity"])
 
 
@@ -221,14 +221,14 @@ def _read_attitudes(
     if stem == "q_nb_w":
         return q
     if "position" not in given:
-        raise ConfigError(f"{shown}: q_eb without a position has no north")
+        raise ConfigError(f"{shown}: q_eb needs a position column to find north")
     return rotation.multiply(rotation.conjugate(q_en), q)
 
 
 def _read_covariance(
     given: Mapping[str, FloatArray], blocks: Sequence[str], rows: IntArray, shown: str
 ) -> FloatArray | None:
-    """Return (N, 9, 9), NaN in the blocks that have none; None when there is none at all."""
+    """Return the covariance (N, 9, 9), NaN in missing blocks; None if the file has none."""
     cov = np.full((len(rows), 9, 9), np.nan)
     claimed = np.zeros(9, np.bool_)
     for k, (kind, block) in enumerate(zip(_DEVIATIONS, ("position", "velocity", "attitude"), strict=True)):
@@ -251,7 +251,7 @@ def _read_covariance(
         else:
             continue
         if block not in blocks:
-            raise ConfigError(f"{shown}: the accuracy of {block} without its values")
+            raise ConfigError(f"{shown}: standard deviations or covariances of {block}, but no {block}")
         claimed[list(here)] = True
     for i, j in combinations(np.flatnonzero(claimed).tolist(), 2):
         _fill_covariance(cov, i, j, given, rows, shown)
@@ -261,7 +261,7 @@ def _read_covariance(
 def _fill_covariance(
     cov: FloatArray, i: int, j: int, given: Mapping[str, FloatArray], rows: IntArray, shown: str
 ) -> None:
-    """Fill in one element off the diagonal and its mirror image; 0 where none is given."""
+    """Fill in one off-diagonal element and its mirror image; 0 if the file does not give it."""
     names = (f"cov_{_STATES[i]}_{_STATES[j]}", f"cov_{_STATES[j]}_{_STATES[i]}")
     both = [given[name][:, 0] for name in names if name in given]
     cov[:, i, j] = cov[:, j, i] = both[0] if both else 0.0
@@ -274,7 +274,7 @@ def _fill_covariance(
 
 
 def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:
-    """Raise ConfigError when a solution begins so far from where the run does that a unit must be wrong."""
+    """Raise ConfigError if a solution starts so far from the run that a unit must be wrong."""
     first = solution.lla[0]
     if not (np.isfinite(first).all() and np.isfinite(lla).all()):
         return
@@ -282,7 +282,7 @@ def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:
     if distance > _NEAR + _FAST * abs(float(solution.t[0]) - t):
         raise ConfigError(
             f"{solution.shown}: row {solution.rows[0]}: {distance / 1e3:.0f} km from the start of the run: "
-            f"another flight, or a column in another unit than its name says"
+            f"a solution of another flight, or a column whose unit is not that in its name"
         )
 
 
@@ -295,21 +295,21 @@ def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = N
     Parameters
     ----------
     solution : ForeignSolution
-        As somebody wrote it.
+        The solution as read.
     t : (M,) array
-        When it is asked for [s].
+        Output times [s].
     longest : float or None
-        The longest interval between rows that is interpolated [s]; None: twice the usual one, 2 s at most.
+        Longest interval between rows that is interpolated [s]; default twice the median, at most 2 s.
 
     Returns
     -------
     solution : NavSolution
-        NaN at the times it does not cover, which events of kind "not_covered" list; a "failed" one says so
-        when it covers none.
+        NaN at times that it does not cover, which events of kind "not_covered" list; an event of kind
+        "failed" if it covers none.
     """
     steps = np.diff(solution.t)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    most = min(_GAPS * usual, _LONGEST) if longest is None else longest
+    median = float(np.median(steps)) if len(steps) else 0.0
+    most = min(_GAPS * median, _LONGEST) if longest is None else longest
     before = np.searchsorted(solution.t, t + SAME_INSTANT, "right") - 1  # the last row not after t
     inside = before >= 0
     before = np.maximum(before, 0)
@@ -321,7 +321,7 @@ def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = N
         :, None
     ]
 
-    def straight(values: FloatArray) -> FloatArray:
+    def interpolate(values: FloatArray) -> FloatArray:
         weight = s.reshape((-1,) + (1,) * (values.ndim - 1))
         between: FloatArray = values[before] + weight * (values[after] - values[before])
         return _blank_uncovered(np.where(weight > 0, between, values[before]), covered)
@@ -329,14 +329,14 @@ def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = N
     q_0, q_1 = solution.q_nb[before], solution.q_nb[after]
     turn = rotation.to_rotvec(rotation.multiply(rotation.conjugate(q_0), q_1))
     q_nb = np.where(s > 0, rotation.multiply(q_0, rotation.from_rotvec(s * turn)), q_0)
-    cov = np.full((len(t), 9, 9), np.nan) if solution.cov is None else straight(solution.cov)
+    cov = np.full((len(t), 9, 9), np.nan) if solution.cov is None else interpolate(solution.cov)
     return NavSolution(
         t=t,
         lla=_blank_uncovered(_interpolate_position(solution, before, after, s, width), covered),
-        vel_n=straight(solution.vel_n),
+        vel_n=interpolate(solution.vel_n),
         q_nb=_blank_uncovered(q_nb, covered),
-        gyro_bias_b=straight(solution.gyro_bias_b),
-        accel_bias_b=straight(solution.accel_bias_b),
+        gyro_bias_b=interpolate(solution.gyro_bias_b),
+        accel_bias_b=interpolate(solution.accel_bias_b),
         cov=cov,
         extra_names=(),
         extra=np.empty((len(t), 0)),
@@ -391,7 +391,7 @@ def _list_events(
 
 
 class FileEstimator:
-    """A solution in a file, in the place of an estimator: ``use = "file:solution.csv"``."""
+    """An estimator that returns the solution in a file: ``use = "file:solution.csv"``."""
 
     def __init__(self, path: Path, *, t_0_s: float = 0.0, max_gap_s: float | None = None) -> None:
         for name, value in (("t_0_s", t_0_s), ("max_gap_s", 0.0 if max_gap_s is None else max_gap_s)):
@@ -403,7 +403,7 @@ class FileEstimator:
         self._solution = read_solution(path, t_0=t_0_s)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Return the solution at ``sensors.output_t``, NaN where it says nothing."""
+        """Return the solution at ``sensors.output_t``; NaN at times that it does not cover."""
         try:
             check_unit(self._solution, initial.t, initial.lla)
         except ConfigError as error:

@@ -1,4 +1,4 @@
-"""The sensors of a run to a socket, at the pace at which they would arrive."""
+"""Send the sensor data of a run to a socket at the pace of its arrival."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from bench.errors import ConfigError
 from bench.exchange.exports import ExportData
 from bench.exchange.frames import make_messages
 
-_ROUGH = 0.002  # a sleep is this much too long at times; the rest is waited for by looking at the clock [s]
+_ROUGH = 0.002  # a sleep may last this much too long; the rest is waited by polling the clock [s]
 _HIGHEST = 65535
 
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """What was sent."""
+    """Summary of what was sent."""
 
     messages: int
-    seconds: float  # that it took [s]
-    latest: float | None  # the most a message was late [s]; None: they were sent as fast as it goes
+    seconds: float  # duration of sending [s]
+    latest: float | None  # largest delay of a message [s]; None if sent without pace
 
 
 def stream(
@@ -38,15 +38,15 @@ def stream(
     run : Outgoing
         The sensors.
     kind : str
-        "udp": a datagram per message to the address; "tcp": one connection is waited for at the address.
+        "udp": send each message as a datagram to the address; "tcp": wait for one connection at the address.
     address : str
-        ``IP:PORT``; a TCP port 0 is any that is free.
+        ``IP:PORT``; TCP port 0 takes any free port.
     rate : float
-        Seconds of the run per second; 0 or infinity: as fast as it goes.
+        Seconds of the run per second; 0 or infinity: as fast as possible.
     remote : bool
-        Allow another machine's address.
+        Allow the address of another machine.
     say : callable
-        Told the address before the first message.
+        Called with a line that names the address, before the first message.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def stream(
         If the address cannot be used, or the other side closes the connection before the end.
     """
     if math.isnan(rate) or rate < 0:
-        raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as it goes")
+        raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as possible")
     host, port = _parse_address(kind, address, remote)
     paced = 0 < rate < math.inf
     sent, late = 0, 0.0
@@ -81,7 +81,7 @@ def stream(
 
 
 def _parse_address(kind: str, address: str, remote: bool) -> tuple[str, int]:
-    """Return host and port; loopback only, unless told otherwise."""
+    """Return host and port; only loopback addresses unless ``remote`` is true."""
     option = f"--{kind} {address}"
     host, colon, text = address.rpartition(":")
     lowest = 0 if kind == "tcp" else 1
@@ -92,7 +92,7 @@ def _parse_address(kind: str, address: str, remote: bool) -> tuple[str, int]:
     try:
         ip = ipaddress.ip_address(name)
     except ValueError:
-        raise ConfigError(f"{option}: {host!r} is no IP address; 127.0.0.1 is this machine") from None
+        raise ConfigError(f"{option}: {host!r} is not an IP address; 127.0.0.1 is this machine") from None
     if not ip.is_loopback and not remote:
         raise ConfigError(f"{option}: not this machine; --allow-remote lets the messages out")
     return name, int(text)
@@ -102,7 +102,7 @@ def _parse_address(kind: str, address: str, remote: bool) -> tuple[str, int]:
 def _open_socket(
     kind: str, host: str, port: int, say: Callable[[str], object]
 ) -> Iterator[Callable[[bytes], object]]:
-    """Give what sends one message."""
+    """Open the socket and provide the function that sends one message."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     shown = f"[{host}]" if ":" in host else host
     if kind == "udp":

@@ -1,7 +1,7 @@
-"""Numbers in columns that somebody else wrote: CSV, Parquet or MATLAB files, read within bounds.
+"""Read columns of numbers from CSV, Parquet or MATLAB files of other people.
 
-A column says what it is in its name: quantity, frame and unit, as ``gyro_x_deg_s``. Nothing in a file
-is executed or unpickled; what is too large is refused before it fills the memory.
+Column names give quantity, frame and unit, for example ``gyro_x_deg_s``. Nothing in a file is executed or
+unpickled, and a file that is too large is refused before it fills the memory.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from bench.exchange.mat_file import get_vector, read_mat
 from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
-"""Of a file."""
-_MOST_HEADER = 1_000_000  # of the first line [byte]
+"""Largest file that is read [byte]."""
+_MOST_HEADER = 1_000_000  # longest line, the header included [byte]
 _BLOCK = 1 << 20  # read at a time [byte]
 
 UNITS = {
@@ -35,7 +35,7 @@ UNITS = {
     "pressure": ("Pa", "hPa"),
     "": ("",),
 }
-"""Dimension -> the units its columns may have."""
+"""Dimension -> allowed units of its columns."""
 
 _ENDING = {
     "time": "_s", "clock": "_s", "angle": "_deg", "length": "_m", "speed": "_mps", "rate": "_rad_s",
@@ -43,26 +43,26 @@ _ENDING = {
 }  # fmt: skip
 
 Group = Mapping[str, str]
-"""Columns that belong together: what each is called without its unit -> its dimension."""
+"""Columns that belong together: name without the unit -> dimension."""
 
 
 def group(dimension: str, *stems: str) -> dict[str, str]:
-    """Return the columns of one dimension."""
+    """Return a group of columns that share a dimension."""
     return dict.fromkeys(stems, dimension)
 
 
 def list_names(groups: Sequence[Group]) -> str:
-    """Return the names the columns of a kind may have, for people."""
+    """Return the allowed column names of a kind, as text."""
     return " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in one.items()) for one in groups)
 
 
 @dataclass(frozen=True, slots=True)
 class TableColumns:
-    """The columns that are used, in SI, by kind and in the order of their group, and the other names."""
+    """The columns in use, in SI, by kind and in the order of their group; names of the unused columns."""
 
     columns: Mapping[str, FloatArray]  # kind -> (N, k)
-    stems: Mapping[str, tuple[str, ...]]  # kind -> what its columns are
-    names: Mapping[str, tuple[str, ...]]  # kind -> what they are called
+    stems: Mapping[str, tuple[str, ...]]  # kind -> names without units
+    names: Mapping[str, tuple[str, ...]]  # kind -> names with units
     unused: tuple[str, ...]
 
 
@@ -74,27 +74,27 @@ def read_table(
     aliases: Mapping[str, str] | None = None,
     most_values: int | None = None,
 ) -> TableColumns:
-    """Return the columns of a file by kind.
+    """Read the columns of a file by kind.
 
     Parameters
     ----------
     path : Path
         ``.csv`` with a header, ``.parquet``, or ``.mat`` (up to version 7) with a vector per column.
     kinds : mapping
-        Kind -> groups of columns it may come in; the first complete one is taken.
+        Kind -> alternative groups of columns; the first complete one is used.
     optional : sequence of str
         Kinds that may be missing.
     most_rows : int
-        More rows are refused.
+        Largest number of rows.
     aliases : mapping or None
-        Name with unit -> what the file calls that column.
+        Name with unit -> name of the column in the file.
     most_values : int or None
-        More rows times columns are refused; None: no such limit.
+        Largest number of rows times columns; None for no limit.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is too large or has no such columns: one line.
+        If the file cannot be read, is too large or lacks columns: one line.
     """
     shown, aliases, wanted = path.name, aliases or {}, list[str]()
     import pyarrow as pa
@@ -121,21 +121,19 @@ def read_table(
         raise ConfigError(f"{shown}: no such file") from None
     except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
         row = _find_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
-        said = row or " ".join(str(error).split())[:200]
-        raise ConfigError(
-            f"{shown}: {'' if row else 'cannot be read: '}{said or type(error).__name__}"
-        ) from None
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"{shown}: {row or f'cannot be read: {reason}'}") from None
     read = {
         name: np.concatenate(parts) if parts else np.empty(0)
         for name, parts in zip(wanted, columns, strict=True)
     }
 
-    def si(name: str) -> FloatArray:
+    def convert(name: str) -> FloatArray:
         values: FloatArray = read[aliases.get(name, name)] * FACTORS.get(split_unit(name)[1], 1.0)
         return values
 
     return TableColumns(
-        columns={kind: np.stack([si(name) for name in one], axis=-1) for kind, one in chosen.items()},
+        columns={kind: np.stack([convert(name) for name in one], axis=-1) for kind, one in chosen.items()},
         stems={kind: tuple(split_unit(n)[0] for n in one) for kind, one in chosen.items()},
         names=chosen,
         unused=unused,
@@ -146,7 +144,7 @@ Batches = Callable[[Sequence[str]], Iterator[Mapping[str, FloatArray]]]
 
 
 def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
-    """Return the names of the header and what reads wanted columns of the rest, block by block."""
+    """Return the names in the header, and a function that yields wanted columns block by block."""
     import pyarrow as pa
     from pyarrow import csv as pa_csv
 
@@ -172,7 +170,7 @@ def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
 
 
 def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
-    """Say which row of a CSV file is the first that is not a number in each wanted column; empty: none."""
+    """Return a message on the first row of a CSV file with a wanted column that is not a number, or ""."""
     if path.suffix.lower() in (".parquet", ".mat"):
         return ""
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
@@ -190,7 +188,7 @@ def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
                 return f"row {row}: {len(cells)} columns, the header has {len(names)}"
             for name, cell in zip(names, cells, strict=True):
                 if name in wanted and not _is_number(cell):
-                    return f"row {row}: {name} = {cell[:40]!r} is no number"
+                    return f"row {row}: {name} = {cell[:40]!r} is not a number"
     return ""
 
 
@@ -203,7 +201,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
-    """As ``_open_csv``, of a Parquet file whose footer does not promise too much."""
+    """As ``_open_csv``, for a Parquet file; its number of rows is checked before it is read."""
     import pyarrow as pa
     from pyarrow import parquet as pq
 
@@ -239,8 +237,8 @@ def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
         columns = {name: get_vector(variables[name], name, path.name) for name in wanted}
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
-            said = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise ConfigError(f"{path.name}: columns differ in length: {said[:200]}")
+            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ConfigError(f"{path.name}: columns differ in length: {listed[:200]}")
         yield columns
 
     return list(variables), batches
@@ -254,8 +252,8 @@ _OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
 
 
 def _rename_columns(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:
-    """Return the names of a file with those that are told put for what the file calls them."""
-    missing = [told for told in aliases.values() if told not in names]
+    """Return the column names of a file after the aliases have been applied."""
+    missing = [name for name in aliases.values() if name not in names]
     if missing:
         there = ", ".join(names[:30])[:300]
         raise ConfigError(f"{shown}: no column {missing[0]!r}; there are {there or 'none'}")
@@ -265,7 +263,7 @@ def _rename_columns(names: Sequence[str], aliases: Mapping[str, str], shown: str
 def _choose(
     names: Sequence[str], kinds: Mapping[str, Sequence[Group]], optional: Sequence[str], shown: str
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """Return the columns of each kind: the first group that is complete."""
+    """Return the columns of each kind, from its first complete group, and the unused columns."""
     by_stem: dict[str, list[str]] = {}
     for name in names:
         by_stem.setdefault(split_unit(name)[0], []).append(name)
@@ -281,11 +279,14 @@ def _choose(
             )
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:
-                raise ConfigError(f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity")
+                raise ConfigError(
+                    f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity; "
+                    "give one of them"
+                )
             unit = split_unit(by_stem[stem][0])[1]
             if unit not in UNITS[dimension]:
                 raise ConfigError(
-                    f"{shown}: column {by_stem[stem][0]!r} must be named by its unit: "
+                    f"{shown}: column {by_stem[stem][0]!r} must end in its unit: "
                     f"{' or '.join(_add_unit(stem, u) for u in UNITS[dimension]) or stem}"
                 )
         chosen[kind] = tuple(by_stem[stem][0] for stem in found)
@@ -294,6 +295,5 @@ def _choose(
 
 
 def _add_unit(stem: str, unit: str) -> str:
-    return f"{stem}_{unit.replace('m/s^2', 'm_s2').replace('m/s', 'mps').replace('/', '_').lower()}".rstrip(
-        "_"
-    )
+    ending = unit.replace("m/s^2", "m_s2").replace("m/s", "mps").replace("/", "_").lower()
+    return f"{stem}_{ending}".rstrip("_")

@@ -1,14 +1,13 @@
-"""Other people's trajectories in: a table of time, position and attitude becomes truth.
+"""Make truth from a table of time, position and attitude.
 
-A column says what it is in its name: quantity, frame and unit (`COLUMNS`). Position and
-attitude make the truth; a velocity, when there is one, is compared with the position.
+Column names give quantity, frame and unit (`COLUMNS`). Position and attitude make the truth; a velocity, if
+the table has one, is only compared with the position.
 
-The motion between the rows is a quintic spline through at most 60 rows per second:
-position in the Earth-fixed frame, attitude as the quaternion from b to that frame,
-normalized. It has a continuous acceleration and angular rate, passes through its rows, and
-denser tables do not put their rounding into the accelerations; the rows in between
-are checked against it. Increments follow from it at 400 Hz or more by the recipe of
-`bench.flight.increments`.
+The motion between the rows is a quintic spline through at most 60 rows per second: position in the
+Earth-fixed frame, attitude as the normalized quaternion from b to that frame. Its acceleration and angular
+rate are continuous. Rows of denser tables are not all used, so that their rounding does not enter the
+accelerations; the rows in between are compared with the spline. `bench.flight.increments` makes the
+increments from it at 400 Hz or more.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ from bench.specs import TableSpec
 from bench.units import FACTORS, STANDARD_GRAVITY, split_unit
 
 MOST_ROWS = 3_000_000
-"""Rows of a table, and samples of a truth made of one: two hours at 400 Hz."""
+"""Most rows of a table, and most samples of its truth: two hours at 400 Hz."""
 _FEWEST = 8  # rows; a quintic spline needs 6
-_KNOT_RATE = 60.0  # rows the spline passes through, at most [Hz]
-_FINE_RATE = 400.0  # of the steps increments are made of, at least [Hz]
+_KNOT_RATE = 60.0  # largest rate of the knots of the spline [Hz]
+_FINE_RATE = 400.0  # smallest rate of the steps that make an increment [Hz]
 _CHUNK = 50_000  # truth samples made at a time
 
-_NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # a quaternion's norm is off 1 by more: reported, refused
-_GAP = 5.0  # an interval longer than so many usual ones is a gap
-_TURN_RATE = math.radians(720.0)  # between rows, beyond what aircraft fly [rad/s], assumed
-_TURN = math.radians(90.0)  # between rows: what happened in between is not in the table [rad]
-_SPEED_OFF = 0.05  # velocity and derivative of position differ by more ... [m/s]
-_SPEED_SHARE = 0.005  # ... and by more than this of the speed [1]
-_OFF_TABLE = 1e-3  # a row is off the truth by more [m]
-_FORCE = 10.0  # specific force beyond most aircraft [g], assumed
+_NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # |norm of a quaternion - 1| above which it is reported, refused
+_GAP = 5.0  # an interval longer than this many median intervals is a gap
+_TURN_RATE = math.radians(720.0)  # largest rate between rows; aircraft turn slower; assumed [rad/s]
+_TURN = math.radians(90.0)  # largest rotation between rows; beyond it the motion is not known [rad]
+_SPEED_OFF = 0.05  # tolerance of the velocity against the derivative of the position [m/s] ...
+_SPEED_SHARE = 0.005  # ... or as a fraction of the speed [1]
+_OFF_TABLE = 1e-3  # tolerance of a row against the truth [m]
+_FORCE = 10.0  # largest specific force of most aircraft, assumed [g]
 
 _TIMES = (group("time", "t"), group("time", "time"))
 _POSITIONS = (
@@ -63,14 +62,14 @@ VELOCITIES = (
     group("speed", "ecef_vel_x", "ecef_vel_y", "ecef_vel_z"),
 )
 KINDS = {"time": _TIMES, "position": _POSITIONS, "attitude": _ATTITUDES, "velocity": VELOCITIES}
-"""Kind -> groups of columns it may come in, the first complete one is taken."""
+"""Kind -> alternative groups of columns; the first complete one is used."""
 
 COLUMNS = {kind: list_names(groups) for kind, groups in KINDS.items()}
-"""What a table may hold, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
+"""Column names of a table, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
-lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed WGS 84. roll, pitch, heading (or
-yaw, the same): yaw-pitch-roll from north-east-down to forward-right-down, heading clockwise from north.
-q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: of the Earth-relative motion.
+lat, lon, alt: geodetic, WGS 84, ellipsoidal height. ecef: Earth-fixed, WGS 84. roll, pitch, heading (or yaw,
+which is the same): yaw-pitch-roll from north-east-down to forward-right-down, heading clockwise from north.
+q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: velocity relative to the Earth.
 """
 
 
@@ -80,18 +79,18 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
     Parameters
     ----------
     spec : TableSpec
-        A ``.csv`` or ``.parquet`` file with the columns of `COLUMNS`, and the rate of truth.
+        A ``.csv`` or ``.parquet`` file with the columns of `COLUMNS`, and the rate of the truth.
 
     Yields
     ------
     Trajectory
-        From the first row, t = 0, without air data and controls. Events of kind "sanity" say what is
-        inconsistent in the table, with its row; row 1 is the first below the header.
+        Truth from the first row on (t = 0), without air data and controls. Events of kind "sanity" report
+        inconsistent rows; row 1 is the first below the header.
 
     Raises
     ------
     ConfigError
-        If the table cannot be read or no truth can be made of it; one line says which row.
+        If the table cannot be read or cannot be made into a truth; one line names the row.
     """
     table = read_table(spec.path, KINDS, ("velocity",), MOST_ROWS)
     rows = _check_rows(table, spec.path.name)
@@ -108,10 +107,10 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
         raise ConfigError(f"{spec.path.name}: it lasts {length:g} s; at least 1 s is needed")
     if samples > MOST_ROWS:
         raise ConfigError(
-            f"{spec.path.name}: {length:g} s at rate_hz = {spec.rate:g} Hz are {samples} samples; "
-            f"at most {MOST_ROWS} are made: lower rate_hz, or set duration_s"
+            f"{spec.path.name}: {length:g} s at rate_hz = {spec.rate:g} Hz are {samples} samples, "
+            f"more than {MOST_ROWS}: lower rate_hz, or set duration_s"
         )
-    beyond, most, where = np.empty(0), 0.0, 0.0  # times of forces that do not fly, the largest and its time
+    beyond, most, where = np.empty(0), 0.0, 0.0  # times beyond _FORCE; largest force and its time
     for truth in make_truth(_make_stretches(fit, spec.rate, samples), spec.rate):
         force = np.linalg.norm(truth.dvel_b, axis=1) / np.diff(truth.t) / STANDARD_GRAVITY
         beyond = np.append(beyond, truth.t[1:][force > _FORCE])
@@ -123,7 +122,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
     events = [*_report_inconsistencies(rows, fit), (0.0, end, "leg", f"trajectory {spec.name}")]
     if len(beyond):
         row = int(np.searchsorted(rows.t, where)) + 1
-        words = f"row {row}: a specific force of {most:.3g} g, beyond {_FORCE:g} g: the positions do not fly"
+        words = f"row {row}: a specific force of {most:.3g} g, beyond {_FORCE:g} g: not a flight"
         events.append((float(beyond[0]), float(beyond[-1]), "sanity", words))
     yield replace(truth, events=Events.from_rows(events))
 
@@ -133,7 +132,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
 
 @dataclass(frozen=True, slots=True)
 class _TableMotion:
-    """A table as a motion: times from 0, Earth-fixed positions, attitudes, velocity where it has one."""
+    """The motion in a table: times from 0, Earth-fixed positions, attitudes, and velocity if it has one."""
 
     t: FloatArray  # (N,) [s]
     pos_e: FloatArray  # (N, 3) [m]
@@ -143,12 +142,12 @@ class _TableMotion:
 
 
 def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
-    """Return the rows as a motion.
+    """Check the rows and return their motion.
 
     Raises
     ------
     ConfigError
-        With the first row that cannot be.
+        If a row is impossible; the message names the first one.
     """
     t = table.columns["time"][:, 0]
     if len(t) < _FEWEST:
@@ -157,7 +156,7 @@ def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
         bad = ~np.isfinite(values)
         if bad.any():
             row, column = map(int, np.argwhere(bad)[0])
-            raise ConfigError(f"{shown}: row {row + 1}: {table.names[kind][column]} is no finite number")
+            raise ConfigError(f"{shown}: row {row + 1}: {table.names[kind][column]} is not a finite number")
     back = np.diff(t) <= 0
     if back.any():
         k, name = int(np.argmax(back)), table.names["time"][0]
@@ -220,10 +219,9 @@ def _read_attitudes(
         raise ConfigError(f"{shown}: row {row + 1}: the quaternion has the norm {norm[row]:.6g}, not 1")
     if off[worst] > _NORM_OFF:
         rows = np.flatnonzero(off > _NORM_OFF)
-        words = (
-            f"{len(rows)} quaternions from row {rows[0] + 1} on have a norm off 1, row {worst + 1} the most"
-        )
-        notes.append((float(t[rows[0]]), float(t[rows[-1]]), "sanity", f"{words}: {norm[worst]:.9g}"))
+        words = f"{len(rows)} quaternions from row {rows[0] + 1} on have a norm other than 1"
+        worst_norm = f"row {worst + 1} the worst: {norm[worst]:.9g}"
+        notes.append((float(t[rows[0]]), float(t[rows[-1]]), "sanity", f"{words}, {worst_norm}"))
     q = attitude / norm[:, None]
     return continuous(q if stems[0] == "q_eb_w" else multiply(q_en, q))
 
@@ -235,20 +233,20 @@ def _read_attitudes(
 class _Fit:
     """Splines through some rows of a table."""
 
-    knots: FloatArray  # (K,) rows it passes through
+    knots: FloatArray  # (K,) rows that the splines pass through
     origin: FloatArray  # (3,) [m], e
     pos: Any  # t -> position from the origin, e
     vel: Any  # t -> its derivative
     q: Any  # t -> quaternion, not normalized
 
     def pos_e(self, t: FloatArray) -> FloatArray:
-        found: FloatArray = self.origin + self.pos(t)
-        return found
+        pos_e: FloatArray = self.origin + self.pos(t)
+        return pos_e
 
     def q_eb(self, t: FloatArray) -> FloatArray:
         q = self.q(t)
-        found: FloatArray = q / np.linalg.norm(q, axis=1, keepdims=True)
-        return found
+        q_eb: FloatArray = q / np.linalg.norm(q, axis=1, keepdims=True)
+        return q_eb
 
 
 def _fit_splines(rows: _TableMotion, shown: str) -> _Fit:
@@ -259,12 +257,12 @@ def _fit_splines(rows: _TableMotion, shown: str) -> _Fit:
     pos = make_interp_spline(rows.t[at], rows.pos_e[at] - origin, k=5)
     q = make_interp_spline(rows.t[at], rows.q_eb[at], k=5)
     if not (np.isfinite(pos.c).all() and np.isfinite(q.c).all()):
-        raise ConfigError(f"{shown}: no smooth motion goes through the rows; their intervals differ too much")
+        raise ConfigError(f"{shown}: no smooth motion fits the rows; their intervals differ too much")
     return _Fit(at, origin, pos, pos.derivative(), q)
 
 
 def _choose_knots(t: FloatArray) -> Any:
-    """Return the rows a spline goes through: all, or at most 60 in a second, always the last."""
+    """Return the rows of the knots: all, or at most 60 per second; always the last row."""
     least = (1.0 - 1e-6) / _KNOT_RATE
     if len(t) < 2 * _FEWEST or np.diff(t).min() >= least:
         return np.arange(len(t))
@@ -281,7 +279,7 @@ def _choose_knots(t: FloatArray) -> Any:
 
 
 def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
-    """Yield so many samples of the motion in stretches, frame i being frame e at t = 0."""
+    """Yield the motion in stretches, ``samples`` in all; frame i is frame e at t = 0."""
     substeps = max(1, math.ceil(_FINE_RATE / rate))
     dt = 1.0 / (rate * substeps)
     for begun in range(0, samples, _CHUNK):
@@ -307,7 +305,7 @@ def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
 
 
 def _report_inconsistencies(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
-    """Return what is inconsistent in a table, one event for each kind, with the rows."""
+    """Return one event for each kind of inconsistency in a table, with its rows."""
     t, steps = rows.t, np.diff(rows.t)
     found = list(rows.notes)
 
@@ -317,13 +315,13 @@ def _report_inconsistencies(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
             many = f"; {len(k)} rows from row {k[0] + 1} on" if len(k) > 1 else ""
             found.append((float(t[k[0]]), float(t[k[-1]]), "sanity", f"row {worst + 1}: {words}{many}"))
 
-    usual = float(np.median(steps))
-    gaps = np.concatenate([[False], steps > _GAP * usual])
+    median = float(np.median(steps))
+    gaps = np.concatenate([[False], steps > _GAP * median])
     worst = int(np.argmax(steps)) + 1
     note(
         gaps,
         worst,
-        f"{steps[worst - 1]:.4g} s after the row before, usual are {usual:.4g} s: filled by a spline",
+        f"{steps[worst - 1]:.4g} s after the row before; the median is {median:.4g} s: filled by the spline",
     )
     turned = np.linalg.norm(to_rotvec(multiply(conjugate(rows.q_eb[:-1]), rows.q_eb[1:])), axis=1)
     jumps = np.concatenate([[False], (turned > _TURN) | (turned > _TURN_RATE * steps)])
@@ -335,9 +333,7 @@ def _report_inconsistencies(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
         speed = np.linalg.norm(rows.vel_e, axis=1)
         wrong = (off > _SPEED_OFF) & (off > _SPEED_SHARE * speed)
         worst = int(np.argmax(off))
-        words = (
-            f"the velocity is {off[worst]:.3g} m/s off the derivative of the position, which is what counts"
-        )
+        words = f"the velocity is {off[worst]:.3g} m/s off the derivative of the position, which is used"
         note(wrong, worst, words)
     off = np.linalg.norm(rows.pos_e - fit.pos_e(t), axis=1)
     worst = int(np.argmax(off))

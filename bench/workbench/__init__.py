@@ -1,1 +1,1 @@
-"""What a verb of the command line does; text goes to the rich console it is given."""
+"""The verbs of the command line; each prints to the rich console that it gets."""

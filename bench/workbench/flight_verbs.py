@@ -1,4 +1,4 @@
-"""What the verbs of flights print: run, fly, check."""
+"""The verbs run, fly and check."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.specs import Profile
 from bench.workbench import show
 
 RUNS = Path("runs")
-"""Where results go when not told."""
+"""Default folder for results."""
 
 
 def run(
@@ -29,15 +29,15 @@ def run(
     draw: int,
     recording: bool,
     force: bool,
-    **asked: Any,
+    **profile_options: Any,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, write the results folder, and print the metrics.
 
-    The folder is ``runs/<profile>-<seed>`` when ``out`` is None, with the draw where it is not 0; ``asked``
-    is what `bench.config.load_profile` takes.
+    If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
+    ``profile_options`` are those of `bench.config.load_profile`.
     """
     find_own_estimators()
-    profile = api.load_profile(name, **asked)
+    profile = api.load_profile(name, **profile_options)
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
@@ -51,24 +51,24 @@ def run(
 
 
 def print_end(console: Console, folder: Path, begun: float) -> None:
-    """Print where results are, how long they took, and what to do with them."""
+    """Print the folder of the results, how long they took, and the next command."""
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
     if (folder / store.RECORDING).is_file():
         console.print(f"Next: bench view {folder}")
 
 
 def find_own_estimators() -> None:
-    """Look for the user's own estimators in the present folder, after all else."""
+    """Add the present folder to the end of the import path, for the user's own estimators."""
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))
 
 
 def fly(name: str, *, console: Console, overrides: Mapping[str, Any], seed: int | None) -> None:
-    """Fly the truth of one profile, keep it in the cache, and print what was flown."""
+    """Fly the truth of one profile into the cache, and print its legs and extremes."""
     profile = api.load_profile(name, overrides, seed)
     with _show_progress(profile) as progress:
-        flown = api.describe_flight(profile, progress)
-    show.print_flight(console, profile, flown)
+        summary = api.describe_flight(profile, progress)
+    show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
 
 
@@ -92,14 +92,14 @@ def record_limits(
 
 @contextlib.contextmanager
 def _show_runs() -> Iterator[Callable[[str, int, int], None]]:
-    """Give what shows the run of a profile."""
+    """Provide a function that shows the current run of a profile."""
     with Console(stderr=True).status("") as status:
         yield lambda name, k, n: status.update(f"{name}: run {k + 1} of {n}")
 
 
 @contextlib.contextmanager
 def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
-    """Give what takes the seconds flown so far and shows them; nothing is shown before the first call."""
+    """Provide a function that shows the seconds flown so far; nothing is shown before its first call."""
     screen = Console(stderr=True)
     if not screen.is_interactive:
         yield lambda t: None
@@ -111,9 +111,9 @@ def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
         bar = Progress(*columns, TimeElapsedColumn(), console=screen, transient=True)
         task = bar.add_task(f"flying {profile.name}", total=duration, flown="")
 
-        def flown_so_far(t: float) -> None:
+        def show_time(t: float) -> None:
             if not bar.live.is_started:
                 stack.enter_context(bar)
             bar.update(task, completed=t, flown=f"{t:.0f}{of} s")
 
-        yield flown_so_far
+        yield show_time

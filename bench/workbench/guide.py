@@ -1,4 +1,4 @@
-"""``bench guide``: the topics of the guide, and one of them in the terminal."""
+"""The verb guide: list the topics of the guide, or show one in the terminal."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
 
 
 def read_topics() -> dict[str, str]:
-    """Return what each topic is about, in the order of the guide's list."""
+    """Return the topics and their descriptions, in the order of the guide."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
-    return {found["topic"]: found["about"] for found in _ENTRY.finditer(text)}
+    return {entry["topic"]: entry["about"] for entry in _ENTRY.finditer(text)}
 
 
 def list_topics(console: Console) -> None:
-    """Print every topic with one line that says what it is about."""
+    """Print every topic with a description of one line."""
     table = Table(title="Topics (bench guide TOPIC)", title_justify="left", show_header=False, box=None)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
@@ -41,12 +41,12 @@ def list_topics(console: Console) -> None:
 
 
 def show_topic(topic: str, console: Console) -> None:
-    """Print one topic: rendered and in a pager on a terminal, as Markdown elsewhere.
+    """Print one topic: rendered in a pager on a terminal, as Markdown elsewhere.
 
     Raises
     ------
     ConfigError
-        If there is no such topic; the message has the nearest name and all of them.
+        If there is no such topic; the message lists the nearest name and all names.
     """
     known = list(read_topics())
     if topic not in known:
@@ -63,7 +63,7 @@ def show_topic(topic: str, console: Console) -> None:
 
 
 class _ColourPager(Pager):
-    """The pager of the user; less shows colours, and ends at once when the page fits the screen."""
+    """The pager of the user; less shows colours, and quits at once if the page fits the screen."""
 
     def show(self, content: str) -> None:
         os.environ.setdefault("LESS", "FRX")

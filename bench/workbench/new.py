@@ -1,4 +1,4 @@
-"""``bench new``: a starting point that works, in the present folder."""
+"""The verb new: write a working example into the present folder."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from bench.errors import ConfigError
 
 _CLASS = "StartingPoint"
 
-_TEST = '''"""What the bench asks of {cls}: `pytest test_{name}.py`."""
+_TEST = '''"""Test of {cls} with `pytest test_{name}.py`: the contract of the bench, and its accuracy."""
 
 import bench
 from {name} import {cls}
 
 
-def test_it_keeps_the_contract_and_finds_its_way():
+def test_contract_and_accuracy():
     truth = bench.fly("figure-eight")
     sensed = bench.sense("figure-eight", truth)
     bench.check_estimator({cls}(), sensed.data, sensed.initial)
@@ -37,7 +37,7 @@ def new_estimator(name: str, *, console: Console) -> None:
     Parameters
     ----------
     name : str
-        Name of the module: small letters, digits and underscores. The class has it in CamelCase.
+        Name of the module: lower-case letters, digits and underscores. The class has this name in CamelCase.
 
     Raises
     ------
@@ -48,7 +48,8 @@ def new_estimator(name: str, *, console: Console) -> None:
     cls = "".join(part.capitalize() for part in name.split("_"))
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name) or keyword.iskeyword(name) or keyword.iskeyword(cls):
         raise ConfigError(
-            f"{name!r} cannot name a module: small letters, digits, underscores, first a letter, no keyword"
+            f"{name!r} cannot name a module: use lower-case letters, digits and underscores, "
+            "a letter first, no keyword"
         )
     source = Path(__file__).with_name("starting_point.py").read_text(encoding="utf-8")
     texts = {
@@ -57,9 +58,9 @@ def new_estimator(name: str, *, console: Console) -> None:
     }
     for path in (*texts, Path(name)):
         if path.exists() or path.is_symlink():
-            raise ConfigError(f"{path}: exists already, and is not replaced; choose another name")
+            raise ConfigError(f"{path}: exists already and is not replaced; choose another name")
     if find_spec(name) is not None or re.search(rf"\b{cls}\b", source):
-        raise ConfigError(f"{name!r}: something else is called so already; choose another name")
+        raise ConfigError(f"{name!r}: the name is used already; choose another one")
     written: list[Path] = []
     try:
         for path, text in texts.items():

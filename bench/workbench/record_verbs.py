@@ -1,4 +1,4 @@
-"""What the verbs of records print: navigate, fixes, allan, export, score, stream."""
+"""The verbs navigate, fixes, allan, export, score and stream."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def navigate_log(
     out: Path | None,
     recording: bool,
     force: bool,
-    **asked: Any,
+    **log_options: Any,
 ) -> dict[str, Any]:
-    """Check a recording, run estimators on it, print how they did, and write the results folder.
+    """Check a recording, run estimators on it, print their metrics, and write the results folder.
 
-    The folder is ``runs/<log>`` when ``out`` is None; ``asked`` is what `bench.api.read_log` takes. Returns
-    ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
+    If ``out`` is None the folder is ``runs/<log>``. ``log_options`` are those of `bench.api.read_log`.
+    Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
     folder = out or RUNS / Path(name).stem
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
-    log = api.read_log(name, **asked)
+    log = api.read_log(name, **log_options)
     console.print(f"{log.spec.title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
     for check in log.checks:
         mark, style = ("  ", None) if check.good else ("! ", "yellow")
@@ -46,8 +46,8 @@ def navigate_log(
     for note in log.records.notes:
         console.print(f"  {note}")
     result = api.navigate_log(log, outages=durations, places=places)
-    withheld, begins = len(result.records["withheld"]), log.spec.evaluation_from
-    console.print(f"{log.spec.title}: {withheld} fixes withheld, from {begins:g} s on")
+    withheld, start = len(result.records["withheld"]), log.spec.evaluation_from
+    console.print(f"{log.spec.title}: {withheld} fixes withheld, from {start:g} s on")
     show.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
@@ -69,9 +69,9 @@ def solve_fixes(
     out: Path | None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Solve RINEX files, print what came out, write the fixes, and return the figures.
+    """Solve RINEX files, print and return the figures, and write the fixes.
 
-    ``options`` are those of `bench.api.solve_rinex`, ``datum`` is of the positions in ``out``.
+    ``options`` are those of `bench.api.solve_rinex`; ``datum`` is that of the positions in ``out``.
     """
     solved = api.solve_rinex(observations, navigation, **options)
     figures = solved.figures()
@@ -89,7 +89,7 @@ def solve_fixes(
 def measure_allan(
     unit: str | None, log: Path | None, *, out: Path | None, seed: int, console: Console
 ) -> bool:
-    """Print the Allan deviation of a unit or a log, draw it, and return whether the model holds its bands."""
+    """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands."""
     source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
     picture = out or Path(f"allan-{source}.png")
     measured = api.measure_allan(unit, log=log, seed=seed, picture=picture)
@@ -106,14 +106,14 @@ def measure_allan(
 def export_run(
     folder: Path, kind: str, *, console: Console, out: Path | None, include: Sequence[str], force: bool
 ) -> None:
-    """Write a run in the format of another tool and print the names of the files."""
+    """Export a run in the format of another tool and print the names of the files."""
     out = api.export_run(folder, kind, out=out, include=include, force=force)
     names = sorted(path.name for path in out.iterdir())
     console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
 
 
 def score_solution(solution: Path, folder: Path, *, console: Console, **options: Any) -> dict[str, Any]:
-    """Judge a solution on a run, print it beside the run's own estimators, and return its metrics.
+    """Judge a solution on a run, print its metrics beside those of the run, and return them.
 
     ``options`` are those of `bench.api.score_solution`.
     """
@@ -135,7 +135,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
 
 
 def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
-    """Send the sensors of a run, and print the address and how it went; options of `bench.api.stream_run`."""
+    """Send the sensor data of a run, and print address and timing; options as for `bench.api.stream_run`."""
     sent = api.stream_run(folder, say=console.print, **options)
     pace = "" if sent.latest is None else f", none more than {1e3 * sent.latest:.3g} ms late"
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
@@ -159,9 +159,9 @@ def _make_allan_table(curve: AllanCurve) -> Table:
 
 
 def _describe_fit(curve: AllanCurve) -> str:
-    """Say the figures of a measured curve in the units of datasheets."""
-    found = fit_noise(curve)
-    as_triad = TriadSpec(random_walk=found["N"], bias_instability=found["B"], rate_random_walk=found["K"])
-    texts = format_noise_figures(curve.triad, as_triad)
+    """Return one line with the fitted noise figures of a measured curve, in datasheet units."""
+    fit = fit_noise(curve)
+    triad = TriadSpec(random_walk=fit["N"], bias_instability=fit["B"], rate_random_walk=fit["K"])
+    texts = format_noise_figures(curve.triad, triad)
     del texts["quantization"]
     return f"{curve.triad}, fitted: " + ", ".join(f"{name} {text}" for name, text in texts.items())

@@ -1,4 +1,4 @@
-"""Tables in the terminal: a result, a flight, a verdict, and what there is to choose from."""
+"""Print results, flights, verdicts and catalogs as tables in the terminal."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _SUMMARY = (
     "coverage_3sigma_",
     "nis_mean_",
 )
-"""Metrics of the table, or how their names begin; all the others are in result.json."""
-_COVERAGE = "output_coverage"  # shown where one is not 1
+"""Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
+_COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
 
 
 def print_result(console: Console, profile: Profile, run: RunResult) -> None:
-    """Print the main metrics of one run, a column for each estimator, and what they do not model."""
+    """Print the main metrics of one run, one column per estimator, and the errors they do not model."""
     console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
     print_metrics(console, run.metrics, run.solutions)
 
@@ -54,14 +54,14 @@ def print_result(console: Console, profile: Profile, run: RunResult) -> None:
 def print_metrics(
     console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
 ) -> None:
-    """Print the main metrics, a column for each estimator, how it aligned and what it does not model."""
+    """Print the main metrics, one column per estimator, its alignment and the errors it does not model."""
     names = list(dict.fromkeys(name for values in measured.values() for name in values))
     table = _make_metrics_table(measured, names, narrow=False)
     if console.measure(table, options=console.options.update(max_width=10_000)).maximum > console.width:
         table = _make_metrics_table(measured, names, narrow=True)
     console.print(table)
     if any(name.startswith("nis_low_") for name in names):
-        console.print("nis_mean: the range with it is that of 99.9 % of matched filters.")
+        console.print("nis_mean: the range is the 99.9 % band of a matched filter.")
     remarks: dict[str, list[str]] = {}
     for label, values in measured.items():
         for begun, end, text in solutions[label].events.select("alignment"):
@@ -71,8 +71,8 @@ def print_metrics(
             text = values["reason"] if failed else f"diverged: {values['reason']}"
             console.print(f"{label} {text}", style="bold red")
         elif values.get("program"):
-            said = values["program"]["stderr"]
-            last = f"; stderr ends: {said.splitlines()[-1][:200]}" if said else ""
+            stderr = values["program"]["stderr"]
+            last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""
             console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
         if values.get("unmodelled"):
             remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
@@ -83,7 +83,7 @@ def print_metrics(
 def _make_metrics_table(
     results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, narrow: bool
 ) -> Table:
-    """Return the table of the main metrics; a narrow one has no lines and its bands below their values."""
+    """Return the table of the main metrics; if narrow, without lines and with bands below their values."""
     table = _make_table("metric", *results)
     if narrow:
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
@@ -104,7 +104,7 @@ def _make_metrics_table(
 
 
 def _format_band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
-    """Return the 99.9 % band of a mean NIS, where the filter is matched."""
+    """Return the 99.9 % band of a mean NIS for a matched filter, as text."""
     sensor = name.removeprefix("nis_mean_")
     low, high = metrics.get(f"nis_low_{sensor}"), metrics.get(f"nis_high_{sensor}")
     if sensor == name or low is None:
@@ -112,60 +112,60 @@ def _format_band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
     return f"\n{low:.2f}-{high:.2f}" if narrow else f" ({low:.3g} to {high:.3g})"
 
 
-def print_flight(console: Console, profile: Profile, flown: Mapping[str, Any]) -> None:
-    """Print what was flown, leg by leg, and its extremes, as `bench.pipeline.fly_over` returns them."""
+def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any]) -> None:
+    """Print the legs of a flight and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{profile.title}: {profile.flight.label}")
     table = Table()
     for column in ("from", "to"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("leg", overflow="fold")
-    for start, end, text in flown["legs"]:
+    for start, end, text in summary["legs"]:
         table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
     console.print(table)
     figures = Table.grid(padding=(0, 2))
-    for what, shown in _describe_flight(flown).items():
-        figures.add_row(what, shown)
+    for name, text in _describe_flight(summary).items():
+        figures.add_row(name, text)
     console.print(figures)
-    print_sanity(console, flown["sanity"])
+    print_sanity(console, summary["sanity"])
 
 
 def print_sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
-    """Print what no aircraft of its class does, or what is inconsistent in a table."""
+    """Print motions that are implausible for the aircraft class, or inconsistent rows of a table."""
     for start, end, text in remarks:
         when = f"{start:.1f} s" if end == start else f"{start:.1f} to {end:.1f} s"
         console.print(f"sanity, {when}: {text}", style="yellow")
 
 
-def _describe_flight(flown: Mapping[str, Any]) -> dict[str, str]:
-    """Return the lines below the legs."""
+def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of a flight as text, by name."""
 
-    def least_to_most(name: str, unit: str, digits: int, scale: float = 1.0) -> str:
-        ends = [flown.get(f"{name}_{end}{unit}") for end in ("min", "max")]
+    def format_range(name: str, unit: str, digits: int, scale: float = 1.0) -> str:
+        ends = [summary.get(f"{name}_{end}{unit}") for end in ("min", "max")]
         return " to ".join("-" if end is None else f"{scale * end:.{digits}f}" for end in ends)
 
-    def largest(name: str) -> str:
-        return f"{_DEG * flown[name]:.1f}"
+    def format_degrees(name: str) -> str:
+        return f"{_DEG * summary[name]:.1f}"
 
-    rates = ", ".join(largest(f"{axis}_rate_max_rad_s") for axis in ("roll", "pitch", "yaw"))
+    rates = ", ".join(format_degrees(f"{axis}_rate_max_rad_s") for axis in ("roll", "pitch", "yaw"))
     return {
-        "duration": f"{flown['duration_s']:g} s, {flown['samples']} samples at {flown['rate_hz']:g} Hz",
-        "distance over ground": f"{flown['path_over_ground_m'] / 1000:.2f} km",
-        "altitude": f"{least_to_most('alt', '_m', 1)} m",
-        "true airspeed": f"{least_to_most('airspeed', '_mps', 1)} m/s",
-        "ground speed": f"{least_to_most('ground_speed', '_mps', 1)} m/s",
-        "climb": f"{least_to_most('climb', '_mps', 1)} m/s",
-        "bank": f"up to {largest('bank_max_rad')} deg",
-        "pitch": f"{least_to_most('pitch', '_rad', 1, _DEG)} deg",
-        "load factor": least_to_most("load_factor", "", 2),
+        "duration": f"{summary['duration_s']:g} s, {summary['samples']} samples at {summary['rate_hz']:g} Hz",
+        "distance over ground": f"{summary['path_over_ground_m'] / 1000:.2f} km",
+        "altitude": f"{format_range('alt', '_m', 1)} m",
+        "true airspeed": f"{format_range('airspeed', '_mps', 1)} m/s",
+        "ground speed": f"{format_range('ground_speed', '_mps', 1)} m/s",
+        "climb": f"{format_range('climb', '_mps', 1)} m/s",
+        "bank": f"up to {format_degrees('bank_max_rad')} deg",
+        "pitch": f"{format_range('pitch', '_rad', 1, _DEG)} deg",
+        "load factor": format_range("load_factor", "", 2),
         "roll, pitch, yaw rate": f"up to {rates} deg/s",
-        "replay": f"{1e3 * flown['replay_position_m']:.2g} mm, "
-        f"{1e6 * flown['replay_attitude_rad']:.2g} microradian: the most that an error-free two-sample "
-        "strapdown is off within 10 minutes",
+        "replay": f"{1e3 * summary['replay_position_m']:.2g} mm, "
+        f"{1e6 * summary['replay_attitude_rad']:.2g} microradian: largest error of an error-free two-sample "
+        "strapdown within 10 minutes",
     }
 
 
 def print_verdicts(console: Console, rows: Sequence[Verdict]) -> None:
-    """Print the limits that do not hold, and how many do."""
+    """Print the limits that changed for the worse or the better, and how many hold."""
     columns = ("profile", "estimator", "metric", "expected", "tolerance", "measured", "")
     table = _make_table(*columns)
     for row in rows:
@@ -190,7 +190,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     ),
     "exports": ("bench export RUN --to NAME", api.list_exports),
 }
-"""What `bench list` shows: how each is asked for, and what there is."""
+"""Kind that `bench list` shows -> how it is selected, and the function that lists its entries."""
 
 
 def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
@@ -199,10 +199,10 @@ def list_catalog(kind: str | None = None) -> dict[str, list[CatalogEntry]]:
 
 
 def print_catalog(console: Console, kind: str | None = None) -> None:
-    """Print what `list_catalog` returns.
+    """Print the entries of `list_catalog`.
 
-    Of aircraft or sensors alone also their figures, where these are from, and which of them are assumed; of
-    legs alone their keys, of estimators alone their options.
+    With a kind, aircraft and sensors also show their figures and sources and what is assumed, legs their
+    keys, estimators their options.
     """
     for name, entries in list_catalog(kind).items():
         if kind == "legs":
@@ -233,7 +233,7 @@ def _print_grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> 
 
 
 def _describe_key(key: KeyEntry) -> tuple[str, ...]:
-    """Return a key of a leg, what it may be, and its default."""
+    """Return the cells for a key of a leg: name, limits, default, description."""
     holds = ", ".join(key.choices) or "tables"
     if key.low is not None:
         holds = f"{key.low:g} to {key.high:g} {key.unit}"
@@ -244,7 +244,7 @@ def _describe_key(key: KeyEntry) -> tuple[str, ...]:
 
 
 def _print_options(console: Console) -> None:
-    """Print the options of the built-in estimators, once for those that share them."""
+    """Print the options of the built-in estimators; those that share options are shown together."""
     owners: dict[type[Options], list[str]] = {}
     for name, row in BUILT_IN.items():
         owners.setdefault(row.options, []).append(name)

@@ -1,9 +1,9 @@
-"""A loosely coupled INS/GNSS filter in plain NumPy: a starting point, to be changed.
+"""A loosely coupled INS/GNSS filter in plain NumPy, as a starting point for your own.
 
-Fifteen states, errors as estimate minus truth: position [m], velocity [m/s] and attitude phi [rad] along
-north, east, down, gyro bias [rad/s] and accelerometer bias [m/s^2] along the body axes. Between two instants
-that matter (a fix, an output) a compiled strapdown carries the navigation state and one step the covariance;
-a fix corrects position and velocity, and what it finds is fed back at once. The barometer is left to you.
+Fifteen error states, estimate minus truth: position [m], velocity [m/s] and attitude phi [rad] along north,
+east, down; gyro bias [rad/s] and accelerometer bias [m/s^2] along the body axes. From one fix or output to
+the next, a compiled strapdown propagates the navigation state, and one step propagates the covariance. A fix
+measures position and velocity; the estimated errors are fed back at once. The barometer is not used.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ class StartingPoint:
     Parameters
     ----------
     gate : float
-        Largest NIS of a position or a velocity that is used; chi-square with 3 degrees of freedom.
+        Largest NIS of an accepted position or velocity; chi-square with 3 degrees of freedom.
     """
 
     def __init__(self, *, gate: float = 25.9) -> None:
@@ -41,7 +41,7 @@ class StartingPoint:
         rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
         events += aligned
         t = sensors.imu.t[rows]
-        stretch = (span / sensors.imu.dt[rows])[:, None]  # over rows that are missing
+        stretch = (span / sensors.imu.dt[rows])[:, None]  # bridges missing rows
         dtheta, dvel = sensors.imu.dtheta_b[rows] * stretch, sensors.imu.dvel_b[rows] * stretch
         fix_rows, fix_at = np.empty(0, np.int64), np.empty(0, np.int64)
         R = np.zeros((6, 6))
@@ -53,9 +53,9 @@ class StartingPoint:
         end = t[-1] if len(t) else initial.t
         slack = timeline.TIME_TOLERANCE
         served = (sensors.output_t >= initial.t - slack) & (sensors.output_t <= end + slack)
-        asked = np.searchsorted(t, sensors.output_t - slack)
-        asked[sensors.output_t < initial.t + slack] = -1  # the start itself
-        outputs = {int(k): row for row, k in enumerate(asked) if served[row]}
+        output_at = np.searchsorted(t, sensors.output_t - slack)
+        output_at[sensors.output_t < initial.t + slack] = -1  # the start itself
+        outputs = {int(k): row for row, k in enumerate(output_at) if served[row]}
 
         nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
         gyro_bias, accel_bias = np.zeros(3), np.zeros(3)
@@ -63,7 +63,7 @@ class StartingPoint:
         before = np.zeros(7)
         out = np.full((len(sensors.output_t), 16), np.nan)
         out_P = np.full((len(sensors.output_t), 15, 15), np.nan)
-        found: list[tuple[float, int, int, float, float, float, bool]] = []
+        innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         done = -1
         for k in sorted({*fixes, *outputs}):
             if k > done:
@@ -89,7 +89,7 @@ class StartingPoint:
                     y = z[use] - H[use] @ x
                     S = H[use] @ P @ H[use].T + R[use, use]
                     nis = float(y @ np.linalg.solve(S, y))
-                    found += [(t[k], code, i, -y[i], S[i, i], nis, nis <= self.gate) for i in range(3)]
+                    innovations += [(t[k], code, i, -y[i], S[i, i], nis, nis <= self.gate) for i in range(3)]
                     if nis <= self.gate:
                         K = np.linalg.solve(S, H[use] @ P).T
                         x += K @ y
@@ -113,16 +113,19 @@ class StartingPoint:
             extra_names=EXTRA,
             extra=out[:, 10:],
             extra_sd=np.sqrt(np.einsum("kii->ki", out_P)[:, 9:]),
-            innovations=Innovations.from_rows(SENSORS, found),
+            innovations=Innovations.from_rows(SENSORS, innovations),
             events=Events.from_rows(events),
         )
 
 
 def _make_start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray, FloatArray]:
-    """Return P (15, 15) at the start and the densities q (15,) of the noise, from the datasheets."""
+    """Return the initial P (15, 15) and the noise densities q (15,), from the datasheets."""
     P, q = np.zeros((15, 15)), np.zeros(15)
     P[:9, :9] = initial.cov
-    P[:9, 9:], P[9:, :9] = initial.bias_cov, initial.bias_cov.T  # of a tilt found by a biased accelerometer
+    P[:9, 9:], P[9:, :9] = (
+        initial.bias_cov,
+        initial.bias_cov.T,
+    )  # tilt from a biased accelerometer is correlated with the bias
     gyro, accel = specs.imu.gyro, specs.imu.accel
     q[3:6], q[6:9] = accel.random_walk**2, gyro.random_walk**2
     for rows, triad in ((slice(9, 12), gyro), (slice(12, 15), accel)):
@@ -133,7 +136,7 @@ def _make_start(initial: InitialState, specs: AssumedSpecs) -> tuple[FloatArray,
 
 
 def _make_fix_covariance(specs: AssumedSpecs) -> FloatArray:
-    """Return R (6, 6) of a fix, its time-correlated part taken as white."""
+    """Return R (6, 6) of a fix; its time-correlated part is taken as white."""
     gnss = specs.gnss
     if gnss is None:
         raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
@@ -146,7 +149,7 @@ def _make_fix_covariance(specs: AssumedSpecs) -> FloatArray:
 def _place_antenna(
     nav: FloatArray, antenna_b: FloatArray, w_ib_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return position and velocity (6,) of the antenna from the IMU, and H (6, 15)."""
+    """Return position and velocity (6,) of the antenna relative to the IMU, and H (6, 15)."""
     C = rotation.matrix(nav[6:])
     earth_n = earth.EARTH_RATE * np.array([np.cos(nav[0]), 0.0, -np.sin(nav[0])])
     swept = np.cross(w_ib_b - C.T @ earth_n, antenna_b)

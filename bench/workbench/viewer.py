@@ -1,4 +1,4 @@
-"""``bench view``: the viewer of the rerun wheel on a results folder, and the end of it."""
+"""The verb view: start the viewer of the rerun wheel on a results folder, and end it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.store import RECORDING, RESULT
 from bench.workbench.flight_verbs import RUNS
 
 _LOCAL = "127.0.0.1"
-_PATIENCE = 5.0  # between asking the viewer to end and ending it [s]
+_PATIENCE = 5.0  # between SIGTERM and SIGKILL [s]
 
 
 def view(folder: Path | None, *, web: bool, console: Console) -> None:
@@ -28,7 +28,7 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
     Parameters
     ----------
     folder : Path or None
-        A results folder; the newest below ``runs`` when None.
+        A results folder; None for the newest one below ``runs``.
     web : bool
         Serve it to a browser on this machine instead of opening a window.
     console : Console
@@ -37,7 +37,7 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
     Raises
     ------
     ConfigError
-        If there is no recording.
+        If there is no recording in the folder.
     ViewerError
         If the viewer cannot be started or fails.
     """
@@ -63,7 +63,7 @@ def find_recording(folder: Path | None) -> Path:
     Raises
     ------
     ConfigError
-        If there is none.
+        If there is no recording.
     """
     if folder is None:
         results = [path for path in RUNS.glob(f"*/{RESULT}") if (path.parent / RECORDING).is_file()]
@@ -77,7 +77,7 @@ def find_recording(folder: Path | None) -> Path:
 
 
 def wait_for(command: Sequence[str]) -> int:
-    """Run a command in a process group of its own and return its status; the group ends with this call."""
+    """Run a command in its own process group and return its status; the group is ended on return."""
     quiet = {"RUST_LOG": "warn", **os.environ}
     child = subprocess.Popen(command, start_new_session=True, env=quiet)
     try:
@@ -87,7 +87,7 @@ def wait_for(command: Sequence[str]) -> int:
 
 
 def free_port(wanted: int) -> int:
-    """Return the wanted port of this machine, or another one when it is taken."""
+    """Return the wanted port of this machine, or another one if it is in use."""
     for port in (wanted, 0):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind((_LOCAL, port))
@@ -96,7 +96,7 @@ def free_port(wanted: int) -> int:
 
 
 def _end_group(child: subprocess.Popen[bytes]) -> None:
-    """End what is left of a process group, politely first."""
+    """End a process group: SIGTERM, then SIGKILL."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, number)
@@ -105,16 +105,16 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
 
 
 def _find_viewer() -> Path:
-    """Return the viewer itself: its launcher in Python would leave it running when ended."""
+    """Return the path of the viewer itself; its Python launcher would leave it running."""
     package = find_spec("rerun_cli")
     if package is not None and package.origin is not None:
         folder = Path(package.origin).parent
         for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
             if (folder / name).is_file():
                 return folder / name
-    raise ViewerError("no viewer here: the package rerun-sdk has none; 'pip install rerun-sdk' brings it")
+    raise ViewerError("no viewer found in the package rerun-sdk; 'pip install rerun-sdk' installs it")
 
 
 def _check_display() -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError("no display to open a window on; 'bench view --web' serves it to a browser")
+        raise ViewerError("no display for a window; 'bench view --web' serves the recording to a browser")

@@ -507,13 +507,13 @@ def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
     status, _, err = say(capsys, "run", "short.toml", "--view")
     assert (status, err) == (
         4,
-        "error: no display to open a window on; 'bench view --web' serves it to a browser\n",
+        "error: no display for a window; 'bench view --web' serves the recording to a browser\n",
     )
     assert (here / "runs/short-5/flight.rrd").is_file()
     monkeypatch.setattr(viewer, "find_spec", lambda name: None)
     status, _, err = say(capsys, "view")
     assert status == 4
-    assert err.startswith("error: no viewer here: ")
+    assert err.startswith("error: no viewer found in the package rerun-sdk")
 
 
 def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):

@@ -449,7 +449,7 @@ def test_the_present_folder_is_a_run_like_another(run, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--to", "tum"), "tum holds poses, no sensors: ask for --with truth or --with solution:NAME"),
+        (("--to", "tum"), "tum holds poses, not sensors: add --with truth or --with solution:NAME"),
         (
             ("--to", "csv", "--with", "solution:../made"),
             "--with solution:../made: no such solution; there are made",
@@ -484,5 +484,5 @@ def test_a_folder_that_is_none_or_damaged_is_said_in_one_line(tmp_path, capsys):
         err = complaint(capsys, "export", str(other), "--to", "csv")
         assert "cannot be read" in err
     (other / "sensors-start.json").write_text("{}")
-    assert "there is no '" in complaint(capsys, "export", str(other), "--to", "csv")
+    assert "' is missing" in complaint(capsys, "export", str(other), "--to", "csv")
     assert not (tmp_path / "out").exists()

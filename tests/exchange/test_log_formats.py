@@ -453,7 +453,7 @@ def test_a_chunk_that_unpacks_to_more_than_the_limit_is_one_line(tmp_path, monke
     [
         (b"", "no rows"),
         (b"1 2 3\n", "has 7 columns or more; this has 3"),
-        (b"1 0 0 0 0 0 0\n2 0 0 zero 0 0 0\n", "row 2: '2 0 0 zero 0 0 0' holds no numbers"),
+        (b"1 0 0 0 0 0 0\n2 0 0 zero 0 0 0\n", "row 2: '2 0 0 zero 0 0 0' is not a row of numbers"),
         (b"1 0 0 0 0 0 0\n2 0 0 0\n", "row 2 has 4 columns, not 7"),
         (b"1 " * 5000, "row 1 is longer than 4096 characters"),
         (b"\xff\xfe\x00", "not a text file"),
@@ -501,7 +501,7 @@ def test_a_topic_that_is_not_there_or_not_alone_is_named(tmp_path, made):
     )
     ulog(tmp_path / "log.ulg", made)
     assert "no rows of vehicle_imu" in refused(tmp_path, "log.ulg", imu_more='topic = "vehicle_imu"')
-    assert "NaveGo has no structure of a barometer" in refused_baro(tmp_path)
+    assert "NaveGo has no structure for a barometer" in refused_baro(tmp_path)
 
 
 def refused_baro(folder):

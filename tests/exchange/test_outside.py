@@ -203,12 +203,13 @@ def test_a_program_that_fails_is_a_result_that_says_why(run, tmp_path):
     assert reason(write.format("")).startswith("failed: exit status 0: solution.csv: no columns for time")
     bad = "t_s,lat_deg,lon_deg,alt_m\n0,47,x,3\n"
     assert (
-        reason(write.format(bad)) == "failed: exit status 0: solution.csv: row 1: lon_deg = 'x' is no number"
+        reason(write.format(bad))
+        == "failed: exit status 0: solution.csv: row 1: lon_deg = 'x' is not a number"
     )
     radians = "t_s,lat_deg,lon_deg,alt_m\n0,0.82,0.19,1200\n"
     assert "row 1: 5078 km from the start of the run" in reason(write.format(radians))
     link = "import os, sys; os.symlink('/dev/zero', sys.argv[2])"
-    assert reason(link) == "failed: exit status 0: solution.csv: no file"
+    assert reason(link) == "failed: exit status 0: solution.csv: not a regular file"
 
 
 def test_a_program_that_does_not_end_is_stopped_with_all_it_started(run, tmp_path):
@@ -264,12 +265,12 @@ def test_a_solution_without_end_is_stopped(run, tmp_path, monkeypatch):
     [
         ("./none {sensors} {solution}", "no such file"),
         ("./data {sensors} {solution}", "not a program that can be run"),
-        ("nosuchprogram {sensors} {solution}", "no program 'nosuchprogram' on the PATH; one that is here"),
+        ("nosuchprogram {sensors} {solution}", "no program 'nosuchprogram' on the PATH; one in this folder"),
         ("awk {sensors}", "{solution} is missing"),
-        ("awk {sensors} {solution} {truth}", "{truth} is none of {sensors}, {solution}, {here}"),
-        ("awk {sensors.__class__} {solution}", "{sensors.__class__} is none of"),
+        ("awk {sensors} {solution} {truth}", "{truth} is not one of {sensors}, {solution}, {here}"),
+        ("awk {sensors.__class__} {solution}", "{sensors.__class__} is not one of"),
         ("awk 'a {sensors} {solution}", "No closing quotation"),
-        ("{sensors}/x {sensors} {solution}", "it must stand there itself"),
+        ("{sensors}/x {sensors} {solution}", "it must not come from a field"),
     ],
 )  # fmt: skip
 def test_a_wrong_command_is_refused_before_the_flight(tmp_path, command, said):

@@ -216,7 +216,7 @@ def test_bench_fixes(tmp_path, capsys):
     assert abs(lat - np.rad2deg(fixes.lla[0, 0])) > 5e-5
     assert main([*asked, str(gnss_file("brdc3050.12n"))]) == 2
     said = capsys.readouterr().err
-    assert "its ephemerides, 2012-10-31 to 2012-10-31, serve no satellite of" in said
+    assert "its ephemerides, 2012-10-31 to 2012-10-31, fit no satellite of" in said
     assert said.strip().count("\n") == 0
 
 
@@ -309,14 +309,14 @@ def first_lines(text, count):
 
 OBSERVATIONS = {
     "empty": ("", "file: is empty"),
-    "no rinex": ("lat,lon\n1,2\n", "line 1: 'RINEX VERSION / TYPE' must stand in columns 61-80"),
+    "no rinex": ("lat,lon\n1,2\n", "line 1: 'RINEX VERSION / TYPE' is not in columns 61-80"),
     "compact": (
         OBS_3.replace("RINEX VERSION / TYPE", "CRINEX VERS   / TYPE"),
         "line 1: Hatanaka compression",
     ),
     "version": (broken(OBS_3, 1, "3.05", "4.00"), "line 1: version 4 must be 2 or 3"),
     "kind": (NAV_2, "line 1: is a navigation file, not an observation file"),
-    "binary": (OBS_3[:200] + "\0" + OBS_3[200:], "holds a zero byte"),
+    "binary": (OBS_3[:200] + "\0" + OBS_3[200:], "has a zero byte"),
     "long": (OBS_3 + "G" * 5000, "line 16: is longer than 4096 characters"),
     "header": (first_lines(OBS_3, 5), "line 5: the file ends before END OF HEADER"),
     "types": (broken(OBS_3, 4, "G    4", "G    5"), "lists 4 of 5 observables"),
@@ -324,7 +324,7 @@ OBSERVATIONS = {
         broken(OBS_3, 4, "G    4", "G    3"),
         "line 4: lists 4 observables where 3 are announced",
     ),
-    "no epoch": (first_lines(OBS_3, 7), "file: holds no epoch"),
+    "no epoch": (first_lines(OBS_3, 7), "file: has no epoch"),
     "value": (
         broken(OBS_3, 9, "20947300.931", "2O947300.931"),
         "line 9: an observation must be a number; got '2O947300.931'",
@@ -333,8 +333,8 @@ OBSERVATIONS = {
     "cut": (first_lines(OBS_3, 10), "line 10: the file ends before satellite 3 of 3 of the epoch"),
     "too few": (broken(OBS_3, 8, "0  3", "0  4"), "line 12: the epoch above has 3 of 4 satellites"),
     "count": (broken(OBS_3, 8, "0  3", "0999"), "line 8: 999 satellites in one epoch are outside 0 to 200"),
-    "date": (broken(OBS_3, 8, "2020 06 25", "2020 06 35"), "line 8: 2020-6-35 is no date"),
-    "hour": (broken(OBS_3, 8, "25 00 00", "25 25 00"), "line 8: 25:0:0 is no time of day"),
+    "date": (broken(OBS_3, 8, "2020 06 25", "2020 06 35"), "line 8: 2020-6-35 is not a date"),
+    "hour": (broken(OBS_3, 8, "25 00 00", "25 25 00"), "line 8: 25:0:0 is not a time of day"),
     "back": (
         broken(OBS_3, 14, "00 01 00.0010000", "00 00 00.0000000"),
         "line 14: the epoch is 0 s after the one above it",
@@ -357,7 +357,7 @@ def test_a_broken_observation_file_gets_one_line(tmp_path, case):
 
 NAVIGATION = {
     "empty": ("", "file: is empty"),
-    "nothing": (first_lines(NAV_2, 2), "file: holds no GPS and no GLONASS ephemeris"),
+    "nothing": (first_lines(NAV_2, 2), "file: has no GPS or GLONASS ephemeris"),
     "cut": (first_lines(NAV_2, 7), "line 7: the record of G1 from line 3 ends after 5 of 8 lines"),
     "number": (
         broken(NAV_2, 5, "0.135910103563D-02", "0.13591O103563D-02"),
@@ -366,9 +366,9 @@ NAVIGATION = {
     "missing": (broken(NAV_2, 5, "0.135910103563D-02", "                  "), "line 5: e is missing"),
     "orbit": (
         broken(NAV_2, 5, "0.515370994186D+04", "0.715370994186D+04"),
-        "line 5: sqrt_a = 7153.71 is outside 4900 to 5400: no GPS orbit",
+        "line 5: sqrt_a = 7153.71 is outside 4900 to 5400: not a GPS orbit",
     ),
-    "date": (broken(NAV_2, 3, "12 10 31", "12 13 31"), "line 3: 2012-13-31 is no date"),
+    "date": (broken(NAV_2, 3, "12 10 31", "12 13 31"), "line 3: 2012-13-31 is not a date"),
     "satellite": (broken(NAV_2, 3, " 1 12", "99 12"), "line 3: satellite 99 is outside 1 to 63"),
     "glonass radius": (
         broken(NAV_R, 4, "-2.380982128906D+04", "-2.380982128906D+03"),
@@ -389,13 +389,13 @@ def test_a_broken_navigation_file_gets_one_line(tmp_path, case):
 
 
 ALMANACS = {
-    "empty": ("", "file: holds no almanac"),
+    "empty": ("", "file: has no almanac"),
     "cut": (first_lines(YUMA, 9), "line 9: the almanac from line 2 has 8 of 13 entries"),
     "next": (first_lines(YUMA, 9) + YUMA, "line 10: the almanac from line 2 has 8 of 13 entries"),
     "number": (broken(YUMA, 4, "0.1139", "O.1139"), "line 4: Eccentricity must be a number"),
     "value": (broken(YUMA, 4, "E-001", "E+001"), "line 4: Eccentricity = 1.13921"),
     "twice": (YUMA.replace("Health", "Eccentricity"), "line 4: gives 'Eccentricity' twice"),
-    "other": ("lat,lon\n", "line 1: 'lat,lon' is no entry of a YUMA almanac"),
+    "other": ("lat,lon\n", "line 1: 'lat,lon' is not an entry of a YUMA almanac"),
 }
 
 

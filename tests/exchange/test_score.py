@@ -204,7 +204,7 @@ def test_rows_that_are_no_numbers_are_not_covered(run, tmp_path, capsys):
     assert measured["output_coverage_all"] == pytest.approx(
         172 / 202
     )  # the hole of one row is 0.2 s: bridged
-    assert "31 of 201 rows left out: not a finite number in each column" in said
+    assert "31 of 201 rows left out: a value is not finite" in said
 
 
 def test_a_solution_of_another_time_has_no_metrics_and_says_why(run, tmp_path, capsys):
@@ -251,7 +251,7 @@ def test_the_solution_is_added_to_a_copy_of_the_run(run, tmp_path, capsys):
     assert main(["score", str(path), str(folder), "-o", str(out), "--label", "his"]) == 2
     assert "exists; --force" in capsys.readouterr().err
     assert main(["score", str(path), str(out), "--label", "his"]) == 2
-    assert "'his' is in" in capsys.readouterr().err
+    assert "has a solution 'his' already" in capsys.readouterr().err
 
 
 # --- what is wrong with a file ------------------------------------------------------------------------
@@ -267,20 +267,20 @@ FAR = "t_s,lat_deg,lon_deg,alt_m\n0,0.82,0.19,1200\n1,0.82,0.19,1200\n"
         ("", "no columns for time: t_s or time_s; there are none"),
         (GOOD, "no rows"),
         ("t_s,lat_deg\n0,47\n", "lat without lon, alt"),
-        ("t_s\n0\n", "no number for position, velocity or attitude in it"),
-        ("t_s,lat_m,lon_deg,alt_m\n0,1,2,3\n", "column 'lat_m' must be named by its unit: lat_deg"),
-        (GOOD + "0,47,11,1200\n1,forty,11,1200\n", "row 2: lat_deg = 'forty' is no number"),
+        ("t_s\n0\n", "it has no values of position, velocity or attitude"),
+        ("t_s,lat_m,lon_deg,alt_m\n0,1,2,3\n", "column 'lat_m' must end in its unit: lat_deg"),
+        (GOOD + "0,47,11,1200\n1,forty,11,1200\n", "row 2: lat_deg = 'forty' is not a number"),
         (GOOD + "0,47,11,1200\n1,47,11\n", "row 2: 3 columns, the header has 4"),
         (GOOD + "0,47,11,1200\n0,47,11,1200\n", "row 2: t_s = 0 does not come after 0"),
-        (GOOD + "0,47,11,1200\nnan,47,11,1200\n", "row 2: t_s is no finite number"),
+        (GOOD + "0,47,11,1200\nnan,47,11,1200\n", "row 2: t_s is not a finite number"),
         (GOOD + "0,47,11,1200\n1,97,11,1200\n", "row 2: lat_deg is 97 deg, beyond 90 deg"),
-        (GOOD + "0,nan,11,1200\n1,47,nan,1200\n", "row has a finite number in each of its columns"),
-        (FAR, "row 1: 5078 km from the start of the run: another flight, or a column in"),
+        (GOOD + "0,nan,11,1200\n1,47,nan,1200\n", "row has a finite number in every column"),
+        (FAR, "row 1: 5078 km from the start of the run: a solution of another flight, or"),
         ("t_s,q_nb_w,q_nb_x,q_nb_y,q_nb_z\n0,1,0,0,0\n1,1,1,0,0\n", "row 2: the quaternion has the norm"),
-        ("t_s,q_eb_w,q_eb_x,q_eb_y,q_eb_z\n0,1,0,0,0\n", "q_eb without a position has no north"),
+        ("t_s,q_eb_w,q_eb_x,q_eb_y,q_eb_z\n0,1,0,0,0\n", "q_eb needs a position column to find north"),
         ("t_s,ecef_x_km,ecef_y_km,ecef_z_km\n0,1,2,3\n", "row 1: ecef position is 3.74"),
         (SD.format("pos", "m") + "0,47,11,1200,1,-1,1\n", "row 1: a standard deviation sd_pos_*"),
-        (SD.format("vel", "mps") + "0,47,11,1200,1,1,1\n", "the accuracy of velocity without its values"),
+        (SD.format("vel", "mps") + "0,47,11,1200,1,1,1\n", "standard deviations or covariances of velocity"),
         (GOOD[:-1] + ",cov_pos_n_pos_n\n0,47,11,1200,1\n", "cov_pos_n_pos_n without cov_pos_e_pos_e"),
         ("t_s,lat_deg,lat_rad,lon_deg,alt_m\n0,1,2,3,4\n", "'lat_deg' and 'lat_rad' are the same quantity"),
     ],

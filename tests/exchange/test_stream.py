@@ -208,7 +208,7 @@ def test_a_client_that_leaves_is_said_in_one_line(run):
         (("--udp", "127.0.0.1"), "--udp 127.0.0.1: must be IP:PORT, for example 127.0.0.1:5600"),
         (("--udp", "127.0.0.1:0"), "must be IP:PORT"),
         (("--udp", "127.0.0.1:99999"), "must be IP:PORT"),
-        (("--udp", "example.org:5600"), "'example.org' is no IP address"),
+        (("--udp", "example.org:5600"), "'example.org' is not an IP address"),
         (("--udp", "192.0.2.1:5600"), "not this machine; --allow-remote lets the messages out"),
         (("--tcp", "0.0.0.0:5600"), "not this machine"),
         (("--tcp", "[::]:5600"), "not this machine"),

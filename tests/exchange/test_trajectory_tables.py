@@ -179,7 +179,7 @@ def set_row(name: str, row: int, value: float):
     ("change", "message"),
     [
         (set_row("t_s", 101, 4.0), r"bad.parquet: row 101: t_s = 4 does not come after 4.95"),
-        (set_row("lat_deg", 7, np.nan), r"bad.parquet: row 7: lat_deg is no finite number"),
+        (set_row("lat_deg", 7, np.nan), r"bad.parquet: row 7: lat_deg is not a finite number"),
         (set_row("lat_deg", 7, 95.0), r"bad.parquet: row 7: lat_deg = 95 is outside -90 to 90"),
         (set_row("q_nb_w", 9, 3.0), r"bad.parquet: row 9: the quaternion has the norm 3\.\d*, not 1"),
     ],
@@ -217,9 +217,9 @@ def kilometres_per_hour(table: dict[str, np.ndarray]) -> None:
     [
         (
             scale_rows(QUATERNION, 9, 1.001),
-            r"1 quaternions from row 9 on have a norm off 1, row 9 the most: 1.001",
+            r"1 quaternions from row 9 on have a norm other than 1, row 9 the worst: 1.001",
         ),
-        (without_rows, r"row 201: 2.05 s after the row before, usual are 0.05 s: filled by a spline"),
+        (without_rows, r"row 201: 2.05 s after the row before; the median is 0.05 s: filled by the spline"),
         (roll_over, r"row 301: the attitude jumps by 1[78]\d(.\d)? deg in 0.05 s"),
         (
             kilometres_per_hour,
@@ -255,15 +255,15 @@ def test_a_table_that_starts_later_is_shifted_and_says_so(tmp_path):
         ("", "no columns for time: t_s or time_s; there are none"),
         (
             "t_s,lat,lon,alt\n0,1,2,3\n",
-            "column 'lat' must be named by its unit: lat_deg or lat_rad or lat_mrad",
+            "column 'lat' must end in its unit: lat_deg or lat_rad or lat_mrad",
         ),
         (
             "t_s,lat_deg,lon_deg,alt_m\n0,1,2,3\n",
             "no columns for attitude: q_nb_w, q_nb_x,.*or roll_deg, pitch_deg",
         ),
         ("t_s,lat_deg,lat_rad,lon_deg,alt_m\n", "'lat_deg' and 'lat_rad' are the same quantity"),
-        ("t_s,lat_m,lon_deg,alt_m\n", "column 'lat_m' must be named by its unit"),
-        (f"{','.join((*GEODETIC, *EULER))}\n0,1,2,x,4,5,6\n", "row 1: alt_m = 'x' is no number"),
+        ("t_s,lat_m,lon_deg,alt_m\n", "column 'lat_m' must end in its unit"),
+        (f"{','.join((*GEODETIC, *EULER))}\n0,1,2,x,4,5,6\n", "row 1: alt_m = 'x' is not a number"),
         (f"{','.join((*GEODETIC, *EULER))}\n0,1,2\n", "row 1: 3 columns, the header has 7"),
         (f"{','.join((*GEODETIC, *EULER))}\n" + "0,1,2,3,4,5,6\n" * 3, "3 rows; at least 8 are needed"),
         ("\x00\x01\n", "no columns for time"),
@@ -297,7 +297,7 @@ def test_a_table_longer_than_any_flight_is_refused_before_it_fills_the_memory(tm
     with pytest.raises(ConfigError, match="more than 500 rows"):
         fly(path)
     monkeypatch.setattr(trajectory, "MOST_ROWS", 1000)
-    with pytest.raises(ConfigError, match=r"30 s at rate_hz = 200 Hz are 6000 samples; at most 1000"):
+    with pytest.raises(ConfigError, match=r"30 s at rate_hz = 200 Hz are 6000 samples, more than 1000"):
         fly(path)
 
 

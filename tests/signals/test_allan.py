@@ -307,7 +307,7 @@ GOOD = "".join(f"{k / 10},0.1,0.2,0.3\n" for k in range(40))
         ("a,b\n1,2\n", "line 1: no column 't_s'; the header is 'a, b'"),
         ("t_s,wx\n1,2\n", "line 1: no column 'gyro_x_rad_s' or 'accel_x_m_s2'"),
         ("t_s,gyro_x_rad_s,gyro_y_rad_s\n1,2,3\n", "line 1: no column 'gyro_z_rad_s'"),
-        (HEAD.replace("\n", ",gyro_x_deg_s\n"), "line 1: gyro is there in two units"),
+        (HEAD.replace("\n", ",gyro_x_deg_s\n"), "line 1: gyro is given in two units"),
         (HEAD + GOOD + "4.0,0.1,oops,0.3\n", "line 42: needs a number"),
         (HEAD + GOOD + "4.0,0.1\n", "line 42: needs a number"),
         (HEAD + GOOD + "4.0,0.1,nan,0.3\n", "line 42: a value is not finite"),
@@ -331,7 +331,7 @@ def test_a_wrong_log_is_one_line_with_its_place(here, text, message):
         (["allan", "stim30"], "Did you mean 'stim300'?"),
         (["allan", "--log", "nowhere.csv"], "nowhere.csv: no such file"),
         (["allan", "stim300", "-o", "picture.txt"], "must end in .png, .svg or .pdf"),
-        (["allan", "silent.toml"], "silent: it has no random error to measure"),
+        (["allan", "silent.toml"], "silent: has no random error to measure"),
     ],
 )
 def test_a_wrong_command_is_status_2(here, capsys, arguments, message):

@@ -521,14 +521,14 @@ ROW = b"0.%d,0,0,0,0,0,-9.8\n"
         ("imu.csv", HEADER + ROW % 1, "one row"),
         ("imu.csv", HEADER + ROW % 1 + b"0.2,0,zero,0,0,0,-9.8\n", "imu.csv: row 2: "),
         ("imu.csv", HEADER + ROW % 1 + b"0.2,0,0\n", "imu.csv: row 2: "),
-        ("imu.csv", HEADER + ROW % 1 + ROW % 1, "no row comes after"),
-        ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is no finite number"),
-        ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must be named by its unit"),
+        ("imu.csv", HEADER + ROW % 1 + ROW % 1, "its times never increase"),
+        ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is not a finite number"),
+        ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must end in its unit"),
         ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: cannot be read"),
         ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600\n2,91,11,600\n", "row 2: latitude 91 deg"),
         ("gnss.csv", b"t_s,lat_rad,lon_rad,alt_m\n1,47,11,600\n", "row 1: latitude"),
         ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600000\n", "row 1: height"),
-        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1e9,47,11,600\n", "must be on one clock"),
+        ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1e9,47,11,600\n", "both files must use one clock"),
         ("imu.toml", b"source = 1\n", "imu.toml"),
     ],
 )
@@ -556,7 +556,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
     mat.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
     assert "save it with -v7" in said()
     mat.write_bytes(b"hello")
-    assert "no MATLAB file" in said()
+    assert "not a MATLAB file" in said()
     columns = drives.imu_columns(drives.sensed()["imu"])
     savemat(mat, columns)
     whole = mat.read_bytes()

@@ -1,7 +1,7 @@
-"""A run in the formats that other tools read, each with a README for its reader.
+"""Export a run in the formats of other tools, each with a README that describes the files.
 
-A format is a module of this folder with ``FORMATS``, a line of words by name, and
-``write(folder, outgoing, name)``, which returns what the README says. Nothing else lists it.
+A format is a module of this folder with ``FORMATS`` (name -> title) and ``write(folder, outgoing, name)``,
+which returns the text of the README. It is listed nowhere else.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from bench.store import check_folder
 
 
 class Format(NamedTuple):
-    """A format that a run can be exported in."""
+    """A format in which a run can be exported."""
 
     title: str
-    write: Callable[[Path, ExportData, str], str]  # into a folder, by the name of the format -> its README
+    write: Callable[[Path, ExportData, str], str]  # (folder, data, name of the format) -> text of the README
 
 
-def _declared() -> Iterator[tuple[str, Format]]:
-    for found in pkgutil.iter_modules(__path__):
-        module = import_module(f"{__name__}.{found.name}")
+def _find_formats() -> Iterator[tuple[str, Format]]:
+    for entry in pkgutil.iter_modules(__path__):
+        module = import_module(f"{__name__}.{entry.name}")
         for name, title in getattr(module, "FORMATS", {}).items():
             yield name, Format(title, module.write)
 
 
-FORMATS: Mapping[str, Format] = dict(_declared())
-"""Every format by its name."""
+FORMATS: Mapping[str, Format] = dict(_find_formats())
+"""Name of a format -> the format."""
 
 README = "README.md"
 _TITLE = "Export of"
@@ -48,23 +48,23 @@ def check_export_folder(folder: Path, *, force: bool) -> None:
 
 
 def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
-    """Write a run into an existing, empty folder in one of `FORMATS`, with a README that says what is what.
+    """Write a run in one of `FORMATS` into an existing, empty folder, with a README that describes the files.
 
     Raises
     ------
     ExportError
-        If the format has no place for what was asked, or needs what is not there: one line.
+        If the format cannot hold what was requested, or needs data that the run does not have.
     OSError
         If the file cannot be written.
     """
-    said = FORMATS[kind].write(folder, outgoing, kind)
-    clock = f"Time t counts in s from the start of the run; where a date is needed, {outgoing.calendar}."
-    text = _fill_paragraphs(f"# {_TITLE} {name} to {kind}\n\n{said.strip()}\n\n{clock} {FRAMES}\n")
+    description = FORMATS[kind].write(folder, outgoing, kind)
+    clock = f"Time t is in seconds since the start of the run; where a date is needed, {outgoing.calendar}."
+    text = _fill_paragraphs(f"# {_TITLE} {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
 
 
 def _fill_paragraphs(text: str) -> str:
-    """Return Markdown with its paragraphs and points filled; headings, tables and code stay as they are."""
+    """Return Markdown with paragraphs and list items wrapped; headings, tables and code stay unchanged."""
     lines: list[str] = []
     open_text, code = False, False
     for line in text.splitlines():

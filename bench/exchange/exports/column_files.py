@@ -1,4 +1,4 @@
-"""CSV and Parquet: a file per table, the columns named by quantity, frame and unit."""
+"""CSV and Parquet: one file per table; column names give quantity, frame and unit."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ FORMATS = {
 START = "start.json"
 
 _WHAT = {
-    "imu": "what the IMU reports: increments over the interval of length dt_s that ends at t_s, not rates",
-    "gnss": "fixes of the GNSS antenna; t_s is their validity, t_arrival_s when they reach the filter",
-    "observations": "what the receiver measures of each satellite, a row per satellite and epoch",
+    "imu": "output of the IMU: increments (not rates) over the interval of length dt_s that ends at t_s",
+    "gnss": "fixes of the GNSS antenna; t_s: time of validity, t_arrival_s: arrival at the filter",
+    "observations": "measurements of the receiver, one row per satellite and epoch",
     **{name: row.contents for name, row in INSTRUMENTS.items()},
     "truth": "the true motion of the IMU",
 }
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write a file for each table and ``start.json``; return what the README says of them."""
+    """Write one file per table, and ``start.json``; return their description for the README."""
     tables = out.tables()
     for name, (record, layout) in tables.items():
         if kind == "csv":
@@ -42,18 +42,24 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
 _START = f"""
 ## {START}
 
-What an estimator is told beside the measurements, in SI and radians. `initial`: time, position, velocity and
+What an estimator gets besides the measurements, in SI and radians. `initial`: time, position, velocity and
 attitude of the IMU at the start, and `cov`, the covariance (9 x 9) of their errors: position north, east,
 down [m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the
-GNSS antenna from the IMU. `ground_alt_m`: the runway, above the ellipsoid. `assumed`: the datasheets of the
-units: random walks per sqrt(s), biases per s, times in s. `date`: when it was flown, as a decimal year.
+GNSS antenna relative to the IMU. `ground_alt_m`: ellipsoidal height of the runway. `assumed`: the datasheets
+of the sensors: random walks per sqrt(s), biases per s, times in s. `date`: date of the flight as a decimal
+year.
 """
 
 
 def describe_table(name: str, layout: Layout, title: str) -> str:
     """Return the columns of a table with their units and frames, as Markdown."""
-    what = _WHAT.get(name, "the solution of an estimator, with the covariance it claims")
-    lines = [f"## {title}\n", f"{what[0].upper()}{what[1:]}.\n", "| column | unit | frame |", "|---|---|---|"]
+    content = _WHAT.get(name, "the solution of an estimator, with the covariance it claims")
+    lines = [
+        f"## {title}\n",
+        f"{content[0].upper()}{content[1:]}.\n",
+        "| column | unit | frame |",
+        "|---|---|---|",
+    ]
     for columns in layout.values():
         names, units = columns.names, columns.units
         if len(names) > 9:

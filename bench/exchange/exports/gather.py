@@ -1,4 +1,4 @@
-"""A results folder -> what of it goes out."""
+"""Read the part of a results folder that is exported."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ TRUTH, SOLUTION = "truth", "solution:"
 
 
 def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
-    """Read the sensors of a results folder and the tracks asked for by name.
+    """Read the sensors of a results folder, and tracks by name.
 
     Parameters
     ----------
     folder : Path
-        What ``bench run`` wrote.
+        A results folder.
     wanted : sequence of str
-        ``truth``, ``solution:NAME``.
+        Tracks to export: ``truth``, ``solution:NAME``.
 
     Raises
     ------
     ExportError
-        If it is no results folder, is damaged, or has no such track: one line.
+        If the folder is not a results folder, is damaged, or has no such track.
     """
     if not (folder / store.RESULT).is_file():
         raise ExportError(
@@ -58,13 +58,13 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
             run.calendar,
             run.assumed("gyro"),
             run.assumed("accel"),
-        )  # they are there
+        )  # read now, so that damage is reported here
     return run
 
 
 @contextmanager
 def report_damage(folder: Path) -> Iterator[None]:
-    """Turn what a damaged results folder raises into an ExportError of one line."""
+    """Convert the exceptions of reading a damaged results folder to an ExportError of one line."""
     try:
         yield
     except ExportError:
@@ -73,10 +73,10 @@ def report_damage(folder: Path) -> Iterator[None]:
         missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
         what = missing[-1] if missing else "file"
         if what == store.TRUTH:
-            raise ExportError(f"{folder}: has no truth, being that of a log") from None
+            raise ExportError(f"{folder}: has no truth, because it comes from a log") from None
         raise ExportError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
     except parquet.DAMAGED as error:
-        said = " ".join(str(error).split())[:200]
+        reason = " ".join(str(error).split())[:200]
         if isinstance(error, KeyError):
-            said = f"there is no {said} in it"
-        raise ExportError(f"{folder}: cannot be read: {said or type(error).__name__}") from None
+            reason = f"{reason} is missing"
+        raise ExportError(f"{folder}: cannot be read: {reason or type(error).__name__}") from None

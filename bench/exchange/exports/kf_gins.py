@@ -1,4 +1,4 @@
-"""KF-GINS and OB_GINS: text files of increments and fixes, and the configuration that goes with them.
+"""KF-GINS and OB_GINS: text files of increments and fixes, and the configuration file.
 
 Columns and units: README.md, section 2.2, and src/fileio/*.h of github.com/i2Nav-WHU/KF-GINS; keys and
 units of the configuration: dataset/kf-gins.yaml there.
@@ -21,11 +21,11 @@ FORMATS = {"kf-gins": "text for KF-GINS and OB_GINS, and a kf-gins.yaml"}
 IMU, GNSS, CONFIGURATION = "imu.txt", "gnss.txt", "kf-gins.yaml"
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
 _MGAL = 1e5  # m/s^2 to mGal
-_LONGEST = 1.0  # correlation time where the datasheet has none; a time of 0 would be a division by 0 [h]
+_DEFAULT_CORRELATION = 1.0  # if the datasheet has none; 0 would be a division by 0 [h]
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write the text files and the configuration; return what the README says of them."""
+    """Write the text files and the configuration; return their description for the README."""
     imu, rows, calendar = out.imu, out.select_fixes(), out.calendar
     fixes = out.fixes
     assert fixes is not None  # there are rows
@@ -44,30 +44,26 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     (folder / CONFIGURATION).write_text(_make_configuration(out), encoding="utf-8")
     left_out = len(fixes) - len(rows)
     navs = "".join(f"- `{name}.nav`: GNSS week, {_NAV}.\n" for name in out.tracks)
-    return f"""For KF-GINS (and OB_GINS): text, columns with a space between, times in GPS seconds of week.
+    return f"""For KF-GINS and OB_GINS: text, columns separated by a space, times in GPS seconds of week.
 
 - `{IMU}`, {len(imu)} rows at {out.rate:g} Hz: second of week [s]; increments of angle forward, right, down
-  [rad]; increments of velocity [m/s]. A row ends at its time.
+  [rad]; increments of velocity [m/s]. Each interval ends at the time of its row.
 - `{GNSS}`, {len(rows)} rows: second of week [s]; latitude, longitude [deg], height [m] of the antenna;
-  standard
-  deviations north, east, down [m], as the receiver claims them. {left_out} rows of the run that the receiver
-  calls invalid are left out. The format has no place for velocity and latency.
-{navs}- `{CONFIGURATION}`: run `KF-GINS {CONFIGURATION}` in this folder; its results appear here. The
-  initial state is
-  what the filters of the bench are told, brought to the first row. IMU noise is the assumed datasheet:
-  `gbstd`,
-  `abstd` the standard deviation of the bias process, `initbgstd`, `initbastd` that and the turn-on bias,
-  `corrtime` that of the gyros.
+  standard deviations north, east, down [m], as the receiver reports them. {left_out} rows that the receiver
+  marks as invalid are left out. The format has no columns for velocity and latency.
+{navs}- `{CONFIGURATION}`: run `KF-GINS {CONFIGURATION}` in this folder; its results appear here. The initial
+  state is that of the filters of the bench, propagated to the first row. IMU noise is from the assumed
+  datasheet: `gbstd`, `abstd` are the standard deviations of the bias process; `initbgstd`, `initbastd` also
+  include the turn-on bias; `corrtime` is that of the gyros.
 
-`KF_GINS_Navresult.nav` is scored by `bench score` once its columns have names: `t_s, lat_deg, lon_deg, alt_m,
+`bench score` reads `KF_GINS_Navresult.nav` once its columns have names: `t_s, lat_deg, lon_deg, alt_m,
 vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, pitch_deg, yaw_deg` from its second on, with
 `--t0 {calendar.second:.9g}`."""
 
 
 _NAV = (
     "second of week [s]; latitude, longitude [deg], height [m]; velocity north, east, down [m/s]; "
-    "roll, pitch, "
-    "yaw [deg]; of the IMU"
+    "roll, pitch, yaw [deg]; of the IMU"
 )
 
 
@@ -77,7 +73,7 @@ def _make_configuration(out: ExportData) -> str:
     process = {
         name: figures["bias_instability"] / GAUSS_MARKOV_PEAK for name, figures in (("g", gyro), ("a", accel))
     }
-    hours = gyro["bias_correlation"] / 3600.0 or _LONGEST
+    hours = gyro["bias_correlation"] / 3600.0 or _DEFAULT_CORRELATION
     values: dict[str, Any] = {
         "initpos": [*np.rad2deg(lla[:2]), lla[2]],
         "initvel": vel_n,

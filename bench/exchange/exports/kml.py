@@ -1,4 +1,4 @@
-"""KML 2.2 with Google's track extension: the fixes, and the tracks asked for, on a globe."""
+"""KML 2.2 with Google's track extension: the fixes and the requested tracks, for a virtual globe."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 FORMATS = {"kml": "the fixes on a globe"}
 FILE = "tracks.kml"
 _KML, _GX = "http://www.opengis.net/kml/2.2", "http://www.google.com/kml/ext/2.2"
-_TRACK_RATE = 10.0  # points of a track in a second, at most [Hz]
+_TRACK_RATE = 10.0  # largest rate of the points of a track [Hz]
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write ``tracks.kml``; return what the README says of it."""
+    """Write ``tracks.kml``; return its description for the README."""
     Xml.register_namespace("", _KML)
     Xml.register_namespace("gx", _GX)
     root = Xml.Element(f"{{{_KML}}}kml")
     document = Xml.SubElement(root, f"{{{_KML}}}Document")
-    said = []
+    items = []
     if out.fixes is not None:
         rows = out.select_fixes()
         _add_track(document, out.calendar, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
-        said.append(f"- GNSS fixes: the {len(rows)} that the receiver calls valid, of its antenna")
+        items.append(f"- GNSS fixes: the {len(rows)} of its antenna that the receiver marks as valid")
     for name, track in out.tracks.items():
         kept = thin(track.t, _TRACK_RATE)
         kept = kept[np.isfinite(track.lla[kept]).all(axis=1)]
         _add_track(document, out.calendar, name, track.t[kept], track.lla[kept])
-        said.append(f"- {name}: {len(kept)} points of the IMU, {_TRACK_RATE:g} a second at most")
-    if not said:
+        items.append(f"- {name}: {len(kept)} points of the IMU, at most {_TRACK_RATE:g} per second")
+    if not items:
         from bench.errors import ExportError
 
-        raise ExportError("the run has no GNSS receiver; ask for --with truth or --with solution:NAME")
+        raise ExportError("the run has no GNSS receiver; add --with truth or --with solution:NAME")
     text = Xml.tostring(root, encoding="unicode")
     text = re.sub(r"(<(?:when|gx:coord|Placemark|Document|gx:Track)>)", r"\n\1", text)
     (folder / FILE).write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
-    listed = "\n".join(said)
+    tracks = "\n".join(items)
     return f"""`{FILE}`: a gx:Track for each of
 
-{listed}
+{tracks}
 
-Coordinates are longitude, latitude [deg], height [m]; `when` is UTC. A globe takes the height for one above
-sea level; these are above the ellipsoid, off by the height of the geoid, up to 100 m."""
+Coordinates are longitude, latitude [deg], height [m]; `when` is UTC. Heights are above the ellipsoid. A globe
+takes them as above sea level, so they are off by the height of the geoid, up to 100 m."""
 
 
 def _add_track(document: Xml.Element, calendar: Calendar, name: str, t: FloatArray, lla: FloatArray) -> None:

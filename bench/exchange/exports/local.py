@@ -1,4 +1,4 @@
-"""Poses as robots have them: east, north, up of a fixed place; body forward, left, up (ROS REP 103)."""
+"""Poses in the frames of ROS REP 103: local frame east, north, up; body frame forward, left, up."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 
-_ENU_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # swaps x and y, turns z over; its own inverse
+_ENU_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # swaps x and y, reverses z; its own inverse
 _FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x
 
 
 def to_enu(v_n: FloatArray) -> FloatArray:
-    """Return vectors (..., 3) in north, east, down as east, north, up."""
+    """Convert vectors (..., 3) from north, east, down to east, north, up."""
     return v_n[..., [1, 0, 2]] * [1.0, 1.0, -1.0]
 
 
 def to_flu(v_b: FloatArray) -> FloatArray:
-    """Return vectors (..., 3) in forward, right, down as forward, left, up."""
-    turned: FloatArray = v_b * [1.0, -1.0, -1.0]
-    return turned
+    """Convert vectors (..., 3) from forward, right, down to forward, left, up."""
+    v_flu: FloatArray = v_b * [1.0, -1.0, -1.0]
+    return v_flu
 
 
 def to_poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return position (N, 3) [m] and attitude (N, 4), scalar first, in the rigid local frame at an origin.
+    """Return positions (N, 3) [m] and attitudes (N, 4), scalar first, in the tangent frame at an origin.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def to_poses(lla: FloatArray, q_nb: FloatArray, origin: FloatArray) -> tuple[Flo
     q_nb : (N, 4) array
         From forward, right, down to north, east, down at each position.
     origin : (3,) array
-        Latitude, longitude [rad], height [m] of the place whose east, north, up are the axes.
+        Latitude, longitude [rad], height [m] of the origin; the axes are east, north, up there.
     """
     position = to_enu(earth.local_ned(lla, origin))
     q_oe = rotation.conjugate(rotation.from_matrix(earth.matrix_en(origin[0], origin[1])))

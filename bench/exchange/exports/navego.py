@@ -1,4 +1,4 @@
-"""NaveGo: its structures imu, gnss and ref in one MATLAB file.
+"""NaveGo: the structures imu, gnss and ref in one MATLAB file.
 
 Fields and units: ins-gnss/ins_gnss.m and conversions/imu_si_errors.m of github.com/rodralez/NaveGo.
 """
@@ -19,7 +19,7 @@ FILE = "navego.mat"
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write ``navego.mat``; return what the README says of it."""
+    """Write ``navego.mat``; return its description for the README."""
     from scipy.io import savemat
 
     rows = out.select_fixes()
@@ -37,18 +37,16 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     nav_e = ins_gnss(imu, gnss, 'quaternion');
 
 - `imu`, {len(out.imu)} rows at {out.rate:g} Hz: t [s]; wb [rad/s] and fb [m/s^2], the mean rate and specific
-  force of the interval that ends at t, forward, right, down; the noise figures of the assumed datasheet in
-  SI, as
-  imu_si_errors.m names them; gb_sta, ab_sta are zero: a real unit's turn-on bias is not known. ini_align:
-  roll, pitch, yaw [rad] at the first row, as the filters of the bench are told; ini_align_err its standard
-  deviation.
+  force over the interval that ends at t, forward, right, down; the noise figures of the assumed datasheet in
+  SI, named as in imu_si_errors.m; gb_sta, ab_sta are zero, because the turn-on bias of a real unit is not
+  known. ini_align: roll, pitch, yaw [rad] at the first row, as the filters of the bench get them;
+  ini_align_err: their standard deviations.
 - `gnss`, {len(rows)} rows: t [s]; lat, lon [rad], h [m], vel [m/s] north, east, down, of the antenna; stdm,
-  stdv:
-  the medians of what the receiver claims, since NaveGo takes one value per axis; larm [m]. zupt_th is 0: no
-  zero-velocity update. {len(out.fixes) - len(rows)} rows that the receiver calls invalid are left out.
+  stdv: the medians of the standard deviations that the receiver reports, since NaveGo takes one value per
+  axis; larm [m]. zupt_th is 0: no zero-velocity update. {len(out.fixes) - len(rows)} rows that the receiver
+  marks as invalid are left out.
 {listed}
-NaveGo starts from the first fix, its velocity included, not from the start that the filters of the bench
-get."""
+NaveGo starts at the first fix with its velocity, not at the initial state of the filters of the bench."""
 
 
 _REF = "t [s]; lat, lon [rad], h [m], vel [m/s] north, east, down; roll, pitch, yaw [rad]; of the IMU"
@@ -97,7 +95,7 @@ def _make_gnss(out: ExportData, rows: Any) -> dict[str, Any]:
         "freq": 1.0 / float(np.median(np.diff(t))) if len(t) > 1 else 1.0,
         "zupt_th": 0.0,
         "zupt_win": 1.0,
-        "eps": 0.5 / out.rate,  # half an interval: a fix meets one row of the IMU
+        "eps": 0.5 / out.rate,  # half an interval: each fix matches one row of the IMU
     }
 
 

@@ -1,4 +1,4 @@
-"""NMEA 0183: GGA and RMC of each fix, with their checksum.
+"""NMEA 0183: GGA and RMC sentences of each fix, with checksums.
 
 Fields: NMEA 0183 as GPS receivers print it, version 2.3 on (RMC with its mode indicator).
 """
@@ -17,20 +17,20 @@ from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 FORMATS = {"nmea": "GGA and RMC sentences of the fixes"}
 _KNOT = 1852.0 / 3600.0  # [m/s]
-_TRACK_RATE = 10.0  # of a track's sentences [Hz]
+_TRACK_RATE = 10.0  # largest rate of the sentences of a track [Hz]
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write the sentences of the fixes, and of the tracks asked for; return what the README says of them."""
+    """Write the sentences of the fixes and the requested tracks; return their description for the README."""
     out.select_fixes()
     fixes = out.fixes
     assert fixes is not None  # there are rows
     with (folder / "gnss.nmea").open("w", encoding="ascii", newline="") as file:
         for k in range(len(fixes)):
             file.writelines(make_fix_sentences(out.calendar, fixes, k))
-    said = [
-        f"- `gnss.nmea`, {len(fixes)} epochs: GGA, then RMC, of every fix at its validity; void where "
-        f"invalid."
+    files = [
+        f"- `gnss.nmea`, {len(fixes)} epochs: GGA, then RMC, of every fix at its time of "
+        "validity; void if invalid."
     ]
     for name, track in out.tracks.items():
         rows = thin(track.t, _TRACK_RATE)
@@ -40,19 +40,17 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
                 file.writelines(
                     make_sentences(out.calendar, track.t[k], track.lla[k], track.vel_n[k], -1, valid=valid)
                 )
-        said.append(f"- `{name}.nmea`: the same of the IMU, {_TRACK_RATE:g} epochs a second at most.")
+        files.append(f"- `{name}.nmea`: the same for the IMU, at most {_TRACK_RATE:g} epochs per second.")
     return "\n".join(
         [
-            "NMEA 0183, a sentence per line with checksum: GGA (position, quality, satellites, "
-            "height) and RMC "
-            "(position, ground speed, track, date).\n",
-            *said,
+            "NMEA 0183, one sentence per line with checksum: GGA (position, quality, satellites, height) "
+            "and RMC (position, ground speed, track, date).\n",
+            *files,
             "",
-            "Height in GGA is above the ellipsoid, with a geoidal separation of 0: their sum is what "
-            "a receiver "
-            "would give. HDOP is left empty, vertical speed and standard deviations have no place in these "
-            "sentences. Quality is 1 (autonomous) where valid. Digits: 1 ms, 0.2 mm, 1 mm, 0.5 mm/s, "
-            "0.001 deg.",
+            "Height in GGA is above the ellipsoid, with a geoidal separation of 0; the sum of both is the "
+            "same as from a receiver. HDOP is empty. These sentences have no fields for vertical speed and "
+            "standard deviations. Quality is 1 (autonomous) if valid. Digits: time 1 ms, position 0.2 mm, "
+            "height 1 mm, speed 0.5 mm/s, track 0.001 deg.",
         ]
     )
 
@@ -74,9 +72,9 @@ def make_sentences(
     *,
     valid: bool,
 ) -> Iterator[str]:
-    """Yield the GGA and the RMC sentence of an instant t [s], lla [rad, rad, m], vel_n [m/s].
+    """Yield the GGA and the RMC sentence at time t [s], for lla [rad, rad, m] and vel_n [m/s].
 
-    A number of satellites below 0 is not known, and left empty.
+    A negative number of satellites means not known; the field is left empty.
     """
     when = calendar.at(t)
     clock, day = f"{when:%H%M%S}.{when.microsecond // 1000:03d}", f"{when:%d%m%y}"
@@ -95,7 +93,7 @@ def make_sentences(
 
 
 def make_sentence(body: str) -> str:
-    """Return a sentence: its start, the exclusive or of its characters in hexadecimal, and its line end.
+    """Return a sentence with its start, its checksum (exclusive or of the characters) and its line end.
 
     Examples
     --------
@@ -113,7 +111,7 @@ def _format_count(satellites: int) -> str:
 
 
 def _format_angle(angle: float, digits: int) -> str:
-    """Return the size of an angle [rad] in degrees and minutes, 1e-7 of a minute, as ddmm.mmmmmmm."""
+    """Return the absolute value of an angle [rad] as ddmm.mmmmmmm: degrees, minutes to 1e-7."""
     ten_millionths = round(abs(math.degrees(angle)) * 60e7)
     degrees, rest = divmod(ten_millionths, 60 * 10**7)
     minutes, decimals = divmod(rest, 10**7)

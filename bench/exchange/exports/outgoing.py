@@ -1,4 +1,4 @@
-"""What of a run goes out: the sensors, what the estimators were told, and the tracks asked for by name."""
+"""The exported data of a run: sensors, initial state and datasheets of the estimators, requested tracks."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ Track = Trajectory | NavSolution
 
 @dataclass(frozen=True, slots=True)
 class Calendar:
-    """When t = 0 is."""
+    """The date and time of t = 0."""
 
     week: int  # GPS week
     second: float  # of that week, GPS time [s]
     utc: datetime  # without time zone
 
     def at(self, t: float) -> datetime:
-        """Return the instant t [s] in UTC, to the millisecond."""
+        """Return time t [s] as UTC, rounded to the millisecond."""
         return self.utc + timedelta(milliseconds=round(1e3 * float(t)))
 
     def nanoseconds(self, t: float) -> int:
-        """Return the instant t [s] as nanoseconds since 1970-01-01 00:00:00 UTC."""
+        """Return time t [s] as nanoseconds since 1970-01-01 00:00:00 UTC."""
         whole = round((self.utc - datetime(1970, 1, 1)) / timedelta(microseconds=1))
         return whole * 1000 + round(float(t) * 1e9)
 
@@ -54,7 +54,7 @@ class Calendar:
 
 @dataclass(frozen=True, slots=True)
 class ExportData:
-    """What of a run goes out."""
+    """The exported data of a run."""
 
     imu: ImuData
     fixes: GnssFixes | None
@@ -65,7 +65,7 @@ class ExportData:
 
     @property
     def calendar(self) -> Calendar:
-        """When t = 0 is: the start of the flight's day in UTC, or what its receiver with a sky says."""
+        """Time of t = 0: from the observations of the receiver, else the start of the flight's day in UTC."""
         year = int(self.start["date"])
         days = (date(year + 1, 1, 1) - date(year, 1, 1)).days
         day = date(year, 1, 1) + timedelta(days=round((self.start["date"] - year) * days))
@@ -86,12 +86,12 @@ class ExportData:
         return self.imu.dtheta_b / dt, self.imu.dvel_b / dt
 
     def select_fixes(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """Return the rows of the fixes that the receiver calls valid and that are numbers.
+        """Return the rows of the fixes that are finite and marked as valid by the receiver.
 
         Raises
         ------
         ExportError
-            If there is none.
+            If there is no such fix.
         """
         if self.fixes is None:
             raise ExportError("the run has no GNSS receiver, which this format needs")
@@ -102,7 +102,7 @@ class ExportData:
         return rows
 
     def tables(self) -> dict[str, tuple[object, Layout]]:
-        """Return every record by the name of its table, with its columns."""
+        """Return every record and its columns, by the name of its table."""
         sensors = {"imu": self.imu, "gnss": self.fixes, "observations": self.observations, **self.instruments}
         found = {name: flatten(record) for name, record in sensors.items() if record is not None}
         for name, track in self.tracks.items():
@@ -110,33 +110,35 @@ class ExportData:
         return found
 
     def assumed(self, triad: str) -> Mapping[str, Any]:
-        """Return what filters are told of "gyro" or "accel", as in `bench.specs.TriadSpec`."""
+        """Return the figures of "gyro" or "accel" that the filters assume, as in `bench.specs.TriadSpec`."""
         figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
         return figures
 
     def complete_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and the sd (9,) of a start.
+        """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and their sd (9,) at the start.
 
         Raises
         ------
         ExportError
-            If the filters are not told it as a whole, but have to align.
+            If the initial state is not complete because the filters have to align.
         """
-        told = read_initial_state(self.start)
-        found = (told.lla, told.vel_n, told.q_nb, np.sqrt(np.diag(told.cov)))
-        if not all(np.isfinite(value).all() for value in found):
-            raise ExportError(f"this format needs a whole start; the run has alignment = {told.alignment!r}")
-        return found
+        initial = read_initial_state(self.start)
+        values = (initial.lla, initial.vel_n, initial.q_nb, np.sqrt(np.diag(initial.cov)))
+        if not all(np.isfinite(value).all() for value in values):
+            raise ExportError(
+                f"this format needs a complete initial state; the run has alignment = {initial.alignment!r}"
+            )
+        return values
 
     def start_at_first_row(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return what `complete_start` does, brought to the end of the first IMU interval.
+        """Return the values of `complete_start`, propagated to the end of the first IMU interval.
 
-        For tools whose first row is the start, not the end of an interval: one step of the increments.
+        For tools that take the first row as the start, not as the end of an interval.
 
         Raises
         ------
         ExportError
-            If the start is not known as a whole.
+            If the initial state is not complete.
         """
         from bench import earth, rotation
 
@@ -149,6 +151,6 @@ class ExportData:
 
 
 def thin(t: FloatArray, rate: float) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Return the first and every n-th row, so that about ``rate`` [Hz] of them come in a second."""
+    """Return the indices of every n-th row, so that about ``rate`` [Hz] are left."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
     return np.arange(0, len(t), max(1, round(1.0 / (rate * step))))

@@ -1,4 +1,4 @@
-"""python-ins: its DataFrames as Parquet files, indexed by time.
+"""python-ins: DataFrames indexed by time, as Parquet files.
 
 Names and units: pyins.util (GYRO_COLS, ACCEL_COLS, LLA_COLS, VEL_COLS, RPH_COLS) and
 pyins.strapdown.compute_increments_from_imu of python-ins 1.0: angles of position and attitude in degrees.
@@ -23,7 +23,7 @@ _IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write the frames; return what the README says of them."""
+    """Write the DataFrames; return their description for the README."""
     rows = out.select_fixes()
     assert out.fixes is not None  # there are rows
     fixes = out.fixes
@@ -46,8 +46,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     speed = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_vel_n[rows]), axis=0))
     arm = ", ".join(f"{value:.6g}" for value in out.start["antenna_b_m"])
     tracks = "".join(
-        f"- `{name}.parquet`: lat, lon [deg], alt [m], VN, VE, VD [m/s], roll, pitch, heading [deg], "
-        f"of the IMU.\n"
+        f"- `{name}.parquet`: lat, lon [deg], alt [m], VN, VE, VD [m/s], roll, pitch, heading [deg] "
+        "of the IMU.\n"
         for name in out.tracks
     )
     return f"""For python-ins (pyins):
@@ -70,16 +70,15 @@ result = filters.run_feedback_filter(
 
 - `imu.parquet`, {len(out.imu)} rows at {out.rate:g} Hz after a first one at the start: gyro_x ... [rad],
   accel_x ... [m/s], increments over the interval that ends at the index, forward, right, down. The first row
-  repeats the second: python-ins takes it for the sample before the start.
-- `position.parquet`, {len(rows)} rows: lat, lon [deg], alt [m] of the antenna. `velocity.parquet`: VN, VE,
-  VD [m/s].
-  {len(fixes) - len(rows)} rows that the receiver calls invalid are left out.
-- `initial.parquet`: one row, what the filters of the bench are told.
+  repeats the second: python-ins uses it as the sample before the start.
+- `position.parquet`, {len(rows)} rows: lat, lon [deg], alt [m] of the antenna. `velocity.parquet`: VN, VE, VD
+  [m/s]. {len(fixes) - len(rows)} rows that the receiver marks as invalid are left out.
+- `initial.parquet`: one row, the initial state of the filters of the bench.
 {tracks}"""
 
 
 def _format_model(out: ExportData, triad: str) -> str:
-    """Return the assumed datasheet as the call that makes python-ins' model of it, in SI."""
+    """Return the Python call that builds the sensor model of python-ins from the assumed datasheet, in SI."""
     figures = out.assumed(triad)
     from bench.specs import GAUSS_MARKOV_PEAK
 

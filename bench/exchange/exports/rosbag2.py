@@ -1,4 +1,4 @@
-"""A ROS 2 bag, written with rosbags: standard messages in the axes of REP 103."""
+"""A ROS 2 bag, written with rosbags: standard messages in the frames of REP 103."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write the bag; return what the README says of it."""
+    """Write the bag; return its description for the README."""
     if find_spec("rosbags") is None:
         raise ExportError("rosbag2 needs the package rosbags: pip install 'ins-gnss-bench[logs]'")
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -43,45 +43,45 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
             for t, message in rows:
                 bag.write(connection, calendar.nanoseconds(t), types.serialize_cdr(message, kind_of))
     listed = "\n".join(
-        f"- `{topic}`: {kind_of}{_SAID.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
+        f"- `{topic}`: {kind_of}{_CONTENTS.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
     )
     lla = _find_origin(out)
     lat, lon = np.rad2deg(lla[:2])
-    return f"""`ros2 bag play {FOLDER}`; messages of ROS 2 Humble in SQLite, stamped with their validity in
-  UTC.
+    return f"""`ros2 bag play {FOLDER}`; messages of ROS 2 Humble in SQLite, stamped with their time of
+validity in UTC.
 
 {listed}
 
-Frames of REP 103: body `imu_link` forward, left, up; `enu` and `map` east, north, up, `map` rigid at latitude
-{lat:.9f} deg, longitude {lon:.9f} deg, height {lla[2]:.3f} m. Here and nowhere else the axes are not those
-below."""
+Frames of REP 103: body `imu_link` forward, left, up; `enu` and `map` east, north, up; `map` is the tangent
+frame at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height {lla[2]:.3f} m. The axes in the bag are
+these, not those below."""
 
 
-_SAID = {
-    "/imu/data_raw": ": mean angular rate [rad/s] and specific force [m/s^2] of the interval that ends at "
-    "the stamp; no orientation (covariance -1)",
+_CONTENTS = {
+    "/imu/data_raw": ": mean angular rate [rad/s] and specific force [m/s^2] over the interval that "
+    "ends at the stamp; no orientation (covariance -1)",
     "/gnss/fix": ": of the antenna, latitude, longitude [deg], height [m], covariance east, north, up [m^2]; "
-    "status -1 where the receiver calls it invalid",
+    "status -1 if the receiver marks it as invalid",
     "/gnss/vel": ": of the antenna in `enu`, linear [m/s] with its covariance",
-    "/baro/pressure": ": [Pa], of the altitude the barometer reports, by the standard atmosphere (ISO 2533)",
+    "/baro/pressure": ": [Pa], from the altitude of the barometer, by the standard atmosphere (ISO 2533)",
 }
 _TRACK = ": pose of the IMU in `map`, velocity in `imu_link`"
 
 
 def _find_origin(out: ExportData) -> FloatArray:
-    """Return where `map` is (3,): at the start the filters are told, or at the first fix."""
-    told = out.start["initial"]
-    places = [np.array([told["lat_rad"], told["lon_rad"], told["alt_m"]], float)]  # NaN when not told
+    """Return the origin (3,) of `map` [rad, rad, m]: the filters' initial position, or the first fix."""
+    initial = out.start["initial"]
+    places = [np.array([initial["lat_rad"], initial["lon_rad"], initial["alt_m"]], float)]  # NaN if not known
     if out.fixes is not None:
         places += list(out.fixes.lla[out.fixes.valid])
-    found = next((place for place in places if np.isfinite(place).all()), None)
-    if found is None:
-        raise ExportError("the run has neither a start nor a fix, of which this format needs one")
-    return found
+    origin = next((place for place in places if np.isfinite(place).all()), None)
+    if origin is None:
+        raise ExportError("the run has neither an initial position nor a fix, of which this format needs one")
+    return origin
 
 
 class _Messages:
-    """Makes the messages of each topic, one after the other."""
+    """Generators of the messages of each topic: time [s] and message."""
 
     def __init__(self, types: Any, calendar: Calendar) -> None:
         self._types, self._calendar = types, calendar

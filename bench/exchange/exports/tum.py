@@ -1,4 +1,4 @@
-"""TUM poses, as evo and the tools of the TUM RGB-D benchmark read them: t x y z qx qy qz qw."""
+"""TUM poses (t x y z qx qy qz qw), for evo and the tools of the TUM RGB-D benchmark."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ FORMATS = {"tum": "poses for evo and the TUM tools: --with truth or --with solut
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
-    """Write a file for each track; return what the README says of them."""
+    """Write one file per track; return their description for the README."""
     if not out.tracks:
-        raise ExportError("tum holds poses, no sensors: ask for --with truth or --with solution:NAME")
+        raise ExportError("tum holds poses, not sensors: add --with truth or --with solution:NAME")
     origin = next(iter(out.tracks.values())).lla[0]
     for name, track in out.tracks.items():
         if not (np.isfinite(track.lla).all() and np.isfinite(track.q_nb).all()):
@@ -30,11 +30,10 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     names = "\n".join(
         f"- `{name}.tum`, {len(track.t)} poses of the IMU" for name, track in out.tracks.items()
     )
-    return f"""TUM trajectories, a row `t x y z qx qy qz qw` per pose: [s], [m], quaternion scalar last.
+    return f"""TUM trajectories, one row `t x y z qx qy qz qw` per pose: [s], [m], quaternion scalar last.
 
 {names}
 
-x, y, z are east, north, up at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height {origin[2]:.3f} m,
-rigid
-(a tangent frame). The quaternion takes a vector from the body, forward, left, up, to that frame. For example
-`evo_ape tum truth.tum solution-loose-15.tum`."""
+x, y, z are east, north, up in the tangent frame at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height
+{origin[2]:.3f} m. The quaternion rotates a vector from the body frame (forward, left, up) to that frame.
+Example: `evo_ape tum truth.tum solution-loose-15.tum`."""

@@ -1,4 +1,4 @@
-"""Files of autopilots and other tools as the rows of a log: each module a thin adapter of one format."""
+"""Read files of autopilots and other tools as the rows of a log; each module reads one format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
-    """Return the rows of one unit in a file.
+    """Read the rows of one sensor in a file.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     kind : str
         "imu", "gnss" or "baro".
     topic : str or None
-        Which topic of the file; None: the only one that there is.
+        Topic in the file; None if the file has only one.
 
     Raises
     ------
     ConfigError
-        If the file is not what it says, broken, or has no such rows: one line.
+        If the file is broken, is not of this format, or has no such rows: one line.
     """
     adapter = import_module(_ADAPTERS[form])
     try:
@@ -52,6 +52,6 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
 
 
 def describe_damage(path: Path, error: BaseException) -> ConfigError:
-    """Return what to say of a file that the library of its format cannot read."""
-    said = " ".join(str(error).split())[:200]
-    return ConfigError(f"{path.name}: cannot be read: {said or type(error).__name__}")
+    """Return the error for a file that the library of its format cannot read."""
+    reason = " ".join(str(error).split())[:200]
+    return ConfigError(f"{path.name}: cannot be read: {reason or type(error).__name__}")

@@ -1,7 +1,7 @@
 """ROS 1 and ROS 2 bags, read with rosbags, and MCAP files, read with mcap.
 
-imu: sensor_msgs/Imu, along the axes of the message (REP 103: forward, left, up, which
-mounting_deg = [180, 0, 0] turns). gnss: sensor_msgs/NavSatFix, and where there is one topic of it
+imu: sensor_msgs/Imu, in the axes of the message (REP 103: forward, left, up; mounting_deg = [180, 0, 0]
+converts them). gnss: sensor_msgs/NavSatFix and, if there is exactly one such topic,
 geometry_msgs/TwistStamped or TwistWithCovarianceStamped with the same stamps, east, north, up. baro:
 sensor_msgs/FluidPressure. Messages are those of ROS or, in MCAP, JSON with the same fields. Times are those
 of the headers.
@@ -26,8 +26,8 @@ from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.exchange.table_files import MOST_BYTES
 from bench.signals.air import pressure_altitude
 
-_MOST_RECORD = 256_000_000  # of an MCAP file, a chunk included [byte]
-_MOST_UNPACKED = 4_000_000_000  # that a file may take in memory, whatever its chunks claim [byte]
+_MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]
+_MOST_UNPACKED = 4_000_000_000  # largest memory a file may take when unpacked [byte]
 _SAME_STAMP = 1e-3  # [s]
 _TYPES = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -38,11 +38,11 @@ _VELOCITIES = ("geometry_msgs/msg/TwistWithCovarianceStamped", "geometry_msgs/ms
 
 Messages = Iterator[Any]
 Bag = tuple[Mapping[str, str], Callable[[str], Messages]]
-"""Topic -> type, and what gives the messages of a topic."""
+"""Topic -> type, and a function that yields the messages of a topic."""
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
-    """Return the rows of a topic of a bag."""
+    """Read the rows of a topic of a bag."""
     sizes = [one.stat().st_size for one in (path.rglob("*") if path.is_dir() else [path]) if one.is_file()]
     if sum(sizes) > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
@@ -64,7 +64,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     except MemoryError:
         most = f"{_MOST_UNPACKED / 1e9:g} GB"
         raise ConfigError(f"{path.name}: unpacks to more than the {most} a file may take in memory") from None
-    except Exception as error:  # whatever a broken file makes the library raise
+    except Exception as error:  # a broken file can make the library raise anything
         raise describe_damage(path, error) from None
     t = numbers[:, 0]
     if kind == "imu":
@@ -78,12 +78,12 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
 
 @contextmanager
 def _limit_memory() -> Iterator[None]:
-    """Let no chunk unpack into all the memory there is: beyond the limit it is a MemoryError."""
+    """Limit the memory that a file can take when unpacked; beyond it there is a MemoryError."""
     try:
         import resource
 
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except (ImportError, OSError):  # not Linux: what the system itself allows
+    except (ImportError, OSError):  # not Linux: the limit of the system
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
@@ -96,22 +96,22 @@ def _limit_memory() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], told: str | None) -> str:
+def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], topic: str | None) -> str:
     able = [name for name, type_ in topics.items() if type_ in types]
-    if told is not None and told in able:
-        return told
-    if told is None and len(able) == 1:
+    if topic is not None and topic in able:
+        return topic
+    if topic is None and len(able) == 1:
         return able[0]
     there = ", ".join(f"{name} ({type_})" for name, type_ in sorted(topics.items()))[:300] or "none"
-    if told is not None:
-        raise ConfigError(f"{path.name}: topic {told!r} holds no {types[0]}; there are {there}")
+    if topic is not None:
+        raise ConfigError(f"{path.name}: topic {topic!r} holds no {types[0]}; there are {there}")
     if able:
         raise ConfigError(f"{path.name}: several topics hold {types[0]}: {', '.join(able)}; set topic to one")
     raise ConfigError(f"{path.name}: no topic of {types[0]}; there are {there}")
 
 
 def _read_numbers(path: Path, messages: Messages, row: Callable[[Any], tuple[float, ...]]) -> FloatArray:
-    """Return the numbers of each message as a row."""
+    """Return the numbers of the messages, one row each."""
     flat, width = array("d"), 0
     for count, message in enumerate(messages, 1):
         if count > MOST_ROWS:
@@ -235,7 +235,7 @@ def _open_mcap(path: Path) -> Iterator[Bag]:
 
 
 def _make_decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
-    """Return what makes a message of the bytes of a channel, by the definition in the file."""
+    """Return the function that decodes the bytes of a channel, by the definition in the file."""
     encoding = channel.message_encoding
     if encoding == "json":
         return lambda raw: _JsonMessage(json.loads(raw))
@@ -253,12 +253,12 @@ def _make_decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], An
 
 
 def _ros2_name(name: str) -> str:
-    """Return the name of a type as ROS 2 has it."""
+    """Return the ROS 2 name of a type."""
     return name if "/msg/" in name else name.replace("/", "/msg/", 1)
 
 
 class _JsonMessage(dict[str, Any]):
-    """An object of JSON whose entries are attributes."""
+    """A JSON object whose entries are attributes."""
 
     def __getattr__(self, name: str) -> Any:
         try:

@@ -17,9 +17,9 @@ from bench.exchange.rows import MOST_ROWS, LogRows
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
-    """Return the rows of a structure of a NaveGo file."""
+    """Read the rows of a structure of a NaveGo file."""
     if kind == "baro":
-        raise ConfigError(f"{path.name}: NaveGo has no structure of a barometer")
+        raise ConfigError(f"{path.name}: NaveGo has no structure for a barometer")
     variables = read_mat(path)
     structure = variables.get(kind)
     if not isinstance(structure, dict):
@@ -39,7 +39,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     def rows(name: str) -> FloatArray:
         array = structure.get(name)
         if not isinstance(array, np.ndarray) or np.atleast_2d(array).shape != (len(t), 3):
-            what = f"of shape {np.shape(array)}" if isinstance(array, np.ndarray) else "not there"
+            what = f"of shape {np.shape(array)}" if isinstance(array, np.ndarray) else "missing"
             raise ConfigError(f"{path.name}: {kind}.{name} must be {len(t)} rows of 3; it is {what}")
         return np.atleast_2d(array)
 

@@ -1,9 +1,9 @@
 """Text files of other tools: increments and fixes of KF-GINS, solutions of RTKLIB.
 
-KF-GINS: columns with white space between, src/fileio/imufileloader.h and gnssfileloader.h of
-github.com/i2Nav-WHU/KF-GINS: second of week, increments of angle [rad] and velocity [m/s] forward, right,
-down; second of week, latitude, longitude [deg], height [m], standard deviations north, east, down [m]. A
-file of 13 columns has the velocity before and its standard deviations after these.
+KF-GINS: columns separated by white space, as in src/fileio/imufileloader.h and gnssfileloader.h of
+github.com/i2Nav-WHU/KF-GINS. IMU: second of week, increments of angle [rad] and velocity [m/s] forward,
+right, down. GNSS: second of week, latitude, longitude [deg], height [m], standard deviations north, east,
+down [m]; a file with 13 columns has the velocity before these standard deviations, and its own behind them.
 
 RTKLIB: the ``.pos`` of RTKPOST and RNX2RTKP, whose last comment line names the columns.
 """
@@ -21,20 +21,20 @@ from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES
 
-_LINE = 4096  # longest [characters]
+_LINE = 4096  # longest line [characters]
 _WEEK = 604_800.0  # [s]
 _EPOCH = datetime(1980, 1, 6)
-_BLOCK = 65_536  # rows turned into numbers at a time
+_BLOCK = 65_536  # rows converted at a time
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
-    """Return the rows of a KF-GINS or RTKLIB file."""
+    """Read the rows of a KF-GINS or RTKLIB file."""
     if form == "rtklib":
         if kind != "gnss":
             raise ConfigError(f"{path.name}: a solution of RTKLIB holds fixes, not the rows of an {kind}")
-        return _rtklib(path)
+        return _read_rtklib(path)
     if kind == "baro":
-        raise ConfigError(f"{path.name}: KF-GINS has no file of a barometer")
+        raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
     numbers = _read_numbers(path, (line for _, line in _read_lines(path)), None)
     columns = numbers.shape[1]
     if kind == "imu":
@@ -52,7 +52,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     return LogRows(numbers[:, 0], values)
 
 
-def _rtklib(path: Path) -> LogRows:
+def _read_rtklib(path: Path) -> LogRows:
     names: list[str] = []
     first = -1
 
@@ -67,7 +67,7 @@ def _rtklib(path: Path) -> LogRows:
             else:
                 yield line
 
-    lines = list(_dated(path, rows()))
+    lines = list(_convert_times(path, rows()))
     known = [name.partition("(")[0] for name in names[1:]]  # the first is the time system, of two columns
     if not known:
         raise ConfigError(f"{path.name}: no line that names the columns, such as '%  GPST latitude(deg) ...'")
@@ -75,32 +75,32 @@ def _rtklib(path: Path) -> LogRows:
     column = {name: numbers[:, k + 1] for k, name in enumerate(known)}
     at = {name.partition("(")[0]: name for name in names}
 
-    def several(*wanted: str) -> FloatArray | None:
+    def stack(*wanted: str) -> FloatArray | None:
         return (
             np.stack([column[name] for name in wanted], axis=-1) if all(w in column for w in wanted) else None
         )
 
-    geodetic, fixed = several("latitude", "longitude", "height"), several("x-ecef", "y-ecef", "z-ecef")
+    geodetic, fixed = stack("latitude", "longitude", "height"), stack("x-ecef", "y-ecef", "z-ecef")
     if geodetic is not None and "(deg)" not in at["latitude"]:
         raise ConfigError(f"{path.name}: latitude must be in degrees: {at['latitude']}")
     if geodetic is None and fixed is None:
         raise ConfigError(f"{path.name}: no columns latitude, longitude, height or x-ecef, y-ecef, z-ecef")
     values = {"lla": _to_lla(geodetic) if geodetic is not None else to_lla(np.asarray(fixed))}
     if geodetic is not None:
-        found = {
-            "vel_n": several("vn", "ve", "vu"),
-            "sd_pos": several("sdn", "sde", "sdu"),
-            "sd_vel": several("sdvn", "sdve", "sdvu"),
+        optional = {
+            "vel_n": stack("vn", "ve", "vu"),
+            "sd_pos": stack("sdn", "sde", "sdu"),
+            "sd_vel": stack("sdvn", "sdve", "sdvu"),
         }
-        values |= {name: value for name, value in found.items() if value is not None}
+        values |= {name: value for name, value in optional.items() if value is not None}
         if "vel_n" in values:
             values["vel_n"] = values["vel_n"] * [1.0, 1.0, -1.0]
     values |= {new: column[old] for new, old in (("quality", "Q"), ("satellites", "ns")) if old in column}
     return LogRows(numbers[:, 0], values)
 
 
-def _dated(path: Path, lines: Iterator[str]) -> Iterator[str]:
-    """Give rows whose date and time, or week and second, are GPS seconds since 1980."""
+def _convert_times(path: Path, lines: Iterator[str]) -> Iterator[str]:
+    """Yield the rows with date and time, or week and second, as GPS seconds since 1980-01-06."""
     for number, line in enumerate(lines, 1):
         day, _, rest = line.strip().partition(" ")
         clock, _, rest = rest.strip().partition(" ")
@@ -121,7 +121,7 @@ def _dated(path: Path, lines: Iterator[str]) -> Iterator[str]:
 
 
 def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Give the lines of a file that hold something, with their numbers."""
+    """Yield the lines of a file that are not blank, with their numbers."""
     if path.stat().st_size > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     try:
@@ -147,7 +147,9 @@ def _read_numbers(path: Path, lines: Iterator[str], columns: int | None) -> Floa
         try:
             row = [float(text) for text in line.replace(",", " ").split()]
         except ValueError:
-            raise ConfigError(f"{path.name}: row {count}: {line.strip()[:40]!r} holds no numbers") from None
+            raise ConfigError(
+                f"{path.name}: row {count}: {line.strip()[:40]!r} is not a row of numbers"
+            ) from None
         columns = columns or len(row)
         if len(row) != columns:
             raise ConfigError(f"{path.name}: row {count} has {len(row)} columns, not {columns}")

@@ -1,8 +1,8 @@
-"""PX4 ULog, read with pyulog. Fields and units as the uORB messages of PX4-Autopilot (msg/) give them.
+"""PX4 ULog, read with pyulog. Fields and units are those of the uORB messages of PX4-Autopilot (msg/).
 
 imu: ``vehicle_imu`` (increments) or ``sensor_combined`` (rates), forward, right, down. gnss:
 ``vehicle_gps_position`` or ``sensor_gps``. baro: ``vehicle_air_data`` or ``sensor_baro``. Times are those of
-the sample where the message has them.
+the sample if the message has them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bench.exchange.imports import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.signals.air import pressure_altitude
 
-_MOST_BYTES = 1_000_000_000  # pyulog holds a file and the messages asked for in memory
+_MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
 _TOPICS = {
     "imu": ("vehicle_imu", "sensor_combined"),
     "gnss": ("vehicle_gps_position", "sensor_gps"),
@@ -29,17 +29,17 @@ _TOPICS = {
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
-    """Return the rows of a ULog; ``topic`` is a message, or ``message:instance``."""
+    """Read the rows of a ULog; ``topic`` is a message, or ``message:instance``."""
     if path.stat().st_size > _MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {_MOST_BYTES // 1_000_000} MB")
     from pyulog import ULog
 
     wanted = (topic.partition(":")[0],) if topic else _TOPICS[kind]
     try:
-        # it prints what it thinks of a broken file
+        # pyulog prints messages on a broken file
         with path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
             log = ULog(file, list(wanted))
-    except Exception as error:  # whatever a broken file makes it raise
+    except Exception as error:  # a broken file can make pyulog raise anything
         raise describe_damage(path, error) from None
     instance = topic.partition(":")[2] if topic else ""
     found = {
@@ -54,7 +54,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     data = found[name]
     if len(data["timestamp"]) > MOST_ROWS:
         raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
-    notes = (f"{path.name}: the log is damaged; what could be read is used",) if log.file_corruption else ()
+    notes = (f"{path.name}: the log is damaged; the readable part is used",) if log.file_corruption else ()
     try:
         t = _read_time(data)
         values = {"imu": _read_imu, "gnss": _read_gnss, "baro": _read_baro}[kind](data)

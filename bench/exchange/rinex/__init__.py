@@ -1,7 +1,7 @@
-"""RINEX 2 and 3: observation and navigation files of GPS and GLONASS; other systems are skipped.
+"""Read RINEX 2 and 3 observation and navigation files of GPS and GLONASS; other systems are skipped.
 
-What is wrong with a file is one line with its name and line number. A file is read line by line; what is
-kept grows with its number of satellites and epochs only.
+An error is one line with the name of the file and the line number. A file is read line by line; memory grows
+only with its number of satellites and epochs.
 """
 
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation

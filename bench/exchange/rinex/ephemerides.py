@@ -1,4 +1,4 @@
-"""RINEX navigation files: the broadcast ephemerides of GPS and GLONASS."""
+"""Read RINEX navigation files: the broadcast ephemerides of GPS and GLONASS."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class NavigationFile:
 
 
 def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
-    """Return the GPS and GLONASS ephemerides of a RINEX 2 or 3 navigation file.
+    """Read the GPS and GLONASS ephemerides of a RINEX 2 or 3 navigation file.
 
     Parameters
     ----------
     path : Path
         The file.
     shown : str or None
-        What messages call it; its name when None.
+        Name of the file in messages; default its file name.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
             elif system == "R":
                 glonass.append(_read_glonass(lines, record, version, leap))
     if not kepler and not glonass:
-        raise ConfigError(f"{shown}: holds no GPS and no GLONASS ephemeris")
+        raise ConfigError(f"{shown}: has no GPS or GLONASS ephemeris in it")
     k = np.array(kepler, float).reshape(-1, 2 + len(KEPLER))
     g = np.array(glonass, float).reshape(-1, 3 + len(STATE))
     return NavigationFile(
@@ -88,30 +88,30 @@ def _read_header(lines: Lines) -> tuple[list[float] | None, list[float] | None, 
 
 
 def _read_record(lines: Lines, first: str, version: int, system: str) -> tuple[int, list[str]]:
-    """Return the number of the first line and all lines of one ephemeris."""
-    number, found = lines.number, [first]
+    """Read the lines of one ephemeris; return the number of the first line, and all lines."""
+    number, texts = lines.number, [first]
     indent = 4 if version == 3 else 3
     if first[:1] == " " and version == 3:
         raise lines.error("a record must begin with its satellite, for example 'G05'")
     whole = {"G": (8,), "R": (4, 5) if version == 3 else (4,)}.get(system)
-    while whole is None or len(found) < whole[-1]:
+    while whole is None or len(texts) < whole[-1]:
         line = lines.read_line()
         if line is None:
             break
         if line[:indent].strip():
             lines.put_back(line)
             break
-        found.append(line)
-    if whole is not None and len(found) not in whole:
+        texts.append(line)
+    if whole is not None and len(texts) not in whole:
         name = first[:3].strip() if version == 3 else f"{system}{first[:2].strip()}"
         raise lines.error(
-            f"the record of {name} from line {number} ends after {len(found)} of {whole[0]} lines"
+            f"the record of {name} from line {number} ends after {len(texts)} of {whole[0]} lines"
         )
-    return number, found
+    return number, texts
 
 
 def _read_values(lines: Lines, record: tuple[int, list[str]], version: int) -> list[list[float]]:
-    """Return the numbers of a record, a row per line; what is blank is NaN."""
+    """Return the numbers of a record, one list per line; blank fields are NaN."""
     number, texts = record
     last, rows = lines.number, []
     for offset, text in enumerate(texts):
@@ -127,7 +127,7 @@ def _read_values(lines: Lines, record: tuple[int, list[str]], version: int) -> l
 
 
 def _read_clock_time(lines: Lines, record: tuple[int, list[str]], version: int) -> tuple[int, float]:
-    """Return the satellite and the reference time of a record, in the time of its system."""
+    """Return the satellite and the reference time of a record, in the time scale of its system."""
     number, texts = record
     last, lines.number = lines.number, number
     if version == 3:
@@ -168,8 +168,8 @@ def _read_kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> l
     for name, low, high in (("e", 0.0, 0.2), ("sqrt_a", 4900.0, 5400.0), ("t_oe_week", 0.0, WEEK)):
         if not low <= values[name] <= high:
             lines.number = record[0] + placed[name][0]
-            raise lines.error(f"{name} = {values[name]:g} is outside {low:g} to {high:g}: no GPS orbit")
-    # the week is that of the clock's reference time: the week field is mod 1024 in some files
+            raise lines.error(f"{name} = {values[name]:g} is outside {low:g} to {high:g}: not a GPS orbit")
+    # take the week of the clock reference time, because the week field is modulo 1024 in some files
     week_start = t_oc - t_oc % WEEK
     t_oe = week_start + values["t_oe_week"]
     t_oe += WEEK * np.round((t_oc - t_oe) / WEEK)
@@ -194,8 +194,10 @@ def _read_glonass(lines: Lines, record: tuple[int, list[str]], version: int, lea
     radius = np.sqrt(values["x"] ** 2 + values["y"] ** 2 + values["z"] ** 2)
     if not 24e6 <= radius <= 27e6:
         lines.number = record[0] + 1
-        raise lines.error(f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: no GLONASS orbit")
-    if values["channel"] > 127:  # some writers give -7 as 249
+        raise lines.error(
+            f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: not a GLONASS orbit"
+        )
+    if values["channel"] > 127:  # some programs write -7 as 249
         values["channel"] -= 256
     if leap is None:
         leap = leap_seconds(to_date(utc))
@@ -204,7 +206,7 @@ def _read_glonass(lines: Lines, record: tuple[int, list[str]], version: int, lea
 
 
 def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:
-    """Return the ephemerides of several files as one; the first ionosphere model found counts."""
+    """Merge the ephemerides of several files; the first ionosphere model is used."""
     return NavigationFile(
         shown=", ".join(file.shown for file in files),
         kepler=KeplerSets(

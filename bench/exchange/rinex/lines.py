@@ -1,4 +1,4 @@
-"""The lines of RINEX files, with their numbers, and the times in them."""
+"""Read the numbered lines of RINEX files, and the numbers and times in them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fi
 _EPOCH = date(1980, 1, 6)
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
 
-# First days of UTC with one more leap second against GPS time, IERS Bulletin C.
+# First days of UTC after each leap second since the start of GPS time, IERS Bulletin C.
 _LEAPS = tuple(
     date(year, month, 1)
     for year, month in (
@@ -29,7 +29,7 @@ _LEAPS = tuple(
 
 
 class Lines:
-    """The lines of a file with their number, and the error that names it."""
+    """The lines of a file; errors name the number of the current line."""
 
     def __init__(self, file: TextIO, shown: str) -> None:
         self._file, self.shown = file, shown
@@ -49,29 +49,29 @@ class Lines:
         self.number += 1
         self.size += len(line)
         if len(line) > LONGEST:
-            raise self.error(f"is longer than {LONGEST} characters: no RINEX file")
+            raise self.error(f"is longer than {LONGEST} characters: not a RINEX file")
         if "\0" in line:
-            raise self.error("holds a zero byte: no text file (compressed files are unpacked first)")
+            raise self.error("has a zero byte: not a text file (unpack compressed files first)")
         return line.rstrip("\r\n")
 
-    def read_line_of(self, what: str) -> str:
-        """Return the next line, or say that the file ends before ``what``."""
+    def read_line_of(self, content: str) -> str:
+        """Return the next line; raise ConfigError if the file ends before ``content``."""
         line = self.read_line()
         if line is None:
-            raise self.error(f"the file ends before {what}")
+            raise self.error(f"the file ends before {content}")
         return line
 
     def put_back(self, line: str) -> None:
-        """Give a line back, to be read again."""
+        """Put the last line back, so that it is read again."""
         self._again = line
         self.number -= 1
 
     def error(self, message: str) -> ConfigError:
-        """Return the error that names this line."""
+        """Return a ConfigError that names the current line."""
         return ConfigError(f"{self.shown}: line {self.number}: {message}")
 
     def parse_number(self, line: str, start: int, end: int, what: str) -> float:
-        """Return the number in columns start to end (counted from 0, end not included)."""
+        """Return the number in columns start to end (from 0, without end)."""
         value = _parse_number(line[start:end])
         if value is None:
             text = line[start:end].strip()
@@ -79,7 +79,7 @@ class Lines:
         return value
 
     def parse_whole(self, line: str, start: int, end: int, what: str) -> int:
-        """Return the whole number in columns start to end."""
+        """Return the whole number in columns start to end (from 0, without end)."""
         text = line[start:end].strip()
         if not re.fullmatch(r"[+-]?\d+", text):
             raise self.error(f"{what} must be a whole number; got {text[:30]!r} in columns {start + 1}-{end}")
@@ -87,7 +87,7 @@ class Lines:
 
 
 def _parse_number(text: str) -> float | None:
-    """Read a Fortran number: exponents with D, d, E, e or without a letter."""
+    """Parse a Fortran number: exponent with D, d, E, e or without a letter; None if it is not one."""
     text = text.strip().replace("D", "E").replace("d", "e")
     try:
         value = float(text)
@@ -101,7 +101,7 @@ def _parse_number(text: str) -> float | None:
 
 @contextmanager
 def open_lines(path: Path, shown: str) -> Iterator[Lines]:
-    """Give the lines of a text file; what keeps it from being opened is a ConfigError."""
+    """Open a text file and provide its lines; raise ConfigError if it cannot be opened."""
     try:
         with path.open(encoding="latin-1", newline="") as file:
             yield Lines(file, shown)
@@ -125,17 +125,17 @@ def leap_seconds(day: date) -> int:
 
 
 def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
-    """Return seconds since 1980-01-06 of a calendar day and second of it, no leap seconds."""
+    """Return seconds since 1980-01-06, without leap seconds, of a calendar day and second of the day."""
     return (date(year, month, day) - _EPOCH).days * DAY + second
 
 
 def to_date(seconds: float) -> date:
-    """Return the calendar day of seconds since 1980-01-06."""
+    """Return the calendar day of a time in seconds since 1980-01-06."""
     return date.fromordinal(_EPOCH.toordinal() + int(seconds // DAY))
 
 
 def check_version(lines: Lines, wanted: str) -> tuple[int, str]:
-    """Check the first line; return the main version and the kind of file with its system."""
+    """Check the first line; return the main version, and the letters of file type and system."""
     first = lines.read_line()
     if first is None:
         raise ConfigError(f"{lines.shown}: is empty")
@@ -143,7 +143,7 @@ def check_version(lines: Lines, wanted: str) -> tuple[int, str]:
     if label.startswith("CRINEX"):
         raise lines.error("Hatanaka compression; unpack the file with crx2rnx first")
     if label != "RINEX VERSION / TYPE":
-        raise lines.error("'RINEX VERSION / TYPE' must stand in columns 61-80: no RINEX file")
+        raise lines.error("'RINEX VERSION / TYPE' is not in columns 61-80: not a RINEX file")
     version = lines.parse_number(first, 0, 9, "the version")
     if int(version) not in (2, 3):
         raise lines.error(f"version {version:g} must be 2 or 3")
@@ -157,7 +157,7 @@ def check_version(lines: Lines, wanted: str) -> tuple[int, str]:
 def read_calendar(
     lines: Lines, line: str, columns: Sequence[tuple[int, int]], two_digits: bool
 ) -> tuple[float, float]:
-    """Return midnight since 1980-01-06 and the second of the day of the calendar time in a line [s]."""
+    """Return the calendar time in a line: midnight since 1980-01-06 and second of the day [s]."""
     names = ("year", "month", "day", "hour", "minute")
     numbers = [
         lines.parse_whole(line, *place, f"the {name}") for name, place in zip(names, columns[:5], strict=True)
@@ -169,7 +169,7 @@ def read_calendar(
     try:
         midnight = gps_seconds(year, month, day)
     except ValueError as error:
-        raise lines.error(f"{year}-{month}-{day} is no date: {error}") from None
+        raise lines.error(f"{year}-{month}-{day} is not a date: {error}") from None
     if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second < 61):
-        raise lines.error(f"{hour}:{minute}:{second:g} is no time of day")
+        raise lines.error(f"{hour}:{minute}:{second:g} is not a time of day")
     return midnight, 3600.0 * hour + 60.0 * minute + second

@@ -1,4 +1,4 @@
-"""RINEX observation files: code, Doppler and C/N0 of GPS and GLONASS."""
+"""Read RINEX observation files: code, Doppler and C/N0 of GPS and GLONASS."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CODES = {
     GLONASS: (("C1C", "C1P"), ("C2C", "C2P")),
 }
 _CODES_2 = (("C1", "P1"), ("P2", "C2"))
-"""Pseudoranges of the first and second carrier, the first one found is taken."""
+"""Pseudoranges of the first and second carrier; the first one in the file is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +47,13 @@ class ObservationFile:
     pseudorange: FloatArray  # (K, 2) [m]; NaN where missing
     doppler: FloatArray  # (K, 2) positive when approaching [Hz]
     cn0: FloatArray  # (K, 2) [dB-Hz]
-    approximate_e: FloatArray | None  # (3,) of the marker, as the header says [m]
-    antenna_hen: FloatArray  # (3,) antenna above, east, north of the marker [m]
+    approximate_e: FloatArray | None  # (3,) position of the marker in the header [m]
+    antenna_hen: FloatArray  # (3,) antenna relative to the marker: up, east, north [m]
     bytes_read: int
 
 
 class _Header:
-    """What the header of an observation file says, as far as it is used."""
+    """The values in use from the header of an observation file."""
 
     def __init__(self) -> None:
         self.marker = ""
@@ -63,7 +63,7 @@ class _Header:
         self.time_system = ""
         self.leap: int | None = None
 
-    def take(self, lines: Lines, line: str, version: int) -> None:
+    def read(self, lines: Lines, line: str, version: int) -> None:
         """Read one header line."""
         label = line[60:80].strip()
         if label == "MARKER NAME":
@@ -79,7 +79,7 @@ class _Header:
         elif label == "LEAP SECONDS":
             self.leap = lines.parse_whole(line, 0, 6, "the number of leap seconds")
         elif label == "SYS / SCALE FACTOR":
-            raise lines.error("observations with a scale factor are not read")
+            raise lines.error("observations with a scale factor are not supported")
         elif label == "SYS / # / OBS TYPES" and version == 3:
             self._types(lines, line, line[0], 3, 6, 7, 13)
         elif label == "# / TYPES OF OBSERV" and version == 2:
@@ -103,14 +103,14 @@ class _Header:
 
 
 def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
-    """Return the code, Doppler and C/N0 of GPS and GLONASS of a RINEX 2 or 3 observation file.
+    """Read code, Doppler and C/N0 of GPS and GLONASS from a RINEX 2 or 3 observation file.
 
     Parameters
     ----------
     path : Path
         The file.
     shown : str or None
-        What messages call it; its name when None.
+        Name of the file in messages; default its file name.
 
     Raises
     ------
@@ -122,16 +122,16 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
         version, _ = check_version(lines, "an observation file")
         header = _Header()
         while (line := lines.read_line_of("END OF HEADER"))[60:80].strip() != "END OF HEADER":
-            header.take(lines, line, version)
+            header.read(lines, line, version)
         if not header.types:
             raise lines.error("the header lists no observables")
         rows = _EpochRows()
         (_read_epochs_3 if version == 3 else _read_epochs_2)(lines, header, rows)
         size = lines.size
     if not rows.start:
-        raise ConfigError(f"{shown}: holds no epoch")
+        raise ConfigError(f"{shown}: has no epoch in it")
     if not rows.sat:
-        raise ConfigError(f"{shown}: holds no observation of GPS or GLONASS")
+        raise ConfigError(f"{shown}: has no observation of GPS or GLONASS in it")
     origin = rows.midnight[0]
     t = np.array(rows.midnight) - origin + np.array(rows.second)
     if header.time_system == "GLO":  # UTC
@@ -155,7 +155,7 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
 
 
 class _EpochRows:
-    """Epochs and observations as they are read, packed."""
+    """The epochs and observations read so far, in compact arrays."""
 
     def __init__(self) -> None:
         self.midnight, self.second, self.values = array("d"), array("d"), array("d")
@@ -177,7 +177,7 @@ class _EpochRows:
 
 
 def _find_places(types: Sequence[str], codes: tuple[tuple[str, ...], tuple[str, ...]]) -> list[int | None]:
-    """Return where code, Doppler and C/N0 of both carriers stand among the observables, None for nowhere."""
+    """Return the index of code, Doppler and C/N0 of both carriers among the observables; None if missing."""
     places: list[int | None] = []
     chosen = [next((code for code in band if code in types), None) for band in codes]
     for letter in "CDS":
@@ -198,7 +198,7 @@ def _read_field(lines: Lines, line: str, place: int | None, start: int) -> float
     if not text.strip():
         return np.nan
     value = lines.parse_number(line, a, a + 14, "an observation")
-    return value if value != 0.0 else np.nan  # RINEX writes a missing value as blank or 0.0
+    return value if value != 0.0 else np.nan  # a missing value is blank or 0.0
 
 
 def _check_count(lines: Lines, count: int) -> None:
@@ -219,7 +219,7 @@ def _read_epochs_3(lines: Lines, header: _Header, rows: _EpochRows) -> None:
         count = lines.parse_whole(line, 32, 35, "the number of satellites")
         if flag > 1:
             for k in range(count):
-                header.take(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 3)
+                header.read(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 3)
             places = {s: _find_places(header.types[s], c) for s, c in codes.items() if s in header.types}
             continue
         _check_count(lines, count)
@@ -246,7 +246,7 @@ def _read_epochs_2(lines: Lines, header: _Header, rows: _EpochRows) -> None:
         count = lines.parse_whole(line, 29, 32, "the number of satellites")
         if 2 <= flag <= 5:
             for k in range(count):
-                header.take(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 2)
+                header.read(lines, lines.read_line_of(f"line {k + 1} of {count} of the event"), 2)
             continue
         _check_count(lines, count)
         if flag < 2:
