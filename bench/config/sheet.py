@@ -30,15 +30,10 @@ class Sheet(Table):
     assumed: list[str] = Field(default_factory=list)  # figures without a source
 
 
-def make_table_type(spec: type, *names: str) -> type[Table]:
-    """Return the table type for a spec: the keys of its figures, with their limits and defaults.
-
-    ``names`` are the figures to include; all if there are none.
-    """
+def make_table_type(spec: type) -> type[Table]:
+    """Return the table type for a spec: the keys of its figures, with their limits and defaults."""
     rows: dict[str, Any] = {}
     for name, figure in figures_of(spec).items():
-        if names and name not in names:
-            continue
         limited = Annotated[float, between(figure.low, figure.high)]
         if figure.reciprocal:
             rows[figure.key(name)] = (limited | None, None)
@@ -54,9 +49,8 @@ def convert_figures(spec: type, table: Table) -> dict[str, Any]:
     values = {}
     for name, figure in figures_of(spec).items():
         key = figure.key(name)
-        if key in type(table).model_fields:
-            value = to_si(key, getattr(table, key))
-            values[name] = value if not figure.reciprocal else 1.0 / value if value else 0.0
+        value = to_si(key, getattr(table, key))
+        values[name] = value if not figure.reciprocal else 1.0 / value if value else 0.0
     return values
 
 
