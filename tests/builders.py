@@ -12,7 +12,7 @@ from scipy.special import gammaincinv, ndtri
 
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Sensed, Trajectory
-from bench.evaluation import consistency
+from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.error_series import error_series
 
 TAIL = 0.0005
@@ -95,7 +95,8 @@ class Ensemble:
     def claims(self, states: int = 9, nees_factor: float = 1.0) -> Any:
         """Return the verdict on the three claims of consistency: NEES at whole seconds, and NIS."""
         whole = np.abs(self.t - np.round(self.t)) < 1e-6
-        return consistency.check_consistency(nees_factor * np.array(self.nees)[:, whole], states, self.nis)
+        nees = nees_factor * np.array(self.nees)[:, whole]
+        return ensemble_consistency.check_consistency(nees, states, self.nis)
 
 
 def ensemble(

@@ -1,23 +1,13 @@
-"""Consistency of a filter with its covariance: chi-square bounds, NIS by sensor, verdict over many runs."""
+"""Consistency of a filter with its covariance: chi-square bounds, and NIS by sensor."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, as_float
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Innovations
-
-STANDARD_ERRORS = 3.3
-"""Allowed distance of the mean NEES from its expectation, in standard errors of the run averages [1]."""
-
-LARGEST_OFFSET = 0.6
-"""Allowed distance of the mean NEES from its expectation, whatever the standard error [1]."""
-
-LEAST_INSIDE = 0.8
-"""Fraction of epochs that must have their NEES, averaged over the runs, in its 95 % band [1]."""
 
 NIS_PROBABILITY = 0.999
 """Probability of the band of a mean NIS [1]."""
@@ -128,93 +118,3 @@ def mean_nis(nis: FloatArray, dof: IntArray, probability: float = NIS_PROBABILIT
         raise ValueError("mean_nis: nis must hold at least one update; got none")
     low, high = mean_band(float(dof.sum()) / len(nis), len(nis), probability)
     return MeanNis(float(np.mean(nis)), low, high, len(nis))
-
-
-@dataclass(frozen=True, slots=True)
-class Consistency:
-    """Consistency of an ensemble of runs: the statistics, and the reasons against it."""
-
-    states: int
-    runs: int
-    epochs: int
-    mean: float  # of the run averages of NEES
-    standard_error: float  # spread of the run averages / sqrt(runs)
-    inside: float  # fraction of epochs whose mean NEES over the runs lies in [low, high]
-    low: float  # 95 % band of the mean of one epoch over the runs
-    high: float
-    nis: Mapping[str, MeanNis]  # by sensor
-    reasons: tuple[str, ...]  # why it is not consistent; empty if it is
-
-    @property
-    def verdict(self) -> bool:
-        """Whether the filter is consistent: there is no reason against it."""
-        return not self.reasons
-
-
-def check_consistency(nees: FloatArray, states: int, nis: Mapping[str, Sequence[SensorNis]]) -> Consistency:
-    """Check whether the covariance of a filter describes its errors, from many runs.
-
-    Parameters
-    ----------
-    nees : (R, M) array
-        NEES of R runs with independent noise, at M common instants after the alignment window.
-    states : int
-        Number of states in NEES: its expected value.
-    nis : mapping of sequences of SensorNis
-        By sensor, one entry per run (:func:`nis_by_sensor`).
-
-    Returns
-    -------
-    result : Consistency
-        Statistics and a reason for each condition that is not met:
-
-        (a) the mean of the R time averages differs from ``states`` by less than
-        :data:`STANDARD_ERRORS` standard errors and by less than :data:`LARGEST_OFFSET`. The errors
-        of one run are correlated in time, so each run is one sample. False-alarm rate 0.2 % for
-        50 runs (Student's t with 49 degrees of freedom).
-        (b) at least :data:`LEAST_INSIDE` of the epochs have their mean over the runs in the 95 % band
-        ``chi2(states R) / R``.
-        (c) the mean NIS of every sensor lies in its :data:`NIS_PROBABILITY` band. False-alarm rate
-        0.1 % per sensor.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two runs, no epochs, or no updates of a sensor.
-    """
-    nees = as_float("nees", nees, (None, None), finite=False)
-    runs, epochs = nees.shape
-    if runs < 2 or epochs < 1:
-        raise ValueError(f"nees must hold at least 2 runs and 1 epoch; got {runs} and {epochs}")
-    averages = nees.mean(axis=1)
-    mean = float(averages.mean())
-    standard_error = float(averages.std(ddof=1) / np.sqrt(runs))
-    low, high = mean_band(states, runs, 0.95)
-    over_runs = nees.mean(axis=0)
-    inside = float(np.mean((low <= over_runs) & (over_runs <= high)))
-    sensors = {
-        name: mean_nis(np.concatenate([s.nis for s in series]), np.concatenate([s.dof for s in series]))
-        for name, series in nis.items()
-    }
-    offset = abs(mean - states)
-    distance = offset / standard_error if standard_error > 0 else float("inf")
-    reasons = []
-    if not offset < STANDARD_ERRORS * standard_error:
-        reasons.append(
-            f"mean NEES {mean:.3f} is {distance:.1f} standard errors ({standard_error:.3f}) "
-            f"from {states}; allowed {STANDARD_ERRORS}"
-        )
-    if not offset < LARGEST_OFFSET:
-        reasons.append(f"mean NEES {mean:.3f} is {offset:.3f} from {states}; allowed {LARGEST_OFFSET}")
-    if not inside >= LEAST_INSIDE:
-        reasons.append(
-            f"{inside:.1%} of the epochs have their NEES over {runs} runs in {low:.2f} to {high:.2f}; "
-            f"at least {LEAST_INSIDE:.0%} wanted"
-        )
-    reasons += [
-        f"mean NIS of {name} is {s.mean:.4f} over {s.updates} updates; its {NIS_PROBABILITY:.1%} band is "
-        f"{s.low:.4f} to {s.high:.4f}"
-        for name, s in sensors.items()
-        if not s.inside
-    ]
-    return Consistency(states, runs, epochs, mean, standard_error, inside, low, high, sensors, tuple(reasons))
