@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
-from bench.config import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors, load_profile
+from bench.config import load_profile
 from bench.config.library import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
@@ -26,47 +26,13 @@ from bench.specs import EstimatorChoice, Profile
 from bench.wording import suggest
 
 if TYPE_CHECKING:
-    from bench.baselines import Verdict
+    from bench.baselines import Progress, Verdict
     from bench.evaluation.noise_curves import AllanResult
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
-    from bench.log_pipeline import RecordedLog
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
-
-load = store.load
-to_arrow = store.to_arrow
-to_pandas = store.to_pandas
-
-__all__ = [
-    "check_limits",
-    "describe_flight",
-    "export_run",
-    "fly",
-    "judge",
-    "list_aircraft",
-    "list_estimators",
-    "list_exports",
-    "list_legs",
-    "list_profiles",
-    "list_sensors",
-    "load",
-    "load_profile",
-    "measure_allan",
-    "navigate",
-    "navigate_log",
-    "read_log",
-    "record_limits",
-    "run",
-    "save",
-    "score_solution",
-    "sense",
-    "solve_rinex",
-    "stream_run",
-    "to_arrow",
-    "to_pandas",
-]
 
 
 def run(
@@ -97,20 +63,11 @@ def run(
     progress : callable or None
         Called with the seconds flown so far.
 
-    Returns
-    -------
-    result : RunResult
-        Metrics, errors and solutions by estimator; truth and sensor data; seeds and versions, to repeat the
-        run.
-
     Raises
     ------
-    bench.errors.ConfigError
-        If the profile or an argument is wrong.
-    bench.errors.EstimatorError
-        If an estimator cannot be built.
-    bench.errors.FlightError
-        If the aircraft cannot be loaded, trimmed or flown.
+    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+        If the profile or an argument is wrong, if an estimator cannot be built, and if the aircraft cannot be
+        loaded, trimmed or flown.
     """
     if isinstance(profile, Profile):
         if (seed, estimators, sensors) != (None, None, None):
@@ -172,14 +129,12 @@ def save(
     force: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> Path:
-    """Write a result and its records into a results folder, completely or not at all.
+    """Write a result and its records into a results folder, completely or not at all, and return the folder.
 
     Parameters
     ----------
     result : RunResult
-        As :func:`run`, :func:`navigate_log` or :func:`load` returns it.
-    folder : str or Path
-        The results folder; :func:`load` reads it back.
+        As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
     recording : bool
         Also write ``flight.rrd``; not possible for a result that was read back.
     force : bool
@@ -192,7 +147,7 @@ def save(
     bench.errors.ConfigError
         If the folder cannot be made or must not be replaced, or the result has no records.
     OSError
-        If the file cannot be written; nothing is left behind.
+        If a file cannot be written; nothing is left behind.
     """
     folder, sensed = Path(folder), result.sensed
     if sensed is None:
@@ -211,69 +166,6 @@ def save(
             except NothingToShowError as error:
                 say(f"No recording: {error}.")
     return folder
-
-
-def read_log(
-    path: str | Path, *, estimators: Sequence[str] | None = None, allow_commands: bool = False
-) -> RecordedLog:
-    """Read a recording of real sensors and check its consistency; nothing is repaired.
-
-    Parameters
-    ----------
-    path : str or Path
-        The ``.toml`` file of the log: recorded files, mounting of the sensors, datasheets that filters
-        assume.
-    estimators : sequence of str or None
-        As for :func:`run`; None takes those of the log.
-    allow_commands : bool
-        Let the log start the programs it names.
-
-    Returns
-    -------
-    log : RecordedLog
-        ``records`` (``imu``, ``fixes``, ``baro``: SI, b, t = 0 at the first row of the IMU), ``checks``.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If a file is missing or wrong; the message names file and row.
-    bench.errors.EstimatorError
-        If an estimator cannot be built, or needs data that the log does not have.
-    """
-    from bench import log_pipeline
-
-    return log_pipeline.read_log(str(path), estimators, allow_commands)
-
-
-def navigate_log(
-    log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
-) -> RunResult:
-    """Run estimators on a recording and judge them by withheld fixes.
-
-    Parameters
-    ----------
-    log : str, Path or RecordedLog
-        The path of a log, or what :func:`read_log` returns.
-    outages : sequence of float
-        Durations of GNSS outages to simulate [s]; each is simulated at ``places`` places, in separate runs.
-    places : int
-        Number of places of each outage.
-
-    Returns
-    -------
-    result : RunResult
-        ``errors`` relative to the withheld fixes [m, m/s; n], ``metrics``; ``more`` holds the checks of the
-        recording and the drift over the outages [m].
-
-    Raises
-    ------
-    bench.errors.ConfigError, bench.errors.EstimatorError
-        As for :func:`read_log`, and if the start or an outage does not fit the recording.
-    """
-    from bench import log_pipeline
-
-    log = log if isinstance(log, log_pipeline.RecordedLog) else read_log(log)
-    return log_pipeline.navigate_log(log, outages, places)
 
 
 def measure_allan(
@@ -301,11 +193,6 @@ def measure_allan(
     measured : AllanResult
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
         each term of the datasheet.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If the datasheet or the log is missing or wrong.
     """
     from bench import report
     from bench.config.datasheets import read_imu
@@ -342,14 +229,10 @@ def solve_rinex(
     mask_deg: float = 10.0,
     without: Sequence[str] = (),
 ) -> RinexFixes:
-    """Compute the fixes of a GNSS receiver from its observations, epoch by epoch.
+    """Compute the fixes of a GNSS receiver from its RINEX 2 or 3 files, epoch by epoch.
 
     Parameters
     ----------
-    observations : str or Path
-        RINEX 2 or 3 observation file.
-    navigation : str, Path or a sequence of them
-        RINEX 2 or 3 navigation files.
     systems : str
         "gps", "glonass", "both", or "auto": at each epoch those with the least PDOP times standard deviation.
     ionosphere : str
@@ -365,11 +248,6 @@ def solve_rinex(
     -------
     solved : RinexFixes
         ``fixes`` of the antenna [rad, rad, m; m/s, n], ``figures()`` of their errors, ``write_csv(path)``.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If a file is wrong, or no ephemeris fits the observations.
     """
     from bench.exchange import rinex_fixes
     from bench.signals import delays, receiver
@@ -404,7 +282,7 @@ def export_run(
     include: Sequence[str] = (),
     force: bool = False,
 ) -> Path:
-    """Export the sensor data of a run in the format of another tool.
+    """Export the sensor data of a run in the format of another tool, and return the folder of the files.
 
     Parameters
     ----------
@@ -418,16 +296,6 @@ def export_run(
         Tracks to export besides the sensors: "truth", "solution:NAME".
     force : bool
         Replace an existing export.
-
-    Returns
-    -------
-    out : Path
-        The folder with the files, and a README.md that describes them.
-
-    Raises
-    ------
-    bench.errors.BenchError
-        If the run cannot be exported; nothing is left behind.
     """
     from bench.exchange import exports
 
@@ -455,26 +323,9 @@ def stream_run(
 ) -> Streamed:
     """Send the sensor data of a run to a socket at the pace of its arrival, for a filter in the loop.
 
-    Parameters
-    ----------
-    folder : str or Path
-        A results folder.
-    udp, tcp : str or None
-        Exactly one of them, ``IP:PORT``. UDP sends each message as a datagram to the address; TCP waits for
-        one connection at the address, and port 0 takes any free port.
-    rate : float
-        Seconds of the run per second; 0 or infinity: as fast as possible.
-    allow_remote : bool
-        Permit an address on another machine.
-    say : callable
-        Called with a line that names the address, before the first message.
-
-    Raises
-    ------
-    bench.errors.BenchError
-        If the folder, the address or the rate is wrong.
-    OSError
-        If the address cannot be used, or the other side closes the connection before the end.
+    Exactly one of ``udp`` and ``tcp`` is an address ``IP:PORT``. UDP sends each message as a datagram to it;
+    TCP waits for one connection there, and port 0 takes any free port. The other parameters and the errors
+    are those of `bench.exchange.streaming.stream`.
     """
     from bench.exchange import exports, streaming
 
@@ -513,16 +364,6 @@ def score_solution(
         Folder for a copy of the results with the solution added, without the recording.
     force : bool
         Replace an existing results folder.
-
-    Returns
-    -------
-    score : Score
-        ``metrics``, ``errors`` and ``solution``, and the ``run`` it was judged on.
-
-    Raises
-    ------
-    bench.errors.BenchError
-        If the solution, the folder or a number is wrong; nothing is written.
     """
     from bench.exchange import scoring
 
@@ -543,25 +384,12 @@ def check_limits(
     *,
     directory: str | Path = "tests/baselines",
     runs: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Verdict]:
-    """Fly profiles and compare their accuracy with their limits.
+    """Fly profiles, all that have limits if none is named, and compare their accuracy with their limits.
 
-    Parameters
-    ----------
-    profiles : sequence of str
-        Names of the profiles; empty checks all that have limits.
-    directory : str or Path
-        Folder of the limits, one ``<profile>.json`` each.
-    runs : int or None
-        Number of noise draws per profile; None takes as many as its limits are made from.
-    progress : callable or None
-        Called with the profile, the number of finished runs and the number of all runs.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If limits or a profile are missing or wrong. This is checked before anything is flown.
+    The limits of a profile are in ``<profile>.json`` in ``directory``. ``runs`` is the number of noise draws;
+    None takes as many as the limits are made from. Errors as for `bench.baselines.check`.
     """
     from bench import baselines
 
@@ -573,21 +401,11 @@ def record_limits(
     *,
     directory: str | Path = "tests/baselines",
     runs: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Fly profiles, write their metrics as new limits, and return the files.
 
-    Parameters
-    ----------
-    profiles : sequence of str
-        Shipped names or paths; empty records all that have limits.
-    directory, runs, progress
-        As for :func:`check_limits`; ``runs`` is `bench.baselines.RUNS` by default.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If a profile is missing or wrong, or there is none to record.
+    Parameters as for :func:`check_limits`; ``runs`` is `bench.baselines.RUNS` by default.
     """
     from bench import baselines
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError
-from bench.evaluation import outages, validity
+from bench.evaluation import validity
 from bench.evaluation.fixes import antenna_errors, judge
-from bench.evaluation.outages import OutageDrift, make_drift_row
+from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
@@ -24,7 +25,10 @@ from bench.units import SAME_INSTANT
 
 @dataclass(frozen=True, slots=True)
 class RecordedLog:
-    """A recording, the checks of its data, and the estimators to run on it."""
+    """A recording, the checks of its data, and the estimators to run on it.
+
+    ``records`` holds ``imu``, ``fixes`` and ``baro`` in SI, frame b; t = 0 is the first row of the IMU.
+    """
 
     spec: LogSpec
     records: LogRecords
@@ -32,9 +36,29 @@ class RecordedLog:
     estimators: Mapping[str, estimator.Estimator]  # by label
 
 
-def read_log(name: str, estimators: Sequence[str] | None = None, allow_commands: bool = False) -> RecordedLog:
-    """Read a log and check its records; parameters and errors as `bench.api.read_log`."""
-    spec = load_log(name, estimators, allow_commands)
+def read_log(
+    path: str | Path, *, estimators: Sequence[str] | None = None, allow_commands: bool = False
+) -> RecordedLog:
+    """Read a recording of real sensors and check its consistency; nothing is repaired.
+
+    Parameters
+    ----------
+    path : str or Path
+        The ``.toml`` file of the log: recorded files, mounting of the sensors, datasheets that filters
+        assume.
+    estimators : sequence of str or None
+        As for `bench.run`; None takes those of the log.
+    allow_commands : bool
+        Let the log start the programs it names.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If a file is missing or wrong; the message names file and row.
+    bench.errors.EstimatorError
+        If an estimator cannot be built, or needs data that the log does not have.
+    """
+    spec = load_log(str(path), estimators, allow_commands)
     built = {c.label: pipeline.build_estimator(c) for c in spec.estimators}
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
@@ -43,12 +67,36 @@ def read_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     return RecordedLog(spec, records, tuple(checks), built)
 
 
-def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> RunResult:
-    """Run estimators on a recording and judge them; parameters and errors as `bench.api.navigate_log`."""
+def navigate_log(
+    log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
+) -> RunResult:
+    """Run estimators on a recording and judge them by withheld fixes.
+
+    Parameters
+    ----------
+    log : str, Path or RecordedLog
+        The path of a log, or what :func:`read_log` returns.
+    outages : sequence of float
+        Durations of GNSS outages to simulate [s]; each is simulated at ``places`` places, in separate runs.
+    places : int
+        Number of places of each outage.
+
+    Returns
+    -------
+    result : RunResult
+        ``errors`` relative to the withheld fixes [m, m/s; n], ``metrics``; ``more`` holds the checks of the
+        recording and the drift over the outages [m].
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError
+        As for :func:`read_log`, and if the start or an outage does not fit the recording.
+    """
+    log = log if isinstance(log, RecordedLog) else read_log(log)
     clock = time.process_time()
     spec = log.spec
     session = Session(spec, log.records, find_start(log.records, spec))
-    for duration in durations:
+    for duration in outages:
         session.check_room(duration)
     keep, withheld = session.split_fixes()
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
@@ -61,7 +109,7 @@ def navigate_log(log: RecordedLog, durations: Sequence[float], places: int) -> R
         errors[label], metrics[label] = judge(solutions[label], withheld, data, spec.evaluation_from)
         if list_errors := getattr(one, "unmodelled", None):
             metrics[label]["unmodelled"] = list(list_errors(spec.assumed))
-        for duration in durations:
+        for duration in outages:
             outage_drifts = session.run_outages(one, label, duration, places)
             drifts.append(make_drift_row(label, duration, outage_drifts, spec.assumed.imu))
     suspicious = [check for check in log.checks if not check.good]
@@ -149,7 +197,7 @@ class Session:
         """Return the drift over an outage at several places; the estimator runs once for each."""
         t = self.fixes.t
         drifts = []
-        for begin in outages.place_outages(self.first, float(t[-1]), duration, places):
+        for begin in place_outages(self.first, float(t[-1]), duration, places):
             before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
             end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])

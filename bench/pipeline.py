@@ -149,10 +149,11 @@ def run(
     clock["judge"] = time.process_time()
     judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
     clock["end"] = time.process_time()
-    steps = list(clock)
-    hashes = {"truth": None if own_truth else store.truth_key(profile.flight)}
-    hashes["sensors"] = store.hash_spec(profile.sensors)
-    cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(steps)}
+    hashes = {
+        "truth": None if own_truth else store.truth_key(profile.flight),
+        "sensors": store.hash_spec(profile.sensors),
+    }
+    cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(clock)}
     return RunResult(
         profile=profile.document,
         seed=profile.seed,
@@ -174,22 +175,16 @@ def run(
 
 def _check_times(profile: Profile, end: float) -> None:
     """Raise ConfigError if an outage, a fault or the alignment window ends after the end of the flight."""
+    outages = enumerate(profile.sensors.gnss_outages, 1)
+    ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
+    faults = enumerate(profile.sensors.faults, 1)
+    ends += [(f"[[fault]] {k} ({fault.kind}): its end at", fault.end) for k, fault in faults]
     problems = [
-        f"{profile.name}: [[gnss_outage]] {k}: its end at {stop:g} s is outside the flight, 0 to {end:g} s"
-        for k, (_, stop) in enumerate(profile.sensors.gnss_outages, 1)
-        if stop > end
-    ]
-    problems += [
-        f"{profile.name}: [[fault]] {k} ({fault.kind}): its end at {fault.end:g} s is outside the flight, "
-        f"0 to {end:g} s"
-        for k, fault in enumerate(profile.sensors.faults, 1)
-        if fault.end > end
+        f"{profile.name}: {what} {t:g} s is outside the flight, 0 to {end:g} s" for what, t in ends if t > end
     ]
     if profile.evaluation_from >= end:
-        problems.append(
-            f"{profile.name}: [evaluation] from_s = {profile.evaluation_from:g} s is outside the flight, "
-            f"0 to {end:g} s"
-        )
+        what = f"[evaluation] from_s = {profile.evaluation_from:g} s"
+        problems.append(f"{profile.name}: {what} is outside the flight, 0 to {end:g} s")
     if problems:
         raise ConfigError(*problems)
 

@@ -16,7 +16,6 @@ PACKAGE = Path(bench.__file__).parent
 MOST_LINES = 450
 
 LONG_FILES = {
-    "api.py": "all public functions of Python beside each other",
     "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
     "signals/receiver.py": "from observations to fixes",
     "specs.py": "all that a profile asks for, in SI",

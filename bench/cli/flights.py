@@ -8,11 +8,16 @@ from typing import Any
 import click
 
 from bench.cli.group import (
+    FILE,
     STATUS,
     commands,
     estimator_option,
+    force_option,
+    json_option,
     new_console,
     out_option,
+    programs_option,
+    recording_option,
     seed_option,
     set_option,
 )
@@ -30,32 +35,15 @@ from bench.errors import DONE, NEGATIVE
     "draw",
     type=click.IntRange(min=0),
     default=0,
-    show_default=True,
     metavar="K",
     help="the K-th noise draw of this seed",
 )
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print the metrics as JSON on stdout, the rest on stderr"
-)
-@click.option("--no-rrd", is_flag=True, help="write no recording")
-@click.option("--force", is_flag=True, help="replace an existing results folder")
-@click.option(
-    "--allow-commands", is_flag=True, help="let the profile start the programs it names (use = 'command:...')"
-)
-def run(
-    profile: str,
-    out: Path | None,
-    estimators: tuple[str, ...],
-    overrides: dict[str, Any],
-    seed: int | None,
-    draw: int,
-    then_view: bool,
-    as_json: bool,
-    no_rrd: bool,
-    force: bool,
-    allow_commands: bool,
-) -> int:
+@json_option("the metrics")
+@recording_option
+@force_option()
+@programs_option("profile")
+def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
@@ -73,28 +61,18 @@ def run(
     truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
     errors-<estimator>.parquet and flight.rrd (bench view DIR).
     """
-    if then_view and no_rrd:
+    if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
     from bench.store import to_json
     from bench.workbench.flight_verbs import run as run_profile
     from bench.workbench.viewer import view as view_folder
 
-    result, folder = run_profile(
-        profile,
-        console=new_console(stderr=as_json),
-        out=out,
-        estimators=estimators or None,
-        overrides=overrides,
-        seed=seed,
-        draw=draw,
-        recording=not no_rrd,
-        force=force,
-        allow_commands=allow_commands,
-    )
+    console = new_console(stderr=as_json)
+    result, folder = run_profile(profile, console=console, **options)
     if as_json:
         click.echo(to_json(result.metrics), nl=False)
     if then_view:
-        view_folder(folder, web=False, console=new_console(stderr=as_json))
+        view_folder(folder, web=False, console=console)
     return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
 
 
@@ -102,7 +80,7 @@ def run(
 @click.argument("profile")
 @set_option
 @seed_option
-def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
+def fly(profile: str, **options: Any) -> int:
     """Fly only the truth of a profile and describe the flight.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). The
@@ -111,7 +89,7 @@ def fly(profile: str, overrides: dict[str, Any], seed: int | None) -> int:
     """
     from bench.workbench.flight_verbs import fly as fly_profile
 
-    fly_profile(profile, console=new_console(), overrides=overrides, seed=seed)
+    fly_profile(profile, console=new_console(), **options)
     return DONE
 
 
@@ -185,7 +163,7 @@ def new(kind: str, name: str) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="[DIR]")
+@click.argument("folder", required=False, type=FILE, metavar="[DIR]")
 @click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
 def view(folder: Path | None, web: bool) -> int:
     """Open the viewer on a results folder.
@@ -202,9 +180,8 @@ def view(folder: Path | None, web: bool) -> int:
 @click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
 @click.option(
     "--baselines",
-    type=click.Path(path_type=Path),
+    type=FILE,
     default=Path("tests/baselines"),
-    show_default=True,
     metavar="DIR",
     help="folder of the limits, one <profile>.json each",
 )

@@ -24,7 +24,7 @@ full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
 130 interrupted.
 """
 
-_HELP = {"max_content_width": 100}
+_HELP = {"max_content_width": 100, "show_default": True}
 
 
 def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
@@ -65,11 +65,38 @@ set_option = click.option(
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence"
 )
+recording_option = click.option(
+    "--no-rrd",
+    "recording",
+    is_flag=True,
+    flag_value=False,
+    default=True,
+    show_default=False,
+    help="write no recording",
+)
+FILE = click.Path(path_type=Path)
 
 
 def out_option(what: str, metavar: str = "DIR") -> Decorator:
     """Return the option -o: the file or folder a verb writes."""
-    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar=metavar, help=what)
+    return click.option("-o", "--out", type=FILE, metavar=metavar, help=what)
+
+
+def force_option(what: str = "results folder") -> Decorator:
+    """Return the option --force."""
+    return click.option("--force", is_flag=True, help=f"replace an existing {what}")
+
+
+def json_option(what: str) -> Decorator:
+    """Return the option --json: print these figures as JSON."""
+    text = f"print {what} as JSON on stdout, the rest on stderr"
+    return click.option("--json", "as_json", is_flag=True, help=text)
+
+
+def programs_option(file: str) -> Decorator:
+    """Return the option --allow-commands of a verb that reads this kind of file."""
+    text = f"let the {file} start the programs it names (use = 'command:...')"
+    return click.option("--allow-commands", is_flag=True, help=text)
 
 
 def estimator_option(which: str) -> Decorator:
@@ -79,6 +106,7 @@ def estimator_option(which: str) -> Decorator:
         "--estimator",
         "estimators",
         multiple=True,
+        callback=lambda ctx, param, given: given or None,
         metavar="NAME",
         help=f"{which}, 'module:Class', 'file:solution.csv' or 'command:./program {{sensors}} {{solution}}'; "
         "repeat for more",

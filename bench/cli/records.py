@@ -7,7 +7,19 @@ from typing import Any
 
 import click
 
-from bench.cli.group import STATUS, commands, estimator_option, new_console, out_option, parse_durations
+from bench.cli.group import (
+    FILE,
+    STATUS,
+    commands,
+    estimator_option,
+    force_option,
+    json_option,
+    new_console,
+    out_option,
+    parse_durations,
+    programs_option,
+    recording_option,
+)
 from bench.errors import DONE, NEGATIVE, ConfigError
 
 
@@ -32,31 +44,14 @@ class _LogCommand(click.Command):
     help="cut out GNSS for this long and judge the drift by the fixes that were cut out",
 )
 @click.option(
-    "--places",
-    type=click.IntRange(2, 1000),
-    default=10,
-    show_default=True,
-    metavar="N",
-    help="places where each outage is cut",
+    "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
 )
-@click.option("--no-rrd", is_flag=True, help="write no recording")
-@click.option("--force", is_flag=True, help="replace an existing results folder")
-@click.option("--allow-commands", is_flag=True, help="let the log start the programs it names")
+@recording_option
+@force_option()
+@programs_option("log")
 @out_option("folder for the results  [default: runs/<log>]")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
-)
-def navigate(
-    log: str,
-    estimators: tuple[str, ...],
-    outages: tuple[float, ...],
-    places: int,
-    no_rrd: bool,
-    force: bool,
-    allow_commands: bool,
-    out: Path | None,
-    as_json: bool,
-) -> int:
+@json_option("the figures")
+def navigate(log: str, as_json: bool, **options: Any) -> int:
     """Run estimators on a recording of real sensors.
 
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
@@ -72,51 +67,34 @@ def navigate(
     from bench.store import to_json
     from bench.workbench.record_verbs import navigate_log
 
-    summary = navigate_log(
-        log,
-        console=new_console(stderr=as_json),
-        estimators=estimators or None,
-        durations=outages,
-        places=places,
-        out=out,
-        recording=not no_rrd,
-        force=force,
-        allow_commands=allow_commands,
-    )
+    summary = navigate_log(log, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(summary), nl=False)
     return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("observations", type=click.Path(path_type=Path))
-@click.argument(
-    "navigation", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="NAVIGATION..."
-)
+@click.argument("observations", type=FILE)
+@click.argument("navigation", nargs=-1, required=True, type=FILE, metavar="NAVIGATION...")
 @click.option(
     "--systems",
     type=click.Choice(["gps", "glonass", "both", "auto"]),
     default="both",
-    show_default=True,
     help="satellites to use; auto takes those with the least PDOP times sd at each epoch",
 )
 @click.option(
     "--ionosphere",
     type=click.Choice(["klobuchar", "free"]),
     default="klobuchar",
-    show_default=True,
     help="broadcast model on the first carrier, or the combination of two",
 )
 @click.option(
     "--troposphere",
     type=click.Choice(["saastamoinen", "b-10"]),
     default="saastamoinen",
-    show_default=True,
     help="vertical delay",
 )
-@click.option(
-    "--mask-deg", type=click.FloatRange(0, 60), default=10.0, show_default=True, help="lowest elevation used"
-)
+@click.option("--mask-deg", type=click.FloatRange(0, 60), default=10.0, help="lowest elevation used")
 @click.option(
     "--without",
     multiple=True,
@@ -127,21 +105,11 @@ def navigate(
     "--datum",
     type=click.Choice(["WGS-84", "PZ-90.11", "SK-42"]),
     default="WGS-84",
-    show_default=True,
     help="datum of the positions in --out",
 )
 @out_option("file for the fixes", "FILE.csv")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print the figures as JSON on stdout, the rest on stderr"
-)
-def fixes(
-    observations: Path,
-    navigation: tuple[Path, ...],
-    datum: str,
-    out: Path | None,
-    as_json: bool,
-    **options: Any,
-) -> int:
+@json_option("the figures")
+def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute the fixes of a GNSS receiver from its observations.
 
     OBSERVATIONS is a RINEX 2 or 3 observation file, NAVIGATION one or more navigation
@@ -155,8 +123,7 @@ def fixes(
     from bench.store import to_json
     from bench.workbench.record_verbs import solve_fixes
 
-    console = new_console(stderr=as_json)
-    figures = solve_fixes(observations, navigation, console=console, datum=datum, out=out, **options)
+    figures = solve_fixes(observations, navigation, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(figures), nl=False)
     return DONE if figures["fixes"] else NEGATIVE
@@ -164,13 +131,9 @@ def fixes(
 
 @commands.command(epilog=STATUS)
 @click.argument("unit", required=False, metavar="[UNIT]")
-@click.option(
-    "--log", type=click.Path(path_type=Path), metavar="FILE", help="measure this log of an IMU at rest"
-)
+@click.option("--log", type=FILE, metavar="FILE", help="measure this log of an IMU at rest")
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, metavar="N", help="seed of the noise"
-)
+@click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
 def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> int:
     """Measure the Allan deviation of an IMU and compare it with its datasheet.
 
@@ -196,18 +159,18 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
 
 
 @commands.command(epilog=STATUS)
-@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--to", "kind", required=True, metavar="FORMAT", help="csv, kf-gins ...; bench list exports")
 @out_option("folder for the files  [default: RUN-FORMAT beside RUN]")
 @click.option(
     "--with",
-    "wanted",
+    "include",
     multiple=True,
     metavar="NAME",
     help="truth or solution:NAME, besides the sensors; repeat for more",
 )
-@click.option("--force", is_flag=True, help="replace an existing export")
-def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], force: bool) -> int:
+@force_option("export")
+def export(folder: Path, **options: Any) -> int:
     """Export the sensor data of a run in the format of another tool.
 
     RUN is a results folder of bench run, FORMAT one of bench list exports. Truth and
@@ -224,43 +187,28 @@ def export(folder: Path, kind: str, out: Path | None, wanted: tuple[str, ...], f
     """
     from bench.workbench.record_verbs import export_run
 
-    export_run(folder, kind, console=new_console(), out=out, include=wanted, force=force)
+    export_run(folder, console=new_console(), **options)
     return DONE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("solution", type=click.Path(path_type=Path))
-@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("solution", type=FILE)
+@click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--label", metavar="NAME", help="label of the solution  [default: the name of its file]")
 @click.option(
-    "--t0",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="S",
-    help="time of the file at the start of the run",
+    "--t0", "t_0", type=float, default=0.0, metavar="S", help="time of the file at the start of the run"
 )
 @click.option(
     "--max-gap",
+    "longest",
     type=click.FloatRange(min=0),
     metavar="S",
     help="longest interval between rows that is interpolated  [default: twice the median, at most 2 s]",
 )
 @out_option("write the results folder with the solution added, without the recording")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print its metrics as JSON on stdout, the rest on stderr"
-)
-@click.option("--force", is_flag=True, help="replace an existing results folder")
-def score(
-    solution: Path,
-    folder: Path,
-    label: str | None,
-    t0: float,
-    max_gap: float | None,
-    out: Path | None,
-    as_json: bool,
-    force: bool,
-) -> int:
+@json_option("its metrics")
+@force_option()
+def score(solution: Path, folder: Path, as_json: bool, **options: Any) -> int:
     """Judge the solution of any program on a run, beside the estimators of the bench.
 
     RUN is a results folder of bench run, SOLUTION a table (.csv, .parquet, .mat) of
@@ -285,23 +233,14 @@ def score(
     from bench.store import to_json
     from bench.workbench.record_verbs import score_solution
 
-    measured = score_solution(
-        solution,
-        folder,
-        console=new_console(stderr=as_json),
-        label=label,
-        t_0=t0,
-        longest=max_gap,
-        out=out,
-        force=force,
-    )
+    measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(measured), nl=False)
     return DONE if measured["converged"] else NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--udp", metavar="IP:PORT", help="send each message as a datagram to this address")
 @click.option(
     "--tcp", metavar="IP:PORT", help="wait for one connection at this address; port 0 takes a free one"
@@ -310,12 +249,11 @@ def score(
     "--rate",
     type=float,
     default=1.0,
-    show_default=True,
     metavar="R",
     help="seconds of the run per second; 0 or inf: as fast as possible",
 )
 @click.option("--allow-remote", is_flag=True, help="permit an address on another machine")
-def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_remote: bool) -> int:
+def stream(folder: Path, **options: Any) -> int:
     """Send the sensor data of a run at the pace of its arrival, for a filter in the loop.
 
     RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
@@ -340,9 +278,9 @@ def stream(folder: Path, udp: str | None, tcp: str | None, rate: float, allow_re
       bench stream runs/figure-eight-20260101 --udp 127.0.0.1:5600
       bench stream runs/figure-eight-20260101 --tcp 127.0.0.1:5600 --rate 10
     """
-    if (udp is None) == (tcp is None):
+    if (options["udp"] is None) == (options["tcp"] is None):
         raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
     from bench.workbench.record_verbs import stream_run
 
-    stream_run(folder, console=new_console(), udp=udp, tcp=tcp, rate=rate, allow_remote=allow_remote)
+    stream_run(folder, console=new_console(), **options)
     return DONE

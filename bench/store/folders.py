@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bench.errors import ConfigError
-from bench.store.results import RESULT, results_folder
+from bench.store.results import RESULT
 
 
 def check_folder(folder: Path, *, force: bool, replaceable: bool | None = None) -> None:
@@ -42,22 +42,36 @@ def check_folder(folder: Path, *, force: bool, replaceable: bool | None = None) 
 
 
 @contextlib.contextmanager
-def make_folder(folder: Path, *, force: bool) -> Iterator[Path]:
-    """Provide a new folder to write results to; it appears under its name only if everything succeeds.
+def make_folder(folder: Path, *, force: bool = False) -> Iterator[Path]:
+    """Provide a temporary folder beside the wanted one; it gets the name if everything succeeds.
+
+    After an exception, Ctrl-C included, it is removed, and what was under the name is still there.
 
     Raises
     ------
     ConfigError
-        If another run made the folder meanwhile.
+        If another run made the folder meanwhile; with ``force`` it is replaced.
     OSError
         If the folder cannot be written.
     """
-    replace = force or folder.is_dir()  # an empty one
     try:
-        with results_folder(folder, replace=replace) as partial:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
+        ) as scratch:
+            partial, old = Path(scratch) / "new", Path(scratch) / "old"
+            partial.mkdir()
             yield partial
-    except FileExistsError:
-        raise ConfigError(f"{folder}: the results folder was made by another run; not replaced") from None
+            if folder.exists():
+                if not force and any(folder.iterdir()):
+                    raise ConfigError(f"{folder}: the results folder was made by another run; not replaced")
+                folder.rename(old)
+            try:
+                partial.rename(folder)
+            except BaseException:
+                if old.exists():
+                    old.rename(folder)
+                raise
     except OSError as error:
         what = os.strerror(error.errno) if error.errno else str(error)
         raise OSError(error.errno, f"{what}; nothing was written", str(folder)) from error

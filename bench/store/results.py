@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,47 +43,6 @@ DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"
 EVENTS = "sensors-events.parquet"
 _T = TypeVar("_T")
-
-
-@contextmanager
-def results_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Provide a temporary folder beside the wanted one and rename it if everything succeeds.
-
-    Parameters
-    ----------
-    folder : Path
-        The results folder.
-    replace : bool
-        Replace an existing folder.
-
-    Yields
-    ------
-    partial : Path
-        The folder to write to. It is removed after an exception, Ctrl-C included.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder exists and ``replace`` is false.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        partial = scratch / "new"
-        partial.mkdir()
-        yield partial
-        if folder.exists():
-            if not replace:
-                raise FileExistsError(f"{folder} exists")
-            folder.rename(scratch / "old")
-        try:
-            partial.rename(folder)
-        except BaseException:
-            if (scratch / "old").exists():
-                (scratch / "old").rename(folder)
-            raise
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def save(folder: Path, result: RunResult) -> None:

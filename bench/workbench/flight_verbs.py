@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import api, store
+from bench import api, config, store
 from bench.data import RunResult
 from bench.specs import Profile
 from bench.workbench import show
@@ -37,7 +37,7 @@ def run(
     ``profile_options`` are those of `bench.config.load_profile`.
     """
     find_own_estimators()
-    profile = api.load_profile(name, **profile_options)
+    profile = config.load_profile(name, **profile_options)
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
@@ -63,9 +63,9 @@ def find_own_estimators() -> None:
         sys.path.append(str(Path.cwd()))
 
 
-def fly(name: str, *, console: Console, overrides: Mapping[str, Any], seed: int | None) -> None:
+def fly(name: str, *, console: Console, **profile_options: Any) -> None:
     """Fly the truth of one profile into the cache, and print its legs and extremes."""
-    profile = api.load_profile(name, overrides, seed)
+    profile = config.load_profile(name, **profile_options)
     with _show_progress(profile) as progress:
         summary = api.describe_flight(profile, progress)
     show.print_flight(console, profile, summary)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import pydoc
 import re
@@ -14,6 +13,7 @@ from rich.table import Table
 
 from bench.errors import ConfigError
 from bench.places import PACKAGE
+from bench.wording import suggest
 
 FOLDER = PACKAGE / "guide"
 """One Markdown file per topic; its ``README.md`` lists them."""
@@ -48,11 +48,9 @@ def show_topic(topic: str, console: Console) -> None:
     ConfigError
         If there is no such topic; the message lists the nearest name and all names.
     """
-    known = list(read_topics())
+    known = read_topics()
     if topic not in known:
-        near = difflib.get_close_matches(topic, known, n=1)
-        hint = f"Did you mean {near[0]!r}? " if near else ""
-        raise ConfigError(f"no topic {topic!r}. {hint}Topics: {', '.join(known)}")
+        raise ConfigError(f"no topic {topic!r}{suggest(topic, known, 'topics')}")
     text = (FOLDER / f"{topic}.md").read_text(encoding="utf-8")
     if not console.is_terminal:
         console.print(text, soft_wrap=True, end="")

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import api, store
+from bench import api, log_pipeline, store
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.specs import TriadSpec
@@ -22,7 +22,7 @@ def navigate_log(
     name: str,
     *,
     console: Console,
-    durations: Sequence[float],
+    outages: Sequence[float],
     places: int,
     out: Path | None,
     recording: bool,
@@ -31,21 +31,21 @@ def navigate_log(
 ) -> dict[str, Any]:
     """Check a recording, run estimators on it, print their metrics, and write the results folder.
 
-    If ``out`` is None the folder is ``runs/<log>``. ``log_options`` are those of `bench.api.read_log`.
+    If ``out`` is None the folder is ``runs/<log>``. ``log_options`` are those of `bench.read_log`.
     Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
     folder = out or RUNS / Path(name).stem
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
-    log = api.read_log(name, **log_options)
+    log = log_pipeline.read_log(name, **log_options)
     console.print(f"{log.spec.title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
     for check in log.checks:
         mark, style = ("  ", None) if check.good else ("! ", "yellow")
         console.print(mark + check.text, style=style, soft_wrap=True)
     for note in log.records.notes:
         console.print(f"  {note}")
-    result = api.navigate_log(log, outages=durations, places=places)
+    result = log_pipeline.navigate_log(log, outages=outages, places=places)
     withheld, start = len(result.records["withheld"]), log.spec.evaluation_from
     console.print(f"{log.spec.title}: {withheld} fixes withheld, from {start:g} s on")
     show.print_metrics(console, result.metrics, result.solutions)
@@ -103,11 +103,9 @@ def measure_allan(
     return measured.held
 
 
-def export_run(
-    folder: Path, kind: str, *, console: Console, out: Path | None, include: Sequence[str], force: bool
-) -> None:
-    """Export a run in the format of another tool and print the names of the files."""
-    out = api.export_run(folder, kind, out=out, include=include, force=force)
+def export_run(folder: Path, *, console: Console, **options: Any) -> None:
+    """Export a run and print the names of the files; options as for `bench.api.export_run`."""
+    out = api.export_run(folder, **options)
     names = sorted(path.name for path in out.iterdir())
     console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
 

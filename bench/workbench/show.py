@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench import api
+from bench import api, config
 from bench.baselines import Verdict
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
@@ -180,13 +180,13 @@ def print_verdicts(console: Console, rows: Sequence[Verdict]) -> None:
 
 
 _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
-    "profiles": ("bench run NAME", api.list_profiles),
-    "aircraft": ("aircraft = NAME", api.list_aircraft),
-    "legs": ("[[leg]] kind = NAME", api.list_legs),
-    "sensors": (f"[sensors] {', '.join(SENSORS)} = NAME", api.list_sensors),
+    "profiles": ("bench run NAME", config.list_profiles),
+    "aircraft": ("aircraft = NAME", config.list_aircraft),
+    "legs": ("[[leg]] kind = NAME", config.list_legs),
+    "sensors": (f"[sensors] {', '.join(SENSORS)} = NAME", config.list_sensors),
     "estimators": (
         "use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...'",
-        api.list_estimators,
+        config.list_estimators,
     ),
     "exports": ("bench export RUN --to NAME", api.list_exports),
 }

@@ -45,7 +45,7 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
         {},
         records={"truth": truth, "sensed": sensed},
     )
-    with store.results_folder(folder) as partial:
+    with store.make_folder(folder) as partial:
         store.save(partial, result)
     return truth, sensed
 

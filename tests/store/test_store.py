@@ -174,7 +174,7 @@ def result(truth, sensed) -> RunResult:
 
 @pytest.fixture
 def saved(tmp_path, result) -> Path:
-    with store.results_folder(tmp_path / "runs" / "one") as partial:
+    with store.make_folder(tmp_path / "runs" / "one") as partial:
         store.save(partial, result)
     return tmp_path / "runs" / "one"
 
@@ -249,7 +249,7 @@ def test_json_is_replaced_as_a_whole(tmp_path):
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
 def test_a_failure_leaves_nothing_behind(tmp_path, failure):
     def fail() -> None:
-        with store.results_folder(tmp_path / "one") as partial:
+        with store.make_folder(tmp_path / "one") as partial:
             (partial / "truth.parquet").write_text("half")
             raise failure
 
@@ -262,13 +262,13 @@ def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
     folder = tmp_path / "one"
     folder.mkdir()
     (folder / "old").touch()
-    with pytest.raises(FileExistsError), store.results_folder(folder):
+    with pytest.raises(BenchError, match="another run"), store.make_folder(folder):
         pass
     assert [path.name for path in folder.iterdir()] == ["old"]
-    with pytest.raises(OSError, match="full"), store.results_folder(folder, replace=True):
+    with pytest.raises(OSError, match="full"), store.make_folder(folder, force=True):
         raise OSError("full")
     assert [path.name for path in folder.iterdir()] == ["old"]
-    with store.results_folder(folder, replace=True) as partial:
+    with store.make_folder(folder, force=True) as partial:
         (partial / "new").touch()
     assert [path.name for path in folder.iterdir()] == ["new"]
     assert list(tmp_path.iterdir()) == [folder]

@@ -420,10 +420,11 @@ def test_a_topic_is_rendered_on_a_terminal(topic, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("topic", "hint"), [("profile", "Did you mean 'profiles'? "), ("xyzzy", ""), ("../README", "")]
+    ("topic", "hint"), [("profile", ". Did you mean 'profiles'?"), ("xyzzy", ""), ("../README", "")]
 )
-def test_an_unknown_topic_is_one_line_with_all_of_them(topic, hint, capsys):
+def test_an_unknown_topic_is_told_with_all_of_them(topic, hint, capsys):
     assert main(["guide", topic]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == f"error: no topic {topic!r}. {hint}Topics: {', '.join(guide.read_topics())}\n"
+    known = ", ".join(sorted(guide.read_topics()))
+    assert err == f"error: no topic {topic!r}{hint}\n  known topics: {known}\n"
