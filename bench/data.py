@@ -9,7 +9,7 @@ going back are data there.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -164,6 +164,10 @@ class GnssFixes(Record):
     cov_pos_n: FloatArray = matrix(STATES[0:3], "n")  # (M, 3, 3) reported [m^2], n
     cov_vel_n: FloatArray = matrix(STATES[3:6], "n")  # (M, 3, 3) reported [m^2/s^2], n
     satellites: IntArray = column("satellites", kind=int)  # (M,) number used
+
+    def take(self, rows: BoolArray) -> GnssFixes:
+        """Return the fixes of the selected rows."""
+        return GnssFixes(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
 
 GPS, GLONASS = 0, 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -146,7 +146,7 @@ class Session:
         after_start = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
         good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= imu.t.max())
         self.spec, self.recorded, self.initial = spec, recorded, initial
-        self.fixes = _select_fixes(fixes, good)
+        self.fixes = fixes.take(good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
         last = float(imu.t.max())
@@ -167,11 +167,11 @@ class Session:
         keep = np.ones(len(self.fixes), np.bool_)
         if self.spec.withhold:
             keep[self.spec.withhold - 1 :: self.spec.withhold] = False
-        return keep, _select_fixes(self.fixes, ~keep)
+        return keep, self.fixes.take(~keep)
 
     def make_data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
         """Return the data for an estimator; IMU intervals are divided to end at each fix and output."""
-        fixes, output_t = _select_fixes(self.fixes, keep), np.unique(output_t)
+        fixes, output_t = self.fixes.take(keep), np.unique(output_t)
         baro = self.recorded.baro
         cuts = [output_t, fixes.t] + ([baro.t] if baro is not None else [])
         return SensorData(
@@ -203,7 +203,7 @@ class Session:
             keep = (t <= t[before]) | (t > t[end])
             data = self.make_data(keep, t[end : end + 1])
             solution = estimator.answer(one, label, data, self.initial)
-            last = _select_fixes(self.fixes, np.arange(len(t)) == end)
+            last = self.fixes.take(np.arange(len(t)) == end)
             error = antenna_errors(solution, last, data).pos_n[0]
             variance = np.diag(solution.cov[0])
             drifts.append(
@@ -216,8 +216,3 @@ class Session:
                 )
             )
         return drifts
-
-
-def _select_fixes(fixes: GnssFixes, rows: BoolArray) -> GnssFixes:
-    """Return the selected rows of the fixes."""
-    return GnssFixes(**{f.name: getattr(fixes, f.name)[rows] for f in fields(fixes)})

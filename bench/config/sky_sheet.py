@@ -128,7 +128,8 @@ def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
 ) -> tuple[KeplerSets | None, KeplerSets | GlonassSets | None, Sequence[float] | None]:
     """Read GPS and GLONASS orbits and the ionosphere parameters; None stands for the nominal ones."""
-    from bench.exchange import almanac, rinex
+    from bench.exchange import almanac
+    from bench.exchange.rinex import ephemerides
 
     if table.almanac is not None:
         path = beside / table.almanac
@@ -138,7 +139,9 @@ def _read_satellites(
         return sets, None, None
     if not table.navigation:
         return None, None, None
-    files = rinex.merge_navigation([rinex.read_navigation(beside / f, f) for f in table.navigation])
+    files = ephemerides.merge_navigation(
+        [ephemerides.read_navigation(beside / f, f) for f in table.navigation]
+    )
     gps, glonass = files.kepler.shift_origin(midnight), files.glonass.shift_origin(midnight)
     for system, name, t, oldest in (
         ("gps", "GPS", gps.t, _GPS_STALE),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.errors import ConfigError
-from bench.exchange.rinex import Lines, open_lines
+from bench.exchange.rinex.lines import Lines, open_lines
 from bench.signals.orbits import KEPLER, WEEK, KeplerSets
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]

@@ -17,7 +17,7 @@ from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, LogRows
-from bench.exchange.table_files import read_table
+from bench.exchange.table_files import find_first, read_table
 from bench.instruments import BaroData
 from bench.rotation import from_euler, multiply, rotate
 from bench.specs import AssumedSpecs
@@ -78,12 +78,10 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     else:
         rows = imports.read(source.format, source.path, kind, source.topic)
     bad = ~np.isfinite(rows.t)
-    if not len(rows.t) or bad.all():
+    if bad.all():
         raise ConfigError(f"{source.path.name}: no rows")
-    if bad.any():
-        raise ConfigError(
-            f"{source.path.name}: row {int(np.argmax(bad)) + 1}: its time is not a finite number"
-        )
+    if (k := find_first(bad)) is not None:
+        raise ConfigError(f"{source.path.name}: row {k + 1}: its time is not a finite number")
     if kind == "imu" and len(rows.t) < 2:
         raise ConfigError(f"{source.path.name}: one row; an IMU record needs at least two")
     return replace(rows, t=rows.t + source.time_offset)
@@ -107,25 +105,18 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     return ImuData(t=t, dt=dt, valid=good, dtheta_b=rotate(q_bs, dtheta), dvel_b=rotate(q_bs, dvel))
 
 
-_LIMITS = (("latitude", 90.0, -90.0), ("longitude", 360.0, -180.0))
+_LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))
 
 
 def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
     assert spec.gnss is not None
     shown, values = spec.gnss.path.name, rows.values
     lla = values["lla"]
-    for k, (what, high, low) in enumerate(_LIMITS):
-        degrees = np.rad2deg(lla[:, k])
-        off = (degrees < low - 1e-9) | (degrees > high + 1e-9)
-        if off.any():
-            row = int(np.argmax(off))
-            raise ConfigError(
-                f"{shown}: row {row + 1}: {what} {degrees[row]:.9g} deg is outside {low:g} to {high:g}"
-            )
-    off = (lla[:, 2] < -1e3) | (lla[:, 2] > 1e5)
-    if off.any():
-        row = int(np.argmax(off))
-        raise ConfigError(f"{shown}: row {row + 1}: height {lla[row, 2]:.9g} m is outside -1000 to 100000 m")
+    place = np.column_stack([np.rad2deg(lla[:, :2]), lla[:, 2]])
+    for column, (what, unit, low, high) in zip(place.T, _LIMITS, strict=True):
+        if (k := find_first((column < low - 1e-9) | (column > high + 1e-9))) is not None:
+            text = f"{what} {column[k]:.9g} {unit} is outside {low:g} to {high:g}"
+            raise ConfigError(f"{shown}: row {k + 1}: {text}")
     t = rows.t - origin
     vel_n = _shift_velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
     valid = np.asarray(np.isfinite(lla).all(axis=1))
@@ -156,9 +147,8 @@ def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, sh
         return np.full((len(t), 3), np.nan)
     if offset == 0.0:
         return vel_n
-    if (np.diff(t) <= 0).any():
-        row = int(np.argmax(np.diff(t) <= 0)) + 2
-        raise ConfigError(f"{shown}: row {row}: velocity_offset_s needs times that increase")
+    if (k := find_first(np.diff(t) <= 0)) is not None:
+        raise ConfigError(f"{shown}: row {k + 2}: velocity_offset_s needs times that increase")
     own = t + offset
     moved = np.stack([np.interp(t, own, column, left=np.nan, right=np.nan) for column in vel_n.T], axis=-1)
     step = np.diff(own)

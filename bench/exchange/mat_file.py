@@ -17,8 +17,7 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 
 MOST_BYTES = 1_000_000_000
-"""Largest size of all variables of a file, uncompressed [byte]."""
-_BLOCK = 1 << 20  # [byte]
+"""Largest size of a file, and of its compressed variables when unpacked [byte]."""
 _DEEPEST = 4  # levels of structures within structures
 _MATRIX, _PACKED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -40,24 +39,26 @@ def read_mat(path: Path) -> dict[str, Value]:
     shown = path.name
     variables: dict[str, Value] = {}
     try:
-        with path.open("rb") as file:
-            head = file.read(128)
-            if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
-                raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
-            if not head.startswith(b"MATLAB 5.0") or head[126:128] not in (b"IM", b"MI"):
-                raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
-            order = "<" if head[126:128] == b"IM" else ">"
-            left = MOST_BYTES
-            while tag := file.read(8):
-                kind, size = (int(x) for x in np.frombuffer(tag, f"{order}u4", 2))
-                body = _unpack(file, size, left) if kind == _PACKED else tag + _read_exactly(file, size, left)
-                left -= len(body)
-                if left < 0:
-                    raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked")
-                for element, data in _split_elements(memoryview(body), order):
-                    if element == _MATRIX:
-                        name, value = _read_array(data, order, 0)
-                        variables[name] = value
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        content = memoryview(path.read_bytes())
+        head = bytes(content[:128])
+        if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
+            raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
+        if not head.startswith(b"MATLAB 5.0") or head[126:] not in (b"IM", b"MI"):
+            raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
+        order = "<" if head[126:] == b"IM" else ">"
+        left = MOST_BYTES
+        for kind, data in _split_elements(content[128:], order):
+            elements = iter([(kind, data)])
+            if kind == _PACKED:
+                unpacked = zlib.decompressobj().decompress(data, left + 1)
+                elements = _split_elements(memoryview(unpacked), order)
+                left -= len(unpacked)
+            if left < 0:
+                raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked")
+            arrays = (_read_array(array, order, 0) for kind, array in elements if kind == _MATRIX)
+            variables.update(arrays)
     except (ValueError, OverflowError, MemoryError, zlib.error) as error:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
     except OSError as error:
@@ -73,29 +74,6 @@ def get_vector(value: Value, name: str, shown: str) -> FloatArray:
             kind = f"of shape {value.shape}" if isinstance(value, np.ndarray) else "a structure"
         raise ConfigError(f"{shown}: {name!r} must be a vector of numbers; it is {kind}")
     return np.atleast_1d(value)
-
-
-def _read_exactly(file: Any, size: int, left: int) -> bytes:
-    data: bytes = file.read(min(size, left + 1))
-    if len(data) < size <= left:
-        raise ValueError("it ends within a variable")
-    return data
-
-
-def _unpack(file: Any, size: int, left: int) -> bytes:
-    """Return an uncompressed element; stop soon after ``left`` bytes if it is longer."""
-    unpack, parts, count = zlib.decompressobj(), [], 0
-    while size > 0 and count <= left:
-        block = file.read(min(size, _BLOCK))
-        if not block:
-            raise ValueError("it ends within a variable")
-        size -= len(block)
-        while block and count <= left:
-            part = unpack.decompress(block, 16 * _BLOCK)
-            parts.append(part)
-            count += len(part)
-            block = unpack.unconsumed_tail
-    return b"".join(parts)
 
 
 def _split_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:

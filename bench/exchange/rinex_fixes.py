@@ -15,13 +15,8 @@ from bench import earth
 from bench.arrays import FloatArray
 from bench.data import GnssFixes
 from bench.errors import ConfigError
-from bench.exchange.rinex import (
-    NavigationFile,
-    ObservationFile,
-    merge_navigation,
-    read_navigation,
-    read_observations,
-)
+from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
+from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.signals import least_squares, receiver
 from bench.signals.orbits import DAY
 

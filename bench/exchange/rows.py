@@ -99,8 +99,8 @@ class LogRows:
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
             values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
-        unused = f"{shown}: columns not used: {', '.join(table.unused[:20])[:300]}"
-        return cls(found["time"][:, 0], values, (unused,) if table.unused else ())
+        notes = (f"{shown}: {table.list_unused()}",) if table.unused else ()
+        return cls(found["time"][:, 0], values, notes)
 
 
 _SPREADS = {"position sd": "sd_pos", "velocity sd": "sd_vel"}

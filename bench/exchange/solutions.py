@@ -21,14 +21,26 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.error_series import FAILED, NOT_COVERED
-from bench.exchange.table_files import TableColumns, group, list_names, read_table
-from bench.exchange.trajectory import KINDS
+from bench.exchange.table_files import (
+    TableColumns,
+    check_times,
+    find_first,
+    group,
+    list_names,
+    read_table,
+)
+from bench.exchange.trajectory import KINDS, check_positions, normalize_quaternions
 from bench.units import SAME_INSTANT
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
 _GAPS, _LONGEST = 2.0, 2.0  # longest interpolated interval: median intervals, and [s]
-_NORM_WRONG = 1e-2  # largest accepted |norm of a quaternion - 1|
+_LIMITS = (
+    (-0.5 * np.pi, 0.5 * np.pi),
+    (-2 * np.pi, 2 * np.pi),
+    (-np.inf, np.inf),
+)  # latitude, longitude, height
+_RADII = (6e6, 1e8)  # from the centre of the Earth [m]
 _NEAR, _FAST = 1e5, 1e3  # a start farther off than [m] plus [m/s] times the time is in another unit
 
 _STATES = tuple(f"{block}_{axis}" for block in ("pos", "vel", "phi") for axis in "ned")
@@ -98,29 +110,28 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     if not stat.S_ISREG(kind):
         raise ConfigError(f"{shown}: not a regular file")
     table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
-    _check_groups(table, shown)
+    table.check_groups(_ALL, shown)
+    _check_deviations(table, shown)
     t = table.columns["time"][:, 0]
-    _check_times(t, table.names["time"][0], shown)
+    check_times(t, table.names["time"][0], shown)
     given = {kind: values for kind, values in table.columns.items() if not np.isnan(values).all()}
     blocks = [kind for kind in ("position", "velocity", "attitude") if kind in given]
     if not blocks:
         raise ConfigError(f"{shown}: it has no values of position, velocity or attitude")
     whole = np.all([np.isfinite(values).all(axis=1) for values in given.values()], axis=0)
-    rows = np.flatnonzero(whole)
+    rows = np.flatnonzero(whole) + 1
     if not len(rows):
         raise ConfigError(f"{shown}: no row has a finite number in every column")
-    given = {kind: values[rows] for kind, values in given.items()}
+    given = {kind: values[whole] for kind, values in given.items()}
     n = len(rows)
     lla = _read_positions(table, given, rows, shown)
     q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
     remarks = [f"{len(t) - n} of {len(t)} rows left out: a value is not finite"] if n < len(t) else []
-    if table.unused:
-        more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
-        remarks.append(f"columns not used: {', '.join(table.unused[:20])[:400]}{more}")
+    remarks += [table.list_unused()] if table.unused else []
     return ForeignSolution(
         shown=shown,
-        rows=rows + 1,
-        t=t[rows] - t_0,
+        rows=rows,
+        t=t[whole] - t_0,
         lla=lla,
         vel_n=_read_velocities(table, given, q_en, shown),
         q_nb=_read_attitudes(table, given, q_en, rows, shown),
@@ -134,34 +145,10 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
 # --- checking -----------------------------------------------------------------------------------------
 
 
-def _check_groups(table: TableColumns, shown: str) -> None:
-    """Raise ConfigError if only some columns of a kind are present."""
-    from bench.units import split_unit
-
-    unused = {split_unit(name)[0] for name in table.unused}
-    for kind, groups in _ALL.items():
-        if kind in table.columns:
-            continue
-        there = [[stem for stem in one if stem in unused] for one in groups]
-        most = max(range(len(groups)), key=lambda k: len(there[k]))
-        missing = [stem for stem in groups[most] if stem not in unused]
-        if there[most]:
-            raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}")
+def _check_deviations(table: TableColumns, shown: str) -> None:
     both = [kind for kind in _DEVIATIONS if kind in table.columns]
     if both and any(name in table.columns for name in _COVARIANCES):
         raise ConfigError(f"{shown}: {both[0]}_n and covariances: give only one of them")
-
-
-def _check_times(t: FloatArray, name: str, shown: str) -> None:
-    if not len(t):
-        raise ConfigError(f"{shown}: no rows")
-    wrong = ~np.isfinite(t)
-    if wrong.any():
-        raise ConfigError(f"{shown}: row {int(np.argmax(wrong)) + 1}: {name} is not a finite number")
-    back = np.diff(t) <= 0
-    if back.any():
-        k = int(np.argmax(back))
-        raise ConfigError(f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}")
 
 
 def _read_positions(
@@ -170,26 +157,9 @@ def _read_positions(
     """Return lla (N, 3); NaN if there is no position."""
     if "position" not in given:
         return np.full((len(rows), 3), np.nan)
-    position, names = given["position"], table.names["position"]
-    if table.stems["position"][0] == "lat":
-        for k, limit in ((0, 0.5 * np.pi), (1, 2 * np.pi)):
-            off = np.abs(position[:, k]) > limit + 1e-12
-            if off.any():
-                row = int(np.argmax(off))
-                value, most = np.rad2deg(position[row, k]), np.rad2deg(limit)
-                raise ConfigError(
-                    f"{shown}: row {rows[row] + 1}: {names[k]} is {value:.9g} deg, beyond {most:.0f} deg"
-                )
-        return position
-    radius = np.linalg.norm(position, axis=1)
-    off = (radius < 6e6) | (radius > 1e8)
-    if off.any():
-        row = int(np.argmax(off))
-        far = f"{radius[row] / 1e3:.6g} km"
-        raise ConfigError(
-            f"{shown}: row {rows[row] + 1}: ecef position is {far} from the centre of the Earth"
-        )
-    return earth.to_geodetic(position)
+    position = given["position"]
+    check_positions(table, position, rows, _LIMITS, _RADII, shown)
+    return position if table.stems["position"][0] == "lat" else earth.to_geodetic(position)
 
 
 def _read_velocities(
@@ -212,12 +182,7 @@ def _read_attitudes(
     attitude, stem = given["attitude"], table.stems["attitude"][0]
     if stem == "roll":
         return rotation.from_euler(*attitude.T)
-    norm = np.linalg.norm(attitude, axis=1)
-    off = np.abs(norm - 1.0) > _NORM_WRONG
-    if off.any():
-        row = int(np.argmax(off))
-        raise ConfigError(f"{shown}: row {rows[row] + 1}: the quaternion has the norm {norm[row]:.6g}, not 1")
-    q: FloatArray = attitude / norm[:, None]
+    q = normalize_quaternions(attitude, rows, shown)
     if stem == "q_nb_w":
         return q
     if "position" not in given:
@@ -236,10 +201,8 @@ def _read_covariance(
         diagonal = [f"cov_{_STATES[i]}_{_STATES[i]}" for i in here]
         there = [name for name in diagonal if name in given]
         if kind in given:
-            below = (given[kind] < 0).any(axis=1)
-            if below.any():
-                row = rows[int(np.argmax(below))] + 1
-                raise ConfigError(f"{shown}: row {row}: a standard deviation {kind}_* is negative")
+            if (first := find_first((given[kind] < 0).any(axis=1))) is not None:
+                raise ConfigError(f"{shown}: row {rows[first]}: a standard deviation {kind}_* is negative")
             for i, column in zip(here, given[kind].T, strict=True):
                 cov[:, i, i] = column**2
         elif there and len(there) < 3:
@@ -267,10 +230,8 @@ def _fill_covariance(
     cov[:, i, j] = cov[:, j, i] = both[0] if both else 0.0
     if len(both) == 2:
         scale = np.sqrt(np.abs(cov[:, i, i] * cov[:, j, j]))
-        off = np.abs(both[0] - both[1]) > 1e-6 * scale
-        if off.any():
-            row = rows[int(np.argmax(off))] + 1
-            raise ConfigError(f"{shown}: row {row}: {names[0]} and {names[1]} differ")
+        if (k := find_first(np.abs(both[0] - both[1]) > 1e-6 * scale)) is not None:
+            raise ConfigError(f"{shown}: row {rows[k]}: {names[0]} and {names[1]} differ")
 
 
 def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:

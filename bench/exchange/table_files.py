@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
@@ -35,12 +36,7 @@ UNITS = {
     "pressure": ("Pa", "hPa"),
     "": ("",),
 }
-"""Dimension -> allowed units of its columns."""
-
-_ENDING = {
-    "time": "_s", "clock": "_s", "angle": "_deg", "length": "_m", "speed": "_mps", "rate": "_rad_s",
-    "acceleration": "_m_s2", "pressure": "_pa", "": "",
-}  # fmt: skip
+"""Dimension -> allowed units of its columns; messages name the first."""
 
 Group = Mapping[str, str]
 """Columns that belong together: name without the unit -> dimension."""
@@ -53,7 +49,26 @@ def group(dimension: str, *stems: str) -> dict[str, str]:
 
 def list_names(groups: Sequence[Group]) -> str:
     """Return the allowed column names of a kind, as text."""
-    return " or ".join(", ".join(f"{stem}{_ENDING[d]}" for stem, d in one.items()) for one in groups)
+    return " or ".join(", ".join(_add_unit(stem, UNITS[d][0]) for stem, d in one.items()) for one in groups)
+
+
+def find_first(bad: ArrayLike) -> int | None:
+    """Return the index of the first true element, None if there is none."""
+    return int(np.argmax(bad)) if np.any(bad) else None
+
+
+def check_times(t: FloatArray, name: str, shown: str) -> None:
+    """Raise ConfigError if there is no row, or a time is not finite or not after the one before it."""
+    if not len(t):
+        raise ConfigError(f"{shown}: no rows")
+    if (k := find_first(~np.isfinite(t))) is not None:
+        raise ConfigError(f"{shown}: row {k + 1}: {name} is not a finite number")
+    back = np.diff(t) <= 0
+    if (k := find_first(back)) is not None:
+        more = f" ({np.count_nonzero(back)} such rows)" if np.count_nonzero(back) > 1 else ""
+        raise ConfigError(
+            f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}{more}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +79,21 @@ class TableColumns:
     stems: Mapping[str, tuple[str, ...]]  # kind -> names without units
     names: Mapping[str, tuple[str, ...]]  # kind -> names with units
     unused: tuple[str, ...]
+
+    def list_unused(self) -> str:
+        """Return a remark that lists the columns that are not used, 20 at most."""
+        more = f" and {len(self.unused) - 20} more" if len(self.unused) > 20 else ""
+        return f"columns not used: {', '.join(self.unused[:20])[:400]}{more}"
+
+    def check_groups(self, kinds: Mapping[str, Sequence[Group]], shown: str) -> None:
+        """Raise ConfigError if only some columns of a kind are present."""
+        unused = {split_unit(name)[0] for name in self.unused}
+        for kind in kinds.keys() - self.columns.keys():
+            there = [[stem for stem in one if stem in unused] for one in kinds[kind]]
+            most = max(range(len(there)), key=lambda k: len(there[k]))
+            missing = [stem for stem in kinds[kind][most] if stem not in unused]
+            if there[most]:
+                raise ConfigError(f"{shown}: {', '.join(there[most])} without {', '.join(missing)}")
 
 
 def read_table(

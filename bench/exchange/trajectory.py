@@ -13,17 +13,24 @@ increments from it at 400 Hz or more.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
 from bench.data import Events, Trajectory
 from bench.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
-from bench.exchange.table_files import TableColumns, group, list_names, read_table
+from bench.exchange.table_files import (
+    TableColumns,
+    check_times,
+    find_first,
+    group,
+    list_names,
+    read_table,
+)
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, EventRow, Stretch, make_truth
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
@@ -44,6 +51,8 @@ _TURN = math.radians(90.0)  # largest rotation between rows; beyond it the motio
 _SPEED_OFF = 0.05  # tolerance of the velocity against the derivative of the position [m/s] ...
 _SPEED_SHARE = 0.005  # ... or as a fraction of the speed [1]
 _OFF_TABLE = 1e-3  # tolerance of a row against the truth [m]
+_LIMITS = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))  # latitude, longitude, height
+_RADII = (6.34e6, 6.48e6)  # from the centre of the Earth [m]
 _FORCE = 10.0  # largest specific force of most aircraft, assumed [g]
 
 _TIMES = (group("time", "t"), group("time", "time"))
@@ -153,24 +162,18 @@ def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
     if len(t) < _FEWEST:
         raise ConfigError(f"{shown}: {len(t)} rows; at least {_FEWEST} are needed")
     for kind, values in table.columns.items():
-        bad = ~np.isfinite(values)
-        if bad.any():
-            row, column = map(int, np.argwhere(bad)[0])
-            raise ConfigError(f"{shown}: row {row + 1}: {table.names[kind][column]} is not a finite number")
-    back = np.diff(t) <= 0
-    if back.any():
-        k, name = int(np.argmax(back)), table.names["time"][0]
-        more = f" ({np.count_nonzero(back)} such rows)" if np.count_nonzero(back) > 1 else ""
-        raise ConfigError(
-            f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}{more}"
-        )
+        for name, column in zip(table.names[kind], values.T, strict=True):
+            if (k := find_first(~np.isfinite(column))) is not None:
+                raise ConfigError(f"{shown}: row {k + 1}: {name} is not a finite number")
+    check_times(t, table.names["time"][0], shown)
     notes: list[EventRow] = []
     if t[0] != 0.0:
         notes.append((0.0, 0.0, "table", f"t = 0 is {table.names['time'][0]} = {t[0]:.9g} of the table"))
     if table.unused:
-        more = f" and {len(table.unused) - 20} more" if len(table.unused) > 20 else ""
-        notes.append((0.0, 0.0, "table", f"columns not used: {', '.join(table.unused[:20])[:400]}{more}"))
-    pos_e = _read_positions(table, shown)
+        notes.append((0.0, 0.0, "table", table.list_unused()))
+    position = table.columns["position"]
+    check_positions(table, position, np.arange(1, len(t) + 1), _LIMITS, _RADII, shown)
+    pos_e = to_ecef(position) if table.stems["position"][0] == "lat" else position
     lat, lon, _ = to_geodetic(pos_e).T
     q_en = from_matrix(matrix_en(lat, lon))
     q_eb = _read_attitudes(table, shown, q_en, t - t[0], notes)
@@ -180,29 +183,39 @@ def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
     return _TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
 
 
-def _read_positions(table: TableColumns, shown: str) -> FloatArray:
-    position, names = table.columns["position"], table.names["position"]
+def check_positions(
+    table: TableColumns,
+    position: FloatArray,
+    numbers: IntArray,
+    limits: Sequence[tuple[float, float]],
+    radii: tuple[float, float],
+    shown: str,
+) -> None:
+    """Raise ConfigError at the first position (N, 3) outside its limits, with the number of its row.
+
+    ``limits``: lowest and highest latitude, longitude [rad] and height [m]; ``radii``: smallest and largest
+    distance of an Earth-fixed position from the centre of the Earth [m].
+    """
     if table.stems["position"][0] == "lat":
-        limits = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))
-        for k, (low, high) in enumerate(limits):
-            off = (position[:, k] < low - 1e-12) | (position[:, k] > high + 1e-12)
-            if off.any():
-                row = int(np.argmax(off))
-                factor = FACTORS[split_unit(names[k])[1]]
-                value, a, b = position[row, k] / factor, low / factor, high / factor
-                raise ConfigError(
-                    f"{shown}: row {row + 1}: {names[k]} = {value:.9g} is outside {a:.6g} to {b:.6g}"
-                )
-        return to_ecef(position)
-    radius = np.linalg.norm(position, axis=1)
-    off = (radius < 6.34e6) | (radius > 6.48e6)
-    if off.any():
-        row = int(np.argmax(off))
-        raise ConfigError(
-            f"{shown}: row {row + 1}: ecef position is {radius[row] / 1e3:.6g} km from the centre of the "
-            f"Earth, outside 6340 to 6480 km"
-        )
-    return position
+        for name, values, (low, high) in zip(table.names["position"], position.T, limits, strict=True):
+            if (k := find_first((values < low - 1e-12) | (values > high + 1e-12))) is not None:
+                value, a, b = (x / FACTORS[split_unit(name)[1]] for x in (values[k], low, high))
+                text = f"{name} = {value:.9g} is outside {a:.6g} to {b:.6g}"
+                raise ConfigError(f"{shown}: row {numbers[k]}: {text}")
+        return
+    km, low, high = np.linalg.norm(position, axis=1) / 1e3, radii[0] / 1e3, radii[1] / 1e3
+    if (k := find_first((km < low) | (km > high))) is not None:
+        text = f"ecef position is {km[k]:.6g} km from the centre of the Earth, outside {low:g} to {high:g} km"
+        raise ConfigError(f"{shown}: row {numbers[k]}: {text}")
+
+
+def normalize_quaternions(q: FloatArray, numbers: IntArray, shown: str) -> FloatArray:
+    """Return quaternions (N, 4) with norm 1; raise ConfigError if a norm is more than 1 % off."""
+    norm = np.linalg.norm(q, axis=1)
+    if (k := find_first(np.abs(norm - 1.0) > _NORM_WRONG)) is not None:
+        raise ConfigError(f"{shown}: row {numbers[k]}: the quaternion has the norm {norm[k]:.6g}, not 1")
+    normalized: FloatArray = q / norm[:, None]
+    return normalized
 
 
 def _read_attitudes(
@@ -211,18 +224,15 @@ def _read_attitudes(
     attitude, stems = table.columns["attitude"], table.stems["attitude"]
     if stems[0] == "roll":
         return continuous(multiply(q_en, from_euler(*attitude.T)))
+    q = normalize_quaternions(attitude, np.arange(1, len(t) + 1), shown)
     norm = np.linalg.norm(attitude, axis=1)
     off = np.abs(norm - 1.0)
-    worst = int(np.argmax(off))
-    if off[worst] > _NORM_WRONG:
-        row = int(np.argmax(off > _NORM_WRONG))
-        raise ConfigError(f"{shown}: row {row + 1}: the quaternion has the norm {norm[row]:.6g}, not 1")
-    if off[worst] > _NORM_OFF:
-        rows = np.flatnonzero(off > _NORM_OFF)
+    rows = np.flatnonzero(off > _NORM_OFF)
+    if len(rows):
+        worst = int(np.argmax(off))
         words = f"{len(rows)} quaternions from row {rows[0] + 1} on have a norm other than 1"
         worst_norm = f"row {worst + 1} the worst: {norm[worst]:.9g}"
         notes.append((float(t[rows[0]]), float(t[rows[-1]]), "sanity", f"{words}, {worst_norm}"))
-    q = attitude / norm[:, None]
     return continuous(q if stems[0] == "q_eb_w" else multiply(q_en, q))
 
 

@@ -470,7 +470,7 @@ def test_text_that_cannot_be_is_refused_with_its_row(tmp_path, content, words):
         ("2025/07/08 19:34:18 40 -105 1600 1 20\n", "no line that names the columns"),
         (
             "% GPST latitude(deg) longitude(deg) height(m)\nnow 40 -105 1600\n",
-            "row 1: 'now 40 -105 1600' does not begin",
+            "row 1: 'now 40 -105 1600' is not a time and numbers",
         ),
         (
             "% GPST latitude(deg) longitude(deg)\n2025/07/08 19:34:18 40 -105\n",

@@ -17,7 +17,8 @@ import bench
 from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
-from bench.exchange import almanac, rinex
+from bench.exchange import almanac
+from bench.exchange.rinex import ephemerides, lines, observations
 from tests.data import gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
@@ -178,25 +179,27 @@ def test_claimed_covariance_covers_the_real_errors():
 
 
 def test_the_real_files_are_read_whole():
-    raw = rinex.read_observations(gnss_file(ESBC[0]))
+    raw = observations.read_observations(gnss_file(ESBC[0]))
     assert len(raw.t) == 240
     assert raw.t[1] - raw.t[0] == 360.0
     assert raw.marker == "ESBC00DNK"
     assert_allclose(raw.antenna_hen, [0.216, 0.0, 0.0])
-    japan = rinex.read_observations(gnss_file(JAPAN[0]))
+    japan = observations.read_observations(gnss_file(JAPAN[0]))
     assert len(japan.t) == 120
     assert japan.t[-1] == 3570.005  # the receiver's clock is 5 ms ahead by then
     assert np.isnan(japan.doppler).all()
-    day = rinex.read_navigation(gnss_file("brdc3050.12n"))
+    day = ephemerides.read_navigation(gnss_file("brdc3050.12n"))
     assert len(np.unique(day.kepler.sat)) == 32
-    assert len(np.unique(rinex.read_navigation(gnss_file("brdc3050.12g")).glonass.sat)) == 24
+    assert len(np.unique(ephemerides.read_navigation(gnss_file("brdc3050.12g")).glonass.sat)) == 24
 
 
 def test_memory_grows_with_what_is_kept():
     """At most 300 bytes per satellite and epoch while a file is read."""
-    rinex.read_observations(gnss_file(ESBC[0]))  # what is imported and cached on the way does not count
+    observations.read_observations(
+        gnss_file(ESBC[0])
+    )  # what is imported and cached on the way does not count
     tracemalloc.start()
-    raw = rinex.read_observations(gnss_file(ESBC[0]))
+    raw = observations.read_observations(gnss_file(ESBC[0]))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 300 * len(raw.sat)
@@ -241,7 +244,7 @@ def test_an_option_that_does_not_exist_is_refused_from_python_too(option, words)
 
 
 def test_rinex_3_observations(tmp_path):
-    raw = rinex.read_observations(written(tmp_path, OBS_3))
+    raw = observations.read_observations(written(tmp_path, OBS_3))
     assert raw.t.tolist() == [0.0, 60.001]
     assert raw.sat.tolist() == [5, 24, 5]  # Galileo is skipped
     assert raw.system.tolist() == [0, 1, 0]
@@ -254,7 +257,7 @@ def test_rinex_3_observations(tmp_path):
 
 
 def test_rinex_2_observations_with_more_than_twelve_satellites(tmp_path):
-    raw = rinex.read_observations(written(tmp_path, OBS_2))
+    raw = observations.read_observations(written(tmp_path, OBS_2))
     assert raw.sat.tolist() == [3, 7, 8, 11, 19, 20, 24, 28, 1, 2, 4, 5, 6]
     assert raw.system.tolist() == [0] * 12 + [1]
     assert_allclose(raw.pseudorange, np.tile([24767686.375, 24767684.822], (13, 1)))
@@ -264,28 +267,28 @@ def test_rinex_2_observations_with_more_than_twelve_satellites(tmp_path):
 
 def test_glonass_time_in_the_header_is_utc(tmp_path):
     shifted = OBS_3.replace("GPS         TIME OF", "GLO         TIME OF")
-    assert rinex.read_observations(written(tmp_path, shifted)).t[0] == 18.0
+    assert observations.read_observations(written(tmp_path, shifted)).t[0] == 18.0
 
 
 def test_numbers_without_an_exponent_letter_and_weeks(tmp_path):
-    nav = rinex.read_navigation(written(tmp_path, NAV_2))
-    assert nav.kepler.t[0] == rinex.gps_seconds(2012, 10, 31)
-    assert rinex.lines._parse_number("0.499063314480-269") == 0.499063314480e-269
-    assert rinex.lines._parse_number("-1.5+02") == -150.0
-    assert rinex.lines._parse_number("1_000.0") is None
-    assert rinex.lines._parse_number("nan") is None
+    nav = ephemerides.read_navigation(written(tmp_path, NAV_2))
+    assert nav.kepler.t[0] == lines.gps_seconds(2012, 10, 31)
+    assert lines._parse_number("0.499063314480-269") == 0.499063314480e-269
+    assert lines._parse_number("-1.5+02") == -150.0
+    assert lines._parse_number("1_000.0") is None
+    assert lines._parse_number("nan") is None
 
 
 def test_glonass_times_are_utc_with_or_without_leap_seconds_in_the_header(tmp_path):
     """16 s on that day by IERS Bulletin C; the header's own number wins."""
-    noon = rinex.gps_seconds(2012, 10, 31, 900.0)
-    assert rinex.read_navigation(written(tmp_path, NAV_R)).glonass.t[0] == noon + 16
+    noon = lines.gps_seconds(2012, 10, 31, 900.0)
+    assert ephemerides.read_navigation(written(tmp_path, NAV_R)).glonass.t[0] == noon + 16
     said = NAV_R.replace(
         "                                                            END",
         "    17                                                      LEAP SECONDS\n" + 60 * " " + "END",
     )
-    assert rinex.read_navigation(written(tmp_path, said)).glonass.t[0] == noon + 17
-    found = rinex.read_navigation(written(tmp_path, NAV_R)).glonass
+    assert ephemerides.read_navigation(written(tmp_path, said)).glonass.t[0] == noon + 17
+    found = ephemerides.read_navigation(written(tmp_path, NAV_R)).glonass
     assert_allclose(found.state[0, 1:4], [-23809821.28906, -8908935.546875, 2209434.082031], rtol=1e-12)
     assert found.channel.tolist() == [5]
 
@@ -293,7 +296,7 @@ def test_glonass_times_are_utc_with_or_without_leap_seconds_in_the_header(tmp_pa
 def test_yuma_week_follows_the_date(tmp_path):
     path = written(tmp_path, YUMA)
     for year, week in ((2003, 1173), (2022, 2197)):
-        assert almanac.read_yuma(path, rinex.gps_seconds(year, 2, 17)).t[0] // 604800 == week
+        assert almanac.read_yuma(path, lines.gps_seconds(year, 2, 17)).t[0] // 604800 == week
 
 
 def broken(text, line, old, new):
@@ -348,7 +351,7 @@ OBSERVATIONS = {
 def test_a_broken_observation_file_gets_one_line(tmp_path, case):
     text, said = OBSERVATIONS[case]
     with pytest.raises(ConfigError) as caught:
-        rinex.read_observations(written(tmp_path, text))
+        observations.read_observations(written(tmp_path, text))
     assert len(caught.value.messages) == 1
     assert said in caught.value.messages[0]
     assert caught.value.messages[0].startswith("file: ")
@@ -383,7 +386,7 @@ NAVIGATION = {
 def test_a_broken_navigation_file_gets_one_line(tmp_path, case):
     text, said = NAVIGATION[case]
     with pytest.raises(ConfigError) as caught:
-        rinex.read_navigation(written(tmp_path, text))
+        ephemerides.read_navigation(written(tmp_path, text))
     assert len(caught.value.messages) == 1
     assert said in caught.value.messages[0]
 
@@ -411,4 +414,4 @@ def test_a_broken_almanac_gets_one_line(tmp_path, case):
 def test_what_is_no_file_gets_one_line(tmp_path):
     for path, said in ((tmp_path / "none", "none: no such file"), (tmp_path, ": is a folder, not a file")):
         with pytest.raises(ConfigError, match=said):
-            rinex.read_observations(path)
+            observations.read_observations(path)

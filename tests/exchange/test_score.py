@@ -273,7 +273,7 @@ FAR = "t_s,lat_deg,lon_deg,alt_m\n0,0.82,0.19,1200\n1,0.82,0.19,1200\n"
         (GOOD + "0,47,11,1200\n1,47,11\n", "row 2: 3 columns, the header has 4"),
         (GOOD + "0,47,11,1200\n0,47,11,1200\n", "row 2: t_s = 0 does not come after 0"),
         (GOOD + "0,47,11,1200\nnan,47,11,1200\n", "row 2: t_s is not a finite number"),
-        (GOOD + "0,47,11,1200\n1,97,11,1200\n", "row 2: lat_deg is 97 deg, beyond 90 deg"),
+        (GOOD + "0,47,11,1200\n1,97,11,1200\n", "row 2: lat_deg = 97 is outside -90 to 90"),
         (GOOD + "0,nan,11,1200\n1,47,nan,1200\n", "row has a finite number in every column"),
         (FAR, "row 1: 5078 km from the start of the run: a solution of another flight, or"),
         ("t_s,q_nb_w,q_nb_x,q_nb_y,q_nb_z\n0,1,0,0,0\n1,1,1,0,0\n", "row 2: the quaternion has the norm"),

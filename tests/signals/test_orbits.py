@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from bench import earth
-from bench.exchange import almanac, rinex
+from bench.exchange import almanac
+from bench.exchange.rinex import ephemerides, lines
 from bench.signals import least_squares, orbits
 from bench.signals.orbits import KEPLER, C
 from tests.data import gnss_file
@@ -176,7 +177,7 @@ def test_glonass_motion_keeps_its_energy_in_the_rotating_frame():
 )
 def test_two_consecutive_broadcast_sets_meet_half_way(name, median, most):
     """Independent computation of the same files: median 0.28 m (max 3.0) GPS, 0.96 m (max 5.1) GLONASS."""
-    nav = rinex.read_navigation(gnss_file(name))
+    nav = ephemerides.read_navigation(gnss_file(name))
     sets = nav.kepler if len(nav.kepler) else nav.glonass
     sets = sets.shift_origin(float(sets.t.min()))
     apart, longest = [], 7200.0 if len(nav.kepler) else 1800.0
@@ -270,7 +271,7 @@ def test_dop_table_of_the_nominal_constellations(which):
 )
 def test_yuma_almanacs_fly_like_gps(name, day, week, sick):
     """Weeks count modulo 1024; radii of 26 560 km, 55 deg, a repeat after a sidereal day, six planes."""
-    near = rinex.gps_seconds(*day)
+    near = lines.gps_seconds(*day)
     sets = almanac.read_yuma(gnss_file(name), near)
     assert len(sets) == 31
     assert sets.sat[~sets.healthy].tolist() == sick

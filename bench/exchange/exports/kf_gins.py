@@ -26,15 +26,12 @@ _DEFAULT_CORRELATION = 1.0  # if the datasheet has none; 0 would be a division b
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the text files and the configuration; return their description for the README."""
-    imu, rows, calendar = out.imu, out.select_fixes(), out.calendar
-    fixes = out.fixes
-    assert fixes is not None  # there are rows
+    imu, fixes, calendar = out.imu, out.select_fixes(), out.calendar
     parquet.write_text(folder / IMU, np.column_stack([imu.t + calendar.second, imu.dtheta_b, imu.dvel_b]))
-    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[rows]))
-    place = np.rad2deg(fixes.lla[rows, :2])
-    parquet.write_text(
-        folder / GNSS, np.column_stack([fixes.t[rows] + calendar.second, place, fixes.lla[rows, 2], sd])
-    )
+    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n))
+    place = np.rad2deg(fixes.lla[:, :2])
+    columns = [fixes.t + calendar.second, place, fixes.lla[:, 2], sd]
+    parquet.write_text(folder / GNSS, np.column_stack(columns))
     for name, track in out.tracks.items():
         angles = np.rad2deg(np.column_stack(rotation.to_euler(track.q_nb)))
         week = np.full(len(track.t), float(calendar.week))
@@ -42,15 +39,15 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         columns = [week, track.t + calendar.second, place, track.lla[:, 2], track.vel_n, angles]
         parquet.write_text(folder / f"{name}.nav", np.column_stack(columns))
     (folder / CONFIGURATION).write_text(_make_configuration(out), encoding="utf-8")
-    left_out = len(fixes) - len(rows)
     navs = "".join(f"- `{name}.nav`: GNSS week, {_NAV}.\n" for name in out.tracks)
     return f"""For KF-GINS and OB_GINS: text, columns separated by a space, times in GPS seconds of week.
 
 - `{IMU}`, {len(imu)} rows at {out.rate:g} Hz: second of week [s]; increments of angle forward, right, down
   [rad]; increments of velocity [m/s]. Each interval ends at the time of its row.
-- `{GNSS}`, {len(rows)} rows: second of week [s]; latitude, longitude [deg], height [m] of the antenna;
-  standard deviations north, east, down [m], as the receiver reports them. {left_out} rows that the receiver
-  marks as invalid are left out. The format has no columns for velocity and latency.
+- `{GNSS}`, {len(fixes)} rows: second of week [s]; latitude, longitude [deg], height [m] of the antenna;
+  standard deviations north, east, down [m], as the receiver reports them.
+  {out.count_left_out(fixes)} rows that the receiver marks as invalid are left out. The format has no columns
+  for velocity and latency.
 {navs}- `{CONFIGURATION}`: run `KF-GINS {CONFIGURATION}` in this folder; its results appear here. The initial
   state is that of the filters of the bench, propagated to the first row. IMU noise is from the assumed
   datasheet: `gbstd`, `abstd` are the standard deviations of the bias process; `initbgstd`, `initbastd` also

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.errors import ExportError
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 FORMATS = {"kml": "the fixes on a globe"}
@@ -25,17 +26,15 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     document = Xml.SubElement(root, f"{{{_KML}}}Document")
     items = []
     if out.fixes is not None:
-        rows = out.select_fixes()
-        _add_track(document, out.calendar, "GNSS fixes", out.fixes.t[rows], out.fixes.lla[rows])
-        items.append(f"- GNSS fixes: the {len(rows)} of its antenna that the receiver marks as valid")
+        fixes = out.select_fixes()
+        _add_track(document, out.calendar, "GNSS fixes", fixes.t, fixes.lla)
+        items.append(f"- GNSS fixes: the {len(fixes)} of its antenna that the receiver marks as valid")
     for name, track in out.tracks.items():
         kept = thin(track.t, _TRACK_RATE)
         kept = kept[np.isfinite(track.lla[kept]).all(axis=1)]
         _add_track(document, out.calendar, name, track.t[kept], track.lla[kept])
         items.append(f"- {name}: {len(kept)} points of the IMU, at most {_TRACK_RATE:g} per second")
     if not items:
-        from bench.errors import ExportError
-
         raise ExportError("the run has no GNSS receiver; add --with truth or --with solution:NAME")
     text = Xml.tostring(root, encoding="unicode")
     text = re.sub(r"(<(?:when|gx:coord|Placemark|Document|gx:Track)>)", r"\n\1", text)

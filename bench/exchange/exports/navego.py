@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench import earth, rotation
+from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
 
@@ -22,15 +23,14 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write ``navego.mat``; return its description for the README."""
     from scipy.io import savemat
 
-    rows = out.select_fixes()
-    found: dict[str, Any] = {"imu": _make_imu(out), "gnss": _make_gnss(out, rows)}
+    fixes = out.select_fixes()
+    found: dict[str, Any] = {"imu": _make_imu(out), "gnss": _make_gnss(out, fixes)}
     names = {
         name: "ref" if name == "truth" else name.replace("-", "_").replace(".", "_") for name in out.tracks
     }
     found |= {names[name]: _make_reference(track) for name, track in out.tracks.items()}
     savemat(folder / FILE, found, long_field_names=True, oned_as="column", do_compression=True)
     listed = "".join(f"- `{variable}`: {_REF}.\n" for variable in names.values())
-    assert out.fixes is not None  # there are rows
     return f"""For NaveGo, in MATLAB or Octave:
 
     load('{FILE}');
@@ -41,9 +41,9 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
   SI, named as in imu_si_errors.m; gb_sta, ab_sta are zero, because the turn-on bias of a real unit is not
   known. ini_align: roll, pitch, yaw [rad] at the first row, as the filters of the bench get them;
   ini_align_err: their standard deviations.
-- `gnss`, {len(rows)} rows: t [s]; lat, lon [rad], h [m], vel [m/s] north, east, down, of the antenna; stdm,
+- `gnss`, {len(fixes)} rows: t [s]; lat, lon [rad], h [m], vel [m/s] north, east, down, of the antenna; stdm,
   stdv: the medians of the standard deviations that the receiver reports, since NaveGo takes one value per
-  axis; larm [m]. zupt_th is 0: no zero-velocity update. {len(out.fixes) - len(rows)} rows that the receiver
+  axis; larm [m]. zupt_th is 0: no zero-velocity update. {out.count_left_out(fixes)} rows that the receiver
   marks as invalid are left out.
 {listed}
 NaveGo starts at the first fix with its velocity, not at the initial state of the filters of the bench."""
@@ -74,20 +74,17 @@ def _make_imu(out: ExportData) -> dict[str, Any]:
     return found
 
 
-def _make_gnss(out: ExportData, rows: Any) -> dict[str, Any]:
-    fixes = out.fixes
-    assert fixes is not None  # there are rows
-    lla = fixes.lla[rows]
-    stdm = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_pos_n[rows]), axis=0))
-    stdv = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_vel_n[rows]), axis=0))
+def _make_gnss(out: ExportData, fixes: GnssFixes) -> dict[str, Any]:
+    lla, t = fixes.lla, fixes.t
+    stdm = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_pos_n), axis=0))
+    stdv = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_vel_n), axis=0))
     moved = earth.displace(lla[0], stdm * [1.0, 1.0, -1.0]) - lla[0]
-    t = fixes.t[rows]
     return {
         "t": t,
         "lat": lla[:, 0],
         "lon": lla[:, 1],
         "h": lla[:, 2],
-        "vel": fixes.vel_n[rows],
+        "vel": fixes.vel_n,
         "std": moved[None],
         "stdm": stdm[None],
         "stdv": stdv[None],

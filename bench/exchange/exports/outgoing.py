@@ -12,7 +12,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import ExportError
-from bench.exchange.rinex import leap_seconds
+from bench.exchange.rinex.lines import leap_seconds
 from bench.store import read_initial_state
 from bench.store.columns import MOTION, Layout, flatten
 
@@ -85,8 +85,8 @@ class ExportData:
         dt = self.imu.dt[:, None]
         return self.imu.dtheta_b / dt, self.imu.dvel_b / dt
 
-    def select_fixes(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """Return the rows of the fixes that are finite and marked as valid by the receiver.
+    def select_fixes(self) -> GnssFixes:
+        """Return the fixes that are finite and marked as valid by the receiver.
 
         Raises
         ------
@@ -96,10 +96,14 @@ class ExportData:
         if self.fixes is None:
             raise ExportError("the run has no GNSS receiver, which this format needs")
         finite = np.isfinite(self.fixes.lla).all(axis=1) & np.isfinite(self.fixes.t)
-        rows = np.flatnonzero(self.fixes.valid & finite)
-        if not len(rows):
+        kept = self.fixes.valid & finite
+        if not kept.any():
             raise ExportError("no GNSS fix of the run is valid")
-        return rows
+        return self.fixes.take(kept)
+
+    def count_left_out(self, fixes: GnssFixes) -> int:
+        """Return the number of fixes that `select_fixes` has left out."""
+        return 0 if self.fixes is None else len(self.fixes) - len(fixes)
 
     def tables(self) -> dict[str, tuple[object, Layout]]:
         """Return every record and its columns, by the name of its table."""

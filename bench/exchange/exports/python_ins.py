@@ -24,16 +24,14 @@ _IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the DataFrames; return their description for the README."""
-    rows = out.select_fixes()
-    assert out.fixes is not None  # there are rows
-    fixes = out.fixes
+    fixes = out.select_fixes()
     lla, vel_n, q_nb, sd = out.complete_start()
     start = float(out.start["initial"]["t_s"])
     increments = np.hstack([out.imu.dtheta_b, out.imu.dvel_b])
     frames: dict[str, Mapping[str, Any]] = {
         "imu": _make_frame(np.append(start, out.imu.t), _IMU, np.vstack([increments[:1], increments])),
-        "position": _make_frame(fixes.t[rows], _LLA, _to_degrees(fixes.lla[rows])),
-        "velocity": _make_frame(fixes.t[rows], _VEL, fixes.vel_n[rows]),
+        "position": _make_frame(fixes.t, _LLA, _to_degrees(fixes.lla)),
+        "velocity": _make_frame(fixes.t, _VEL, fixes.vel_n),
         "initial": _make_trajectory(np.array([start]), lla[None], vel_n[None], q_nb[None]),
     }
     frames |= {
@@ -42,8 +40,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     }
     for name, frame in frames.items():
         parquet.write_frame(folder / f"{name}.parquet", frame)
-    reported = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_pos_n[rows]), axis=0))
-    speed = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_vel_n[rows]), axis=0))
+    reported = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_pos_n), axis=0))
+    speed = np.sqrt(np.median(np.einsum("mii->mi", fixes.cov_vel_n), axis=0))
     arm = ", ".join(f"{value:.6g}" for value in out.start["antenna_b_m"])
     tracks = "".join(
         f"- `{name}.parquet`: lat, lon [deg], alt [m], VN, VE, VD [m/s], roll, pitch, heading [deg] "
@@ -71,8 +69,8 @@ result = filters.run_feedback_filter(
 - `imu.parquet`, {len(out.imu)} rows at {out.rate:g} Hz after a first one at the start: gyro_x ... [rad],
   accel_x ... [m/s], increments over the interval that ends at the index, forward, right, down. The first row
   repeats the second: python-ins uses it as the sample before the start.
-- `position.parquet`, {len(rows)} rows: lat, lon [deg], alt [m] of the antenna. `velocity.parquet`: VN, VE, VD
-  [m/s]. {len(fixes) - len(rows)} rows that the receiver marks as invalid are left out.
+- `position.parquet`, {len(fixes)} rows: lat, lon [deg], alt [m] of the antenna. `velocity.parquet`: VN, VE,
+  VD [m/s]. {out.count_left_out(fixes)} rows that the receiver marks as invalid are left out.
 - `initial.parquet`: one row, the initial state of the filters of the bench.
 {tracks}"""
 

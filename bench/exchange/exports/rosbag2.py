@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench import rotation
 from bench.arrays import FloatArray
+from bench.data import GnssFixes
 from bench.errors import ExportError
 from bench.exchange.exports.local import to_enu, to_flu, to_poses
 from bench.exchange.exports.outgoing import Calendar, ExportData
@@ -28,22 +31,24 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     types = get_typestore(Stores.ROS2_HUMBLE)
     calendar = out.calendar
     messages = _Messages(types.types, calendar)
-    topics = {"/imu/data_raw": ("sensor_msgs/msg/Imu", messages.imu(out))}
+    topics = {"/imu/data_raw": ("sensor_msgs/msg/Imu", "imu_link", messages.imu(out))}
     if out.fixes is not None:
-        topics["/gnss/fix"] = ("sensor_msgs/msg/NavSatFix", messages.fixes(out))
-        topics["/gnss/vel"] = ("geometry_msgs/msg/TwistWithCovarianceStamped", messages.velocities(out))
+        topics["/gnss/fix"] = ("sensor_msgs/msg/NavSatFix", "gnss_link", messages.fixes(out.fixes))
+        velocities = messages.velocities(out.fixes)
+        topics["/gnss/vel"] = ("geometry_msgs/msg/TwistWithCovarianceStamped", "enu", velocities)
     if "baro" in out.instruments:
-        topics["/baro/pressure"] = ("sensor_msgs/msg/FluidPressure", messages.pressures(out))
+        topics["/baro/pressure"] = ("sensor_msgs/msg/FluidPressure", "baro_link", messages.pressures(out))
     for name in out.tracks:
         topic = "/" + "".join(c if c.isalnum() else "_" for c in name)
-        topics[topic] = ("nav_msgs/msg/Odometry", messages.odometry(out, name))
+        topics[topic] = ("nav_msgs/msg/Odometry", "map", messages.odometry(out, name))
     with Writer(folder / FOLDER, version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
-        for topic, (kind_of, rows) in topics.items():
+        for topic, (kind_of, frame, rows) in topics.items():
             connection = bag.add_connection(topic, kind_of, typestore=types)
-            for t, message in rows:
+            for t, fields in rows:
+                message = types.types[kind_of](header=messages.header(t, frame), **fields)
                 bag.write(connection, calendar.nanoseconds(t), types.serialize_cdr(message, kind_of))
     listed = "\n".join(
-        f"- `{topic}`: {kind_of}{_CONTENTS.get(topic, _TRACK)}" for topic, (kind_of, _) in topics.items()
+        f"- `{topic}`: {kind_of}{_CONTENTS.get(topic, _TRACK)}" for topic, (kind_of, *_) in topics.items()
     )
     lla = _find_origin(out)
     lat, lon = np.rad2deg(lla[:2])
@@ -80,17 +85,20 @@ def _find_origin(out: ExportData) -> FloatArray:
     return origin
 
 
+Rows = Iterator[tuple[float, dict[str, Any]]]
+"""Time [s] and fields, besides the header, of each message of a topic."""
+
+
 class _Messages:
-    """Generators of the messages of each topic: time [s] and message."""
+    """The messages of each topic."""
 
     def __init__(self, types: Any, calendar: Calendar) -> None:
         self._types, self._calendar = types, calendar
 
     def _make(self, kind: str, **fields: Any) -> Any:
-        package, name = kind.split("/")
-        return self._types[f"{package}/msg/{name}"](**fields)
+        return self._types[kind.replace("/", "/msg/")](**fields)
 
-    def _header(self, t: float, frame: str) -> Any:
+    def header(self, t: float, frame: str) -> Any:
         seconds, nanoseconds = divmod(self._calendar.nanoseconds(t), 1_000_000_000)
         stamp = self._make("builtin_interfaces/Time", sec=seconds, nanosec=nanoseconds)
         return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
@@ -103,77 +111,53 @@ class _Messages:
         w, x, y, z = (float(value) for value in q)
         return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
-    def imu(self, out: ExportData) -> Any:
+    def imu(self, out: ExportData) -> Rows:
         rates, forces = (to_flu(values) for values in out.rates())
         step = float(np.median(out.imu.dt))
-        none = np.array([-1.0] + [0.0] * 8)
-        sd = [out.assumed(triad)["random_walk"] / np.sqrt(step) for triad in ("gyro", "accel")]
-        spread = [np.diag([value**2] * 3).ravel() for value in sd]
-        for k, t in enumerate(out.imu.t):
-            yield (
-                t,
-                self._make(
-                    "sensor_msgs/Imu",
-                    header=self._header(t, "imu_link"),
-                    orientation=self._quaternion((1, 0, 0, 0)),
-                    orientation_covariance=none,
-                    angular_velocity=self._vector(rates[k]),
-                    angular_velocity_covariance=spread[0],
-                    linear_acceleration=self._vector(forces[k]),
-                    linear_acceleration_covariance=spread[1],
-                ),
-            )
+        variance = {triad: out.assumed(triad)["random_walk"] ** 2 / step for triad in ("gyro", "accel")}
+        constant = {
+            "orientation": self._quaternion((1, 0, 0, 0)),
+            "orientation_covariance": np.array([-1.0] + [0.0] * 8),
+            "angular_velocity_covariance": np.diag([variance["gyro"]] * 3).ravel(),
+            "linear_acceleration_covariance": np.diag([variance["accel"]] * 3).ravel(),
+        }
+        for t, rate, force in zip(out.imu.t, rates, forces, strict=True):
+            moving = {"angular_velocity": self._vector(rate), "linear_acceleration": self._vector(force)}
+            yield t, constant | moving
 
-    def fixes(self, out: ExportData) -> Any:
-        fixes = out.fixes
-        assert fixes is not None  # or there is no such topic
+    def fixes(self, fixes: GnssFixes) -> Rows:
         for k, t in enumerate(fixes.t):
-            good = bool(fixes.valid[k])
+            status = self._make("sensor_msgs/NavSatStatus", status=0 if fixes.valid[k] else -1, service=1)
             lat, lon = np.rad2deg(fixes.lla[k, :2])
             yield (
                 t,
-                self._make(
-                    "sensor_msgs/NavSatFix",
-                    header=self._header(t, "gnss_link"),
-                    status=self._make("sensor_msgs/NavSatStatus", status=0 if good else -1, service=1),
-                    latitude=float(lat),
-                    longitude=float(lon),
-                    altitude=float(fixes.lla[k, 2]),
-                    position_covariance=_to_enu_matrix(fixes.cov_pos_n[k]).ravel(),
-                    position_covariance_type=3,  # COVARIANCE_TYPE_KNOWN
-                ),
+                {
+                    "status": status,
+                    "latitude": float(lat),
+                    "longitude": float(lon),
+                    "altitude": float(fixes.lla[k, 2]),
+                    "position_covariance": _to_enu_matrix(fixes.cov_pos_n[k]).ravel(),
+                    "position_covariance_type": 3,  # COVARIANCE_TYPE_KNOWN
+                },
             )
 
-    def velocities(self, out: ExportData) -> Any:
-        fixes = out.fixes
-        assert fixes is not None  # or there is no such topic
+    def velocities(self, fixes: GnssFixes) -> Rows:
         for k, t in enumerate(fixes.t):
             cov = np.zeros((6, 6))
             cov[:3, :3] = _to_enu_matrix(fixes.cov_vel_n[k])
-            twist = self._twist(to_enu(fixes.vel_n[k]), cov)
-            header = self._header(t, "enu")
-            yield t, self._make("geometry_msgs/TwistWithCovarianceStamped", header=header, twist=twist)
+            yield t, {"twist": self._twist(to_enu(fixes.vel_n[k]), cov)}
 
-    def pressures(self, out: ExportData) -> Any:
+    def pressures(self, out: ExportData) -> Rows:
         baro = out.instruments["baro"]
         pressure_0, temperature_0, lapse, exponent = _STANDARD
         ratio = 1.0 - lapse * baro.alt_baro / temperature_0
         pressure = pressure_0 * ratio**exponent
         slope = pressure_0 * exponent * lapse / temperature_0 * ratio ** (exponent - 1.0)  # [Pa/m]
         for k, t in enumerate(baro.t):
-            yield (
-                t,
-                self._make(
-                    "sensor_msgs/FluidPressure",
-                    header=self._header(t, "baro_link"),
-                    fluid_pressure=float(pressure[k]),
-                    variance=float((slope[k] * baro.sd[k]) ** 2),
-                ),
-            )
+            variance = float((slope[k] * baro.sd[k]) ** 2)
+            yield t, {"fluid_pressure": float(pressure[k]), "variance": variance}
 
-    def odometry(self, out: ExportData, name: str) -> Any:
-        from bench import rotation
-
+    def odometry(self, out: ExportData, name: str) -> Rows:
         track = out.tracks[name]
         position, attitude = to_poses(track.lla, track.q_nb, _find_origin(out))
         vel_b = to_flu(rotation.rotate(rotation.conjugate(track.q_nb), track.vel_n))
@@ -182,21 +166,12 @@ class _Messages:
             x, y, z = (float(value) for value in position[k])
             place = self._make("geometry_msgs/Point", x=x, y=y, z=z)
             pose = self._make("geometry_msgs/Pose", position=place, orientation=self._quaternion(attitude[k]))
-            yield (
-                t,
-                self._make(
-                    "nav_msgs/Odometry",
-                    header=self._header(t, "map"),
-                    child_frame_id="imu_link",
-                    pose=self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=none.ravel()),
-                    twist=self._twist(vel_b[k], none),
-                ),
-            )
+            placed = self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=none.ravel())
+            yield t, {"child_frame_id": "imu_link", "pose": placed, "twist": self._twist(vel_b[k], none)}
 
     def _twist(self, linear: Any, cov: Any) -> Any:
-        twist = self._make(
-            "geometry_msgs/Twist", linear=self._vector(linear), angular=self._vector((0, 0, 0))
-        )
+        still = self._vector((0, 0, 0))
+        twist = self._make("geometry_msgs/Twist", linear=self._vector(linear), angular=still)
         return self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=cov.ravel())
 
 

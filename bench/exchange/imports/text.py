@@ -10,7 +10,8 @@ RTKLIB: the ``.pos`` of RTKPOST and RNX2RTKP, whose last comment line names the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from array import array
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -20,11 +21,10 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES
+from bench.signals.orbits import WEEK
 
 _LINE = 4096  # longest line [characters]
-_WEEK = 604_800.0  # [s]
 _EPOCH = datetime(1980, 1, 6)
-_BLOCK = 65_536  # rows converted at a time
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
@@ -35,7 +35,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         return _read_rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
-    numbers = _read_numbers(path, (line for _, line in _read_lines(path)), None)
+    numbers = _read_numbers(path, _read_lines(path), _parse_row, "a row of numbers")
     columns = numbers.shape[1]
     if kind == "imu":
         if columns < 7:
@@ -54,74 +54,65 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
 
 def _read_rtklib(path: Path) -> LogRows:
     names: list[str] = []
-    first = -1
 
     def rows() -> Iterator[str]:
-        nonlocal names, first
-        for number, line in _read_lines(path):
-            if line.startswith("%"):
-                names = line[1:].split() if "lat" in line or "x-ecef" in line else names
-            elif first < 0:
-                first = number
+        nonlocal names
+        for line in _read_lines(path):
+            if not line.startswith("%"):
                 yield line
-            else:
-                yield line
+            elif "lat" in line or "x-ecef" in line:
+                names = line[1:].split()
 
-    lines = list(_convert_times(path, rows()))
+    numbers = _read_numbers(path, rows(), _parse_solution, "a time and numbers")
     known = [name.partition("(")[0] for name in names[1:]]  # the first is the time system, of two columns
     if not known:
         raise ConfigError(f"{path.name}: no line that names the columns, such as '%  GPST latitude(deg) ...'")
-    numbers = _read_numbers(path, iter(lines), len(known) + 1)
+    if numbers.shape[1] != len(known) + 1:
+        raise ConfigError(f"{path.name}: row 1 has {numbers.shape[1]} columns, not {len(known) + 1}")
     column = {name: numbers[:, k + 1] for k, name in enumerate(known)}
-    at = {name.partition("(")[0]: name for name in names}
 
     def stack(*wanted: str) -> FloatArray | None:
-        return (
-            np.stack([column[name] for name in wanted], axis=-1) if all(w in column for w in wanted) else None
-        )
+        return np.stack([column[w] for w in wanted], axis=-1) if all(w in column for w in wanted) else None
 
     geodetic, fixed = stack("latitude", "longitude", "height"), stack("x-ecef", "y-ecef", "z-ecef")
-    if geodetic is not None and "(deg)" not in at["latitude"]:
-        raise ConfigError(f"{path.name}: latitude must be in degrees: {at['latitude']}")
-    if geodetic is None and fixed is None:
-        raise ConfigError(f"{path.name}: no columns latitude, longitude, height or x-ecef, y-ecef, z-ecef")
-    values = {"lla": _to_lla(geodetic) if geodetic is not None else to_lla(np.asarray(fixed))}
+    values: dict[str, FloatArray | None] = {}
     if geodetic is not None:
-        optional = {
-            "vel_n": stack("vn", "ve", "vu"),
+        given = next(name for name in names if name.startswith("latitude"))
+        if "(deg)" not in given:
+            raise ConfigError(f"{path.name}: latitude must be in degrees: {given}")
+        vel_enu = stack("ve", "vn", "vu")
+        values = {
+            "lla": _to_lla(geodetic),
+            "vel_n": None if vel_enu is None else vel_enu[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
             "sd_pos": stack("sdn", "sde", "sdu"),
             "sd_vel": stack("sdvn", "sdve", "sdvu"),
         }
-        values |= {name: value for name, value in optional.items() if value is not None}
-        if "vel_n" in values:
-            values["vel_n"] = values["vel_n"] * [1.0, 1.0, -1.0]
-    values |= {new: column[old] for new, old in (("quality", "Q"), ("satellites", "ns")) if old in column}
-    return LogRows(numbers[:, 0], values)
+    elif fixed is not None:
+        values = {"lla": to_lla(fixed)}
+    else:
+        raise ConfigError(f"{path.name}: no columns latitude, longitude, height or x-ecef, y-ecef, z-ecef")
+    values |= {"quality": column.get("Q"), "satellites": column.get("ns")}
+    return LogRows(numbers[:, 0], {name: value for name, value in values.items() if value is not None})
 
 
-def _convert_times(path: Path, lines: Iterator[str]) -> Iterator[str]:
-    """Yield the rows with date and time, or week and second, as GPS seconds since 1980-01-06."""
-    for number, line in enumerate(lines, 1):
-        day, _, rest = line.strip().partition(" ")
-        clock, _, rest = rest.strip().partition(" ")
-        try:
-            if "/" in day:
-                date = datetime.strptime(day, "%Y/%m/%d")
-                hours, minutes, seconds = (float(part) for part in clock.split(":"))
-                t = (date - _EPOCH).total_seconds() + 3600.0 * hours + 60.0 * minutes + seconds
-            else:
-                t = float(day) * _WEEK + float(clock)
-        except ValueError:
-            raise ConfigError(
-                f"{path.name}: row {number}: {line.strip()[:40]!r} does not begin with a time"
-            ) from None
-        if number > MOST_ROWS:
-            raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
-        yield f"{t:.6f} {rest}"
+def _parse_row(line: str) -> list[float]:
+    return [float(text) for text in line.replace(",", " ").split()]
 
 
-def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a file that are not blank, with their numbers."""
+def _parse_solution(line: str) -> list[float]:
+    """Return the GPS seconds since 1980-01-06 of date and time, or of week and second, and the numbers."""
+    day, clock, *rest = line.replace(",", " ").split()
+    if "/" in day:
+        date = datetime.strptime(day, "%Y/%m/%d")
+        hours, minutes, seconds = (float(part) for part in clock.split(":"))
+        t = (date - _EPOCH).total_seconds() + 3600.0 * hours + 60.0 * minutes + seconds
+    else:
+        t = float(day) * WEEK + float(clock)
+    return [round(t, 6), *map(float, rest)]
+
+
+def _read_lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a file that are not blank."""
     if path.stat().st_size > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     try:
@@ -132,38 +123,32 @@ def _read_lines(path: Path) -> Iterator[tuple[int, str]]:
                 if len(line) >= _LINE:
                     raise ConfigError(f"{path.name}: row {number} is longer than {_LINE} characters")
                 if line.strip():
-                    yield number, line
+                    yield line
     except UnicodeDecodeError:
         raise ConfigError(f"{path.name}: not a text file in UTF-8") from None
     except OSError as error:
         raise ConfigError(f"{path.name}: {error.strerror or error}") from None
 
 
-def _read_numbers(path: Path, lines: Iterator[str], columns: int | None) -> FloatArray:
-    """Return lines of numbers as an array (N, columns)."""
-    blocks: list[FloatArray] = []
-    block: list[list[float]] = []
+def _read_numbers(
+    path: Path, lines: Iterator[str], parse: Callable[[str], list[float]], content: str
+) -> FloatArray:
+    """Return the numbers of the lines as an array (N, columns)."""
+    flat, columns = array("d"), 0
     for count, line in enumerate(lines, 1):
         try:
-            row = [float(text) for text in line.replace(",", " ").split()]
+            row = parse(line)
         except ValueError:
-            raise ConfigError(
-                f"{path.name}: row {count}: {line.strip()[:40]!r} is not a row of numbers"
-            ) from None
+            raise ConfigError(f"{path.name}: row {count}: {line.strip()[:40]!r} is not {content}") from None
         columns = columns or len(row)
         if len(row) != columns:
             raise ConfigError(f"{path.name}: row {count} has {len(row)} columns, not {columns}")
         if count > MOST_ROWS:
             raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
-        block.append(row)
-        if len(block) == _BLOCK:
-            blocks.append(np.array(block))
-            block = []
-    if block:
-        blocks.append(np.array(block))
-    if not blocks:
+        flat.extend(row)
+    if not columns:
         raise ConfigError(f"{path.name}: no rows")
-    return np.concatenate(blocks)
+    return np.array(flat).reshape(-1, columns)
 
 
 def _to_lla(degrees: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,10 +51,10 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
                 continue
             system = line[0] if version == 3 else ("R" if kind[0] == "G" else "G")
             record = _read_record(lines, line, version, system)
-            if system == "G":
-                kepler.append(_read_kepler(lines, record, version))
-            elif system == "R":
-                glonass.append(_read_glonass(lines, record, version, leap))
+            if record is not None and system == "G":
+                kepler.append(_convert_kepler(lines, record))
+            elif record is not None:
+                glonass.append(_convert_glonass(lines, record, leap))
     if not kepler and not glonass:
         raise ConfigError(f"{shown}: has no GPS or GLONASS ephemeris in it")
     k = np.array(kepler, float).reshape(-1, 2 + len(KEPLER))
@@ -87,73 +87,71 @@ def _read_header(lines: Lines) -> tuple[list[float] | None, list[float] | None, 
             leap = lines.parse_whole(line, 0, 6, "the number of leap seconds")
 
 
-def _read_record(lines: Lines, first: str, version: int, system: str) -> tuple[int, list[str]]:
-    """Read the lines of one ephemeris; return the number of the first line, and all lines."""
-    number, texts = lines.number, [first]
-    indent = 4 if version == 3 else 3
-    if first[:1] == " " and version == 3:
-        raise lines.error("a record must begin with its satellite, for example 'G05'")
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """The values of an ephemeris, line by line; blank fields are NaN."""
+
+    first: int  # number of its first line
+    sat: int
+    t: float  # reference time, in the time scale of its system [s]
+    values: list[list[float]]
+
+
+def _read_record(lines: Lines, first: str, version: int, system: str) -> _Record | None:
+    """Read the lines of one ephemeris; None if its system is skipped."""
+    begun, indent = lines.number, 4 if version == 3 else 3
     whole = {"G": (8,), "R": (4, 5) if version == 3 else (4,)}.get(system)
-    while whole is None or len(texts) < whole[-1]:
-        line = lines.read_line()
-        if line is None:
-            break
+    if version == 3 and first[:1] == " ":
+        raise lines.error("a record must begin with its satellite, for example 'G05'")
+    if whole is None:
+        while (line := lines.read_line()) is not None and not line[:indent].strip():
+            pass
+        if line is not None:
+            lines.put_back(line)
+        return None
+    sat, t = _read_clock_time(lines, first, version)
+    rows = [_read_values(lines, first, indent + 19, 3)]
+    while len(rows) < whole[-1] and (line := lines.read_line()) is not None:
         if line[:indent].strip():
             lines.put_back(line)
             break
-        texts.append(line)
-    if whole is not None and len(texts) not in whole:
-        name = first[:3].strip() if version == 3 else f"{system}{first[:2].strip()}"
+        rows.append(_read_values(lines, line, indent, 4))
+    if len(rows) not in whole:
         raise lines.error(
-            f"the record of {name} from line {number} ends after {len(texts)} of {whole[0]} lines"
+            f"the record of {system}{sat} from line {begun} ends after {len(rows)} of {whole[0]} lines"
         )
-    return number, texts
+    return _Record(begun, sat, t, rows)
 
 
-def _read_values(lines: Lines, record: tuple[int, list[str]], version: int) -> list[list[float]]:
-    """Return the numbers of a record, one list per line; blank fields are NaN."""
-    number, texts = record
-    last, rows = lines.number, []
-    for offset, text in enumerate(texts):
-        lines.number = number + offset
-        start = (23 if version == 3 else 22) if offset == 0 else (4 if version == 3 else 3)
-        count = 3 if offset == 0 else 4
-        places = [(start + 19 * k, start + 19 * (k + 1)) for k in range(count)]
-        rows.append(
-            [lines.parse_number(text, a, b, "a value") if text[a:b].strip() else np.nan for a, b in places]
-        )
-    lines.number = last
-    return rows
+def _read_values(lines: Lines, line: str, start: int, count: int) -> list[float]:
+    places = [(start + 19 * k, start + 19 * (k + 1)) for k in range(count)]
+    return [lines.parse_number(line, a, b, "a value") if line[a:b].strip() else np.nan for a, b in places]
 
 
-def _read_clock_time(lines: Lines, record: tuple[int, list[str]], version: int) -> tuple[int, float]:
-    """Return the satellite and the reference time of a record, in the time scale of its system."""
-    number, texts = record
-    last, lines.number = lines.number, number
+def _read_clock_time(lines: Lines, line: str, version: int) -> tuple[int, float]:
+    """Return the satellite and the reference time of a record."""
     if version == 3:
         columns = [(4, 8), (9, 11), (12, 14), (15, 17), (18, 20), (21, 23)]
-        sat = lines.parse_whole(texts[0], 1, 3, "the satellite")
+        sat = lines.parse_whole(line, 1, 3, "the satellite")
     else:
         columns = [(3, 5), (6, 8), (9, 11), (12, 14), (15, 17), (17, 22)]
-        sat = lines.parse_whole(texts[0], 0, 2, "the satellite")
+        sat = lines.parse_whole(line, 0, 2, "the satellite")
     if not 1 <= sat <= 63:
         raise lines.error(f"satellite {sat} is outside 1 to 63")
-    t = sum(read_calendar(lines, texts[0], columns, version == 2))
-    lines.number = last
-    return sat, t
+    return sat, sum(read_calendar(lines, line, columns, version == 2))
 
 
-def _check_complete(lines: Lines, first: int, wanted: dict[str, tuple[int, float]]) -> None:
-    for name, (offset, value) in wanted.items():
+def _name_values(lines: Lines, record: _Record, placed: Mapping[str, tuple[int, float]]) -> dict[str, float]:
+    """Return the values by name, from the index of the line and the value; refuse a missing one."""
+    for name, (offset, value) in placed.items():
         if np.isnan(value):
-            lines.number = first + offset
-            raise lines.error(f"{name} is missing")
+            raise lines.error(f"{name} is missing", record.first + offset)
+    return {name: value for name, (_, value) in placed.items()}
 
 
-def _read_kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> list[float]:
+def _convert_kepler(lines: Lines, record: _Record) -> list[float]:
     """Return sat, health and the columns of ``KEPLER`` of one GPS record (RINEX 3.05, table A6)."""
-    sat, t_oc = _read_clock_time(lines, record, version)
-    v = _read_values(lines, record, version)
+    v, t_oc = record.values, record.t
     group_delay = 0.0 if np.isnan(v[6][2]) else v[6][2]
     placed = {
         "af_0": (0, v[0][0]), "af_1": (0, v[0][1]), "af_2": (0, v[0][2]),
@@ -163,46 +161,39 @@ def _read_kepler(lines: Lines, record: tuple[int, list[str]], version: int) -> l
         "i_0": (4, v[4][0]), "c_rc": (4, v[4][1]), "perigee": (4, v[4][2]), "node_rate": (4, v[4][3]),
         "i_rate": (5, v[5][0]), "group_delay": (6, group_delay), "health": (6, v[6][1]),
     }  # fmt: skip
-    _check_complete(lines, record[0], placed)
-    values = {name: value for name, (_, value) in placed.items()}
+    values = _name_values(lines, record, placed)
     for name, low, high in (("e", 0.0, 0.2), ("sqrt_a", 4900.0, 5400.0), ("t_oe_week", 0.0, WEEK)):
         if not low <= values[name] <= high:
-            lines.number = record[0] + placed[name][0]
-            raise lines.error(f"{name} = {values[name]:g} is outside {low:g} to {high:g}: not a GPS orbit")
+            text = f"{name} = {values[name]:g} is outside {low:g} to {high:g}: not a GPS orbit"
+            raise lines.error(text, record.first + placed[name][0])
     # take the week of the clock reference time, because the week field is modulo 1024 in some files
     week_start = t_oc - t_oc % WEEK
     t_oe = week_start + values["t_oe_week"]
     t_oe += WEEK * np.round((t_oc - t_oe) / WEEK)
     values |= {"t_oe": t_oe, "t_oc": t_oc}
-    return [sat, values["health"], *(values[name] for name in KEPLER)]
+    return [record.sat, values["health"], *(values[name] for name in KEPLER)]
 
 
-def _read_glonass(lines: Lines, record: tuple[int, list[str]], version: int, leap: int | None) -> list[float]:
+def _convert_glonass(lines: Lines, record: _Record, leap: int | None) -> list[float]:
     """Return slot, health, channel and the columns of ``GLONASS`` of one record (RINEX 3.05, table A10)."""
-    sat, utc = _read_clock_time(lines, record, version)
-    v = _read_values(lines, record, version)
+    v = record.values
     placed = {
         "clock": (0, v[0][0]), "clock_rate": (0, v[0][1]),
         "x": (1, v[1][0]), "vx": (1, v[1][1]), "ax": (1, v[1][2]), "health": (1, v[1][3]),
         "y": (2, v[2][0]), "vy": (2, v[2][1]), "ay": (2, v[2][2]), "channel": (2, v[2][3]),
         "z": (3, v[3][0]), "vz": (3, v[3][1]), "az": (3, v[3][2]),
     }  # fmt: skip
-    _check_complete(lines, record[0], placed)
-    values = {name: value for name, (_, value) in placed.items()}
+    values = _name_values(lines, record, placed)
     for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az"):
         values[name] *= 1e3  # km
     radius = np.sqrt(values["x"] ** 2 + values["y"] ** 2 + values["z"] ** 2)
     if not 24e6 <= radius <= 27e6:
-        lines.number = record[0] + 1
-        raise lines.error(
-            f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: not a GLONASS orbit"
-        )
+        text = f"a radius of {radius / 1e3:.0f} km is outside 24000 to 27000 km: not a GLONASS orbit"
+        raise lines.error(text, record.first + 1)
     if values["channel"] > 127:  # some programs write -7 as 249
         values["channel"] -= 256
-    if leap is None:
-        leap = leap_seconds(to_date(utc))
-    values["t_b"] = utc + leap
-    return [sat, values["health"], values["channel"], *(values[name] for name in STATE)]
+    values["t_b"] = record.t + (leap_seconds(to_date(record.t)) if leap is None else leap)
+    return [record.sat, values["health"], values["channel"], *(values[name] for name in STATE)]
 
 
 def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:

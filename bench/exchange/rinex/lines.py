@@ -66,9 +66,9 @@ class Lines:
         self._again = line
         self.number -= 1
 
-    def error(self, message: str) -> ConfigError:
-        """Return a ConfigError that names the current line."""
-        return ConfigError(f"{self.shown}: line {self.number}: {message}")
+    def error(self, message: str, number: int | None = None) -> ConfigError:
+        """Return a ConfigError that names a line, by default the current one."""
+        return ConfigError(f"{self.shown}: line {number or self.number}: {message}")
 
     def parse_number(self, line: str, start: int, end: int, what: str) -> float:
         """Return the number in columns start to end (from 0, without end)."""
