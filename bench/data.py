@@ -8,7 +8,7 @@ going back are data there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,10 @@ def _check_increasing(name: str, t: FloatArray) -> None:
         raise ValueError(f"{name} must increase; row {k + 1} has {t[k + 1]:g} s after {t[k]:g} s")
 
 
+EventRow = tuple[float, float, str, str] | tuple[float, float, str, str, str]
+"""t, t_end, kind, text and, if there are any, the sensors concerned, as in `Events`."""
+
+
 @declared
 class Events(Record):
     """Events with start and end: legs, outages, faults, rejected sensor rows. For an instant t_end = t."""
@@ -45,6 +49,8 @@ class Events(Record):
     t_end: FloatArray = column("t_end_s")  # (N,) end [s]
     kind: tuple[str, ...] = column("kind", kind=str)  # "leg", "gnss_outage", "wind", "timeline", ...
     text: tuple[str, ...] = column("text", kind=str)
+    # names of the records or innovations concerned, "gnss", "gnss_position" ..., with spaces between; or ""
+    sensor: tuple[str, ...] = column("sensor", kind=str)
 
     def select(self, kind: str) -> list[tuple[float, float, str]]:
         """Return (t, t_end, text) of all events of one kind."""
@@ -55,20 +61,21 @@ class Events(Record):
         ]
 
     @classmethod
-    def from_rows(cls, rows: list[tuple[float, float, str, str]]) -> Events:
-        """Make events from rows (t, t_end, kind, text) in any order; they are sorted by time."""
-        rows = sorted(rows, key=lambda row: (row[0], row[1]))
-        return cls(
-            np.array([row[0] for row in rows]),
-            np.array([row[1] for row in rows]),
-            tuple(row[2] for row in rows),
-            tuple(row[3] for row in rows),
-        )
+    def from_rows(cls, rows: Iterable[EventRow]) -> Events:
+        """Make events from rows in any order; they are sorted by time."""
+        ordered = sorted(((*row, "")[:5] for row in rows), key=lambda row: row[:2])
+        t, t_end, *texts = zip(*ordered, strict=True) if ordered else ((),) * 5
+        return cls(np.array(t, float), np.array(t_end, float), *texts)
+
+    def rows(self) -> list[EventRow]:
+        """Return the rows."""
+        t, t_end = self.t.tolist(), self.t_end.tolist()
+        return list(zip(t, t_end, self.kind, self.text, self.sensor, strict=True))
 
 
 def no_events() -> Events:
     """Return events without rows."""
-    return Events(np.empty(0), np.empty(0), (), ())
+    return Events.from_rows([])
 
 
 @declared
@@ -416,8 +423,7 @@ class RunResult(Rebuilt):
     def events(self) -> Events:
         """Events of the flight and of the sensors, in order of time."""
         both = [record.events for record in (self.truth, self.sensed) if record is not None]
-        rows = [row for e in both for row in zip(e.t.tolist(), e.t_end.tolist(), e.kind, e.text, strict=True)]
-        return Events.from_rows(rows)
+        return Events.from_rows([row for events in both for row in events.rows()])
 
     def __repr__(self) -> str:
         """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""

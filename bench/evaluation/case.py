@@ -17,9 +17,9 @@ from bench.units import SAME_INSTANT
 Outages = Sequence[tuple[float, float]]
 
 ALARM = "integrity"
-"""Kind of the events by which an estimator raises an alarm; the text names the sensor."""
+"""Kind of the events by which an estimator raises an alarm."""
 
-_NO_TIMES = np.empty(0)
+NO_TIMES = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Alarms:
     """Alarms of one sensor, or one integrity event."""
 
     name: str  # of the innovation, or "integrity"
-    text: str  # contains the name of the sensor: the name of the innovation, or the text of the event
+    sensors: tuple[str, ...]  # the name of the innovation, or the sensors of the event
     t: FloatArray  # (K,) [s]
 
 
@@ -56,8 +56,12 @@ class Case:
 
 def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
     """Return the alarms of an estimator: rejected updates by sensor, then events of kind "integrity"."""
-    refused = [Alarms(name, name, s.t[~s.accepted]) for name, s in nis.items()]
-    reported = [Alarms(ALARM, text.lower(), np.array([start])) for start, _, text in events.select(ALARM)]
+    refused = [Alarms(name, (name,), s.t[~s.accepted]) for name, s in nis.items()]
+    reported = [
+        Alarms(ALARM, tuple(sensor.split()), np.array([start]))
+        for start, kind, sensor in zip(events.t, events.kind, events.sensor, strict=True)
+        if kind == ALARM
+    ]
     return (*refused, *reported)
 
 
@@ -67,7 +71,7 @@ def build_case(
     from_s: float,
     outages: Outages,
     faults: Sequence[Fault] = (),
-    missing: FloatArray = _NO_TIMES,
+    missing: FloatArray = NO_TIMES,
 ) -> Case:
     """Collect what the metrics need of a run from an instant on.
 

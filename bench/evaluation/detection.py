@@ -21,7 +21,7 @@ _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
     "gnss": ("gnss", "pseudorange", "range_rate"),
     **{name: (name, row.innovation) for name, row in INSTRUMENTS.items()},
 }
-"""Faulty sensor -> the names in its alarms; a sensor that is not listed can raise any alarm."""
+"""Faulty sensor -> how the names in its alarms begin; a sensor that is not listed can raise any alarm."""
 
 
 def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
@@ -29,7 +29,7 @@ def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
     first = [
         float(one.t[inside].min())
         for one in raised
-        if _names_sensor(fault, one.text) and (inside := _is_active(fault, one.t)).any()
+        if _concerns(fault, one) and (inside := _is_active(fault, one.t)).any()
     ]
     return max(min(first) - fault.start, 0.0) if first else None
 
@@ -41,7 +41,7 @@ def count_false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: 
         if one.name == name:
             explained = one.t < from_s
             for fault in faults:
-                if _names_sensor(fault, one.text):
+                if _concerns(fault, one):
                     explained |= _is_active(fault, one.t)
             count += int((~explained).sum())
     return count
@@ -52,10 +52,10 @@ def _is_active(fault: Fault, t: FloatArray) -> BoolArray:
     return inside
 
 
-def _names_sensor(fault: Fault, text: str) -> bool:
-    """Tell whether the text of an alarm names the sensor of a fault."""
+def _concerns(fault: Fault, raised: Alarms) -> bool:
+    """Tell whether alarms are of the sensor of a fault."""
     names = _SHOWS_IN.get(fault.sensor)
-    return names is None or any(name in text for name in names)
+    return names is None or any(sensor.startswith(names) for sensor in raised.sensors)
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:

@@ -26,7 +26,7 @@ from typing import IO
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.error_series import FAILED
 from bench.exchange.exports.column_files import write as write_tables
@@ -113,7 +113,9 @@ class CommandEstimator:
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]
             ended, stderr, status = self._run_program(arguments, Path(scratch), solution)
-            events = [(0.0, 0.0, PROGRAM, ended), *([(0.0, 0.0, STDERR, stderr)] if stderr else [])]
+            events: list[EventRow] = [(0.0, 0.0, PROGRAM, ended)]
+            if stderr:
+                events.append((0.0, 0.0, STDERR, stderr))
             if status != 0:
                 last = stderr.strip().splitlines()[-1:]
                 return _make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
@@ -123,10 +125,7 @@ class CommandEstimator:
             except ConfigError as error:
                 return _make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
             result = resample(own_solution, sensors.output_t, self._longest)
-        rows = [
-            *zip(result.events.t, result.events.t_end, result.events.kind, result.events.text, strict=True)
-        ]
-        return replace(result, events=Events.from_rows([*rows, *events]))
+        return replace(result, events=Events.from_rows([*result.events.rows(), *events]))
 
     def _run_program(self, arguments: list[str], cwd: Path, solution: Path) -> tuple[str, str, int]:
         """Run the program until its end or a limit; return how it ended, its last stderr, its status."""
@@ -249,9 +248,7 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
             child.wait(_PATIENCE)
 
 
-def _make_failed_solution(
-    t: FloatArray, why: str, events: list[tuple[float, float, str, str]]
-) -> NavSolution:
+def _make_failed_solution(t: FloatArray, why: str, events: list[EventRow]) -> NavSolution:
     m = len(t)
     return NavSolution(
         t=t,

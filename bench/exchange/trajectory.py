@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import Events, Trajectory
+from bench.data import EventRow, Events, Trajectory
 from bench.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
 from bench.exchange.table_files import (
@@ -32,7 +32,7 @@ from bench.exchange.table_files import (
     read_table,
 )
 from bench.flight.increments import Motion
-from bench.flight.truth import NO_AIR, NO_GROUND, EventRow, Stretch, make_truth
+from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
 from bench.specs import TableSpec
 from bench.units import FACTORS, STANDARD_GRAVITY, split_unit

@@ -14,11 +14,12 @@ from itertools import pairwise
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
+from bench.data import EventRow
 from bench.earth import EARTH_RATE
 from bench.errors import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
 from bench.flight.jsbsim_units import FT
-from bench.flight.truth import EventRow, Stretch
+from bench.flight.truth import Stretch
 from bench.units import STANDARD_GRAVITY
 
 _HARD = 10.0 * FT  # sink rate a landing gear is made for [m/s], 14 CFR 25.473(a)(2), the most of 23.473(d)
@@ -176,7 +177,7 @@ class _Report:
             "under": "the centre of gravity is up to {1:.1f} m under the ground",
             "infinite": "air data or controls are not finite; they stand as 0",
         }
-        rows = []
+        rows = list[EventRow]()
         for kind, text in words.items():
             if kind in self._found:
                 first, last, count = self._found[kind]

@@ -23,13 +23,14 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.data import EventRow
 from bench.earth import matrix_en, to_geodetic
 from bench.errors import FlightError
 from bench.flight.executive import find_property
 from bench.flight.increments import Motion, at_point, derivative, from_states
 from bench.flight.jsbsim_units import FT, INCH, KT, PSF, RANKINE, RPM
 from bench.flight.shaping import GUIDANCE_RATE
-from bench.flight.truth import EventRow, Stretch
+from bench.flight.truth import Stretch
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate
 
 NEIGHBOURS = 3

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import AirData, Controls, Events, Trajectory
+from bench.data import AirData, Controls, EventRow, Events, Trajectory
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.flight.shaping import GUIDANCE_RATE
-
-EventRow = tuple[float, float, str, str]
-"""t and t_end [s], kind and text of an event."""
 
 NO_AIR, NO_GROUND = np.empty((0, 14)), np.empty((0, 4))
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
-from bench.navigation import timeline
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
 from bench.navigation.aiding import (
     SATELLITE_ROWS,
     SENSORS,
@@ -221,11 +220,11 @@ def forward_run(
         answered = entries[entries[:, 1] == OUTPUT, 0]
         node[schedule.outputs] = np.searchsorted(at, answered)
     nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
-    table = timeline.as_events(events)
+    table = Events.from_rows(events)
     return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), table), nodes
 
 
-def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[timeline.Event]:
+def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[EventRow]:
     """Return an event for every row of refusals of one channel, from the first to the last instant."""
     events = []
     first = marks[:, 1] == 0
@@ -235,7 +234,8 @@ def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[timeline.
         edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
         for begin, end in edges.reshape(-1, 2):
             span = float(t[rows[begin]]), float(t[rows[end - 1]])
-            events.append((*span, "refused", f"{names[channel]}: {end - begin} in a row refused"))
+            text = f"{names[channel]}: {end - begin} in a row refused"
+            events.append((*span, "refused", text, names[channel]))
     return sorted(events)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
@@ -57,7 +57,7 @@ class GnssOnly:
         """
         fixes, given = sensors.fixes, initial.alignment == "given"
         track = _Track(self.options, initial) if given else None
-        used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[tuple[float, float, str, str]]()
+        used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[EventRow]()
         r = np.zeros(6)
         if fixes is not None:
             r = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray
-from bench.data import InitialState, SensorData
+from bench.data import EventRow, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import timeline
 from bench.navigation.measurements import fix_variance
@@ -23,7 +23,7 @@ SIGMAS = 5.0  # noise a standstill may show
 FLICKER_KEPT = 0.5  # share of the variance of a flicker bias that it has in common with its mean [1]
 UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # of a heading that may be anything [rad]
 
-Rows = list[tuple[float, float, str, str]]
+Rows = list[EventRow]
 
 
 def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:

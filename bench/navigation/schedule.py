@@ -116,7 +116,7 @@ class Schedule:
         ahead = t > arrival + TIME_TOLERANCE
         if ahead.any():
             text = f"{name}: {int(ahead.sum())} rows valid after their arrival: taken at their arrival"
-            self.events.append((float(t[ahead].min()), float(t[ahead].max()), "timeline", text))
+            self.events.append((float(t[ahead].min()), float(t[ahead].max()), "timeline", text, name))
         first = int(early.sum())  # in order of validity
         t, arrival = np.minimum(t, arrival)[first:], arrival[first:]
         if values is None or variance is None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import Events, GnssFixes, ImuData
+from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
@@ -26,7 +26,6 @@ _BRIDGE_RATE_SD = 0.15  # [rad/s]
 _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
 _BRIDGE_CORRELATION = 3.0  # [s]
 
-Event = tuple[float, float, str, str]
 AidingRecord = GnssFixes | InstrumentData
 
 
@@ -123,7 +122,7 @@ def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
     return instants[apart > TIME_TOLERANCE]
 
 
-def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Event]]:
+def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[EventRow]]:
     """Return the rows of an IMU record to integrate, the interval each one has to cover, and the events.
 
     Parameters
@@ -159,15 +158,15 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Eve
     span = np.diff(t, prepend=start)
     gaps = np.flatnonzero(span > imu.dt[rows] + TIME_TOLERANCE)
     events += [
-        (float(t[k] - span[k]), float(t[k]), "timeline", f"imu: gap of {span[k] - imu.dt[rows[k]]:.6g} s")
-        for k in gaps
+        (float(t[k] - gap), float(t[k]), "timeline", f"imu: gap of {gap - imu.dt[rows[k]]:.6g} s", "imu")
+        for k, gap in zip(gaps, span[gaps], strict=True)
     ]
     return rows, span, events
 
 
 def aiding_rows(
     record: AidingRecord, values: FloatArray, name: str, imu_t: FloatArray, start: float
-) -> tuple[IntArray, IntArray, list[Event]]:
+) -> tuple[IntArray, IntArray, list[EventRow]]:
     """Return the rows of an aiding record to use, the IMU sample each is used at, and the events.
 
     Parameters
@@ -188,7 +187,7 @@ def aiding_rows(
     return ordered_rows(record.t, record.t_arrival, sound, name, imu_t, start)
 
 
-def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[Event]]:
+def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[EventRow]]:
     """Return what :func:`aiding_rows` does, of fixes: a position must be finite, a velocity need not be.
 
     A velocity that is not finite in all of its components is none; an event counts the fixes in use that
@@ -202,13 +201,13 @@ def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArra
         part = int(((finite > 0) & (finite < 3)).sum())
         if part:
             text += f", in {part} of them some components are not finite"
-        events.append((float(t.min()), float(t.max()), "timeline", text))
+        events.append((float(t.min()), float(t.max()), "timeline", text, "gnss"))
     return rows, sample, events
 
 
 def ordered_rows(
     t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, imu_t: FloatArray, start: float
-) -> tuple[IntArray, IntArray, list[Event]]:
+) -> tuple[IntArray, IntArray, list[EventRow]]:
     """Return what :func:`aiding_rows` does, of rows by their times and whether they are ``sound`` (M,)."""
     events = left_out(name, t, ~sound, "flagged or not finite")
     rows = np.flatnonzero(sound)
@@ -229,7 +228,7 @@ def ordered_rows(
     return rows[inside], sample[inside].astype(np.int64), events
 
 
-def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[Event]:
+def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[EventRow]:
     """Return the event that counts the epochs without a row; none if there is no such epoch.
 
     They have no time of their own: it spans the rows ``t`` (K,) next to them, within the run.
@@ -241,19 +240,15 @@ def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float)
     first = before[-1] if len(before) and np.isfinite(before[-1]) else start
     last = after[0] if len(after) and np.isfinite(after[0]) else end
     first, last = np.clip([first, last], start, end).tolist()
-    return [(first, max(first, last), "timeline", f"satellites: {len(empty)} epochs without satellites")]
+    text = f"satellites: {len(empty)} epochs without satellites"
+    return [(first, max(first, last), "timeline", text, "satellites")]
 
 
-def as_events(rows: list[Event]) -> Events:
-    """Return the collected rows as one table."""
-    return Events.from_rows(rows)
-
-
-def left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[Event]:
+def left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[EventRow]:
     """Return the event that counts the rows ``out`` (M,) of a record; none if there is no such row."""
     if not out.any():
         return []
     times = t[out]
     finite = times[np.isfinite(times)]
     first, last = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    return [(first, last, "timeline", f"{name}: {int(out.sum())} rows left out: {why}")]
+    return [(first, last, "timeline", f"{name}: {int(out.sum())} rows left out: {why}", name)]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from bench.config.log import LogSpec
 from bench.data import NavSolution, Sensed
@@ -13,7 +14,7 @@ from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.instruments import INSTRUMENTS
 from bench.recording.content import Motion
-from bench.recording.drawing import ESTIMATOR_NAMES, OUTAGE, TIMELINE, Colour
+from bench.recording.drawing import ESTIMATOR_NAMES, OUTAGE, TIMELINE
 from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
@@ -30,8 +31,6 @@ def send(
     outages: Sequence[Mapping[str, Any]],
 ) -> None:
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
-    import rerun as rr
-
     page = make_summary(profile, truth, metrics) + make_drift_page(outages)
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
@@ -39,12 +38,12 @@ def send(
     sources += [(f"{label}: ", solution.events) for label, solution in solutions.items()]
     rows = []
     for prefix, events in sources:
-        for start, end, kind, words in zip(events.t, events.t_end, events.kind, events.text, strict=True):
+        for start, end, kind, words, *_ in events.rows():
             what = kind.replace("_", " ")
             said = words if words.lower().startswith(what.lower()) else f"{what} {words}"
             lasting = f" ({end - start:.0f} s)" if end > start else ""
             level = "WARN" if kind in WARNINGS else "INFO"
-            rows.append((float(start), f"{prefix}{said}{lasting}", level))
+            rows.append((start, f"{prefix}{said}{lasting}", level))
     rows.sort()
     if rows:
         t, text, levels = zip(*rows, strict=True)
@@ -54,22 +53,21 @@ def send(
             rr.TextLog.columns(text=text, level=levels),
         )
 
+    first, last = float(truth.t[0]), float(truth.t[-1])
     legs = [(start, text) for start, _, text in truth.events.select("leg")]
-    legs.append((float(truth.t[-1]), ""))
-    if legs[:-1]:
-        _send_phase(stream, "/phase/leg", legs, {})
+    _send_phase(stream, "/phase/leg", legs, last)
     if sensed.data.fixes is not None:
-        changes = [(float(truth.t[0]), "available")]
+        changes = [(first, "available")]
         for start, end, _ in sensed.events.select("gnss_outage"):
             changes += [(start, "outage"), (end, "available")]
-        changes.append((float(truth.t[-1]), ""))
-        _send_phase(stream, "/phase/gnss", changes, {"available": (70, 110, 70), "outage": OUTAGE})
+        style = rr.StateConfiguration(values=["available", "outage"], colors=[(70, 110, 70), OUTAGE])
+        stream.log("/phase/gnss", style, static=True)
+        _send_phase(stream, "/phase/gnss", changes, last)
     struck = sensed.events.select("fault")
     if struck:
-        edges = sorted({float(truth.t[0]), *(edge for start, end, _ in struck for edge in (start, end))})
-        changes = [(edge, _name_faults(edge, struck)) for edge in edges if edge < truth.t[-1]]
-        changes.append((float(truth.t[-1]), ""))
-        _send_phase(stream, "/phase/faults", changes, {})
+        edges = sorted({first, *(edge for start, end, _ in struck for edge in (start, end))})
+        changes = [(edge, _name_faults(edge, struck)) for edge in edges if edge < last]
+        _send_phase(stream, "/phase/faults", changes, last)
 
 
 def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
@@ -77,16 +75,13 @@ def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
     return ", ".join(text.partition(":")[0] for start, end, text in struck if start <= t < end) or "none"
 
 
-def _send_phase(
-    stream: Any, entity: str, changes: Sequence[tuple[float, str]], colours: Mapping[str, Colour]
-) -> None:
-    import rerun as rr
-
-    if colours:
-        style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
-        stream.log(entity, style, static=True)
-    t, states = zip(*changes, strict=True)
-    stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=t)], rr.StateChange.columns(state=states))
+def _send_phase(stream: Any, entity: str, changes: Sequence[tuple[float, str]], end: float) -> None:
+    """Send what holds from which instant on, until the end [s]."""
+    if changes:
+        t, states = zip(*changes, (end, ""), strict=True)
+        stream.send_columns(
+            entity, [rr.TimeColumn(TIMELINE, duration=t)], rr.StateChange.columns(state=states)
+        )
 
 
 def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Mapping[str, Any]]) -> str:
@@ -163,9 +158,8 @@ def _describe_flight(flight: Flight, truth: Motion) -> str:
     length = f"{truth.t[-1] - truth.t[0]:.0f} s"
     if not isinstance(flight, FlightSpec):
         beyond = len(truth.events.select("sanity"))
-        return f"{flight.label}, {length}" + (
-            f", {beyond} remarks of sanity among the events" if beyond else ""
-        )
+        remarks = f", {beyond} remarks of sanity among the events" if beyond else ""
+        return f"{flight.label}, {length}{remarks}"
     return (
         f"aircraft `{flight.aircraft.name}`, {length}, wind "
         f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "

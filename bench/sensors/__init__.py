@@ -74,8 +74,8 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         **records,
         date=spec.date,
     )
-    events = [(start, end, "gnss_outage", "GNSS outage") for start, end in outages]
-    events += [(fault.start, fault.end, "fault", fault.text) for fault in scripted]
+    events = [(start, end, "gnss_outage", "GNSS outage", "gnss") for start, end in outages]
+    events += [(fault.start, fault.end, "fault", fault.text, fault.sensor) for fault in scripted]
     return Sensed(
         data=data,
         initial=initial.draw_initial_state(truth, spec, seed, run),

@@ -256,7 +256,11 @@ _READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 def _load(path: Path, record: type[_T]) -> _T:
-    return record(**parquet.read(path, columns_of(record)))
+    try:
+        return record(**parquet.read(path, columns_of(record)))
+    except KeyError as error:
+        what = str(error.args[0]).splitlines()[0]
+        raise ConfigError(f"{path}: {what}; another version of bench wrote it: run it again") from None
 
 
 def load_observations(folder: str | os.PathLike[str]) -> GnssObservations | None:

@@ -34,6 +34,7 @@ _LOG = logging.getLogger(__name__)
 _INDEX = "index.json"  # SHA-256 of every other file of an entry
 _TEXTS = "texts.json"
 _PARTS = ("air", "controls", "events")
+_EVENT_TEXTS = ("kind", "text", "sensor")
 _PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
 _Array = np.ndarray[Any, Any]
 SHARED = ("t", "lla", "vel_n", "q_nb")
@@ -179,7 +180,8 @@ def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[
     for label, array in arrays.items():
         part, _, name = label.rpartition(".")
         rows[part][name] = array
-    events = Events(**rows["events"], kind=tuple(texts["kind"]), text=tuple(texts["text"]))
+    rows["events"].update({name: tuple(texts[name]) for name in _EVENT_TEXTS})
+    events = Events(**rows["events"])
     air, controls = AirData(**rows["air"]), Controls(**rows["controls"])
     return Trajectory(**rows[""], air=air, controls=controls, events=events)
 
@@ -194,7 +196,7 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
         for name, array in _get_columns(piece).items():
             arrays[name].append(array[name in SHARED :])
     events = [piece.events for piece in (first, *rest)]
-    texts = {part: [text for e in events for text in getattr(e, part)] for part in ("kind", "text")}
+    texts = {part: [text for e in events for text in getattr(e, part)] for part in _EVENT_TEXTS}
     return _make_trajectory({name: np.concatenate(parts) for name, parts in arrays.items()}, texts)
 
 
@@ -214,15 +216,15 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=entry.parent))
     try:
         columns: dict[str, _Column] = {}
-        texts: dict[str, list[str]] = {"kind": [], "text": []}
+        texts: dict[str, list[str]] = {name: [] for name in _EVENT_TEXTS}
         with contextlib.ExitStack() as files:
             for number, piece in enumerate(fly()):
                 for name, array in _get_columns(piece).items():
                     if not number:
                         columns[name] = files.enter_context(_Column(scratch / f"{name}.npy", array))
                     columns[name].append(array[number > 0 and name in SHARED :])
-                texts["kind"] += piece.events.kind
-                texts["text"] += piece.events.text
+                for name in _EVENT_TEXTS:
+                    texts[name] += getattr(piece.events, name)
         (scratch / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
         hashes = {path.name: _hash_file(path) for path in scratch.iterdir()}
         (scratch / _INDEX).write_text(json.dumps(hashes), encoding="utf-8")
@@ -320,7 +322,7 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
             rows = slice(used[part], ready[part]) if part else slice(start, stop + (name in SHARED))
             arrays[name] = np.array(_map_column(entry, name)[rows])
         used = ready
-        yield _make_trajectory(arrays, texts if stop == end else {"kind": [], "text": []})
+        yield _make_trajectory(arrays, texts if stop == end else dict.fromkeys(_EVENT_TEXTS, ()))
 
 
 def _hash_file(path: Path) -> str:

@@ -122,16 +122,17 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
     rows = [
-        (25.0, 25.0, "integrity", "barometer and GNSS height differ by 5 sigma"),
-        (50.0, 55.0, "integrity", "baro refused by nis"),
-        (5.0, 5.0, "timeline", "gnss"),
+        (25.0, 25.0, "integrity", "barometer and GNSS height differ by 5 sigma", "gnss_position baro"),
+        (50.0, 55.0, "integrity", "refused by nis", "baro"),
+        (45.0, 45.0, "integrity", "not a word of the baro"),
+        (5.0, 5.0, "timeline", "gnss", "gnss"),
     ]
     solution = by_hand({}, rows)
     raised = collect_alarms({}, solution.events)
     gnss, baro = Fault("spoofing", "gnss", 20.0, 60.0, ""), Fault("baro-step", "baro", 40.0, 60.0, "")
     assert measure_delay(gnss, raised) == 5.0
     assert measure_delay(baro, raised) == 10.0
-    assert count_false_alarms([baro], raised, "integrity", 0.0) == 1
+    assert count_false_alarms([baro], raised, "integrity", 0.0) == 2
 
 
 EVERY = [

@@ -150,7 +150,11 @@ def test_a_metric_begins_at_the_end_of_the_alignment_window_and_its_twin_at_the_
 
 def test_the_window_cuts_innovations_events_and_outages(truth):
     events = Events(
-        np.array([1.0, 2.0, 9.0]), np.array([1.0, 2.0, 9.0]), ("timeline", "gate", "timeline"), ("", "", "")
+        np.array([1.0, 2.0, 9.0]),
+        np.array([1.0, 2.0, 9.0]),
+        ("timeline", "gate", "timeline"),
+        ("",) * 3,
+        ("",) * 3,
     )
     solution = wrong_solution(truth, innovations=some_innovations(), events=events)
     found = metrics_of(truth, solution, 6.0, OUTAGES)
@@ -326,7 +330,7 @@ def test_nis_metrics_count_a_sub_vector_once_and_keep_refused_updates(truth):
 
 
 def full_run(truth):
-    events = Events(np.array([1.0]), np.array([1.0]), ("timeline",), ("2 rows left out",))
+    events = Events(np.array([1.0]), np.array([1.0]), ("timeline",), ("2 rows left out",), ("imu",))
     return wrong_solution(truth, pos_n=random_errors(1, 2.0), innovations=some_innovations(), events=events)
 
 

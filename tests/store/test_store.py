@@ -68,7 +68,9 @@ def equal(one: object, other: object) -> None:
 @pytest.fixture(scope="module")
 def truth() -> Trajectory:
     flown = turning(4.0, 100.0)
-    legs = Events(np.array([0.0, 2.0]), np.array([2.0, 4.0]), ("leg", "leg"), ("1 straight", "2 turn: 90 °"))
+    legs = Events(
+        np.array([0.0, 2.0]), np.array([2.0, 4.0]), ("leg", "leg"), ("1 straight", "2 turn: 90 °"), ("", "")
+    )
     return dataclasses.replace(flown, events=legs)
 
 
@@ -127,7 +129,7 @@ def sensed(truth: Trajectory) -> Sensed:
         *RNG.normal(size=(2, m, 3)),
         {name: RNG.normal(size=(m, width)) for name, width in (("baro", 1), ("mag", 3), ("airspeed", 1))},
     )
-    outage = Events(np.array([2.0]), np.array([3.0]), ("gnss_outage",), ("scripted",))
+    outage = Events(np.array([2.0]), np.array([3.0]), ("gnss_outage",), ("scripted",), ("gnss",))
     return Sensed(data, initial, drawn, outage)
 
 
@@ -152,7 +154,7 @@ def result(truth, sensed) -> RunResult:
         np.full(m, np.nan),
         9,
     )
-    events = Events(np.array([0.5]), np.array([0.5]), ("timeline",), ("1 row left out",))
+    events = Events(np.array([0.5]), np.array([0.5]), ("timeline",), ("1 row left out",), ("imu",))
     loose = dataclasses.replace(solution(m, ("gyro_bias_x_rad_s", "baro_bias_m"), innovations), events=events)
     return RunResult(
         profile={"title": "a", "leg": [{"kind": "turn"}]},
@@ -416,7 +418,7 @@ def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplo
 
 
 def test_a_truth_without_events_is_cached_too(cache, spec, truth):
-    none = dataclasses.replace(truth, events=Events(np.empty(0), np.empty(0), (), ()))
+    none = dataclasses.replace(truth, events=Events.from_rows([]))
     flights = Flights(none)
     for _ in range(2):
         equal(store.cached_truth(spec, flights), none)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import alignment, timeline
 from bench.navigation.blocks import GNSS_MARKOV
 from bench.navigation.classic.filter_loop import SENSORS, FilterLoop
@@ -125,7 +125,7 @@ def _solution(
     served: Any,
     answers: list[tuple[FloatArray, ...]],
     flight: FilterLoop,
-    events: list[tuple[float, float, str, str]],
+    events: list[EventRow],
 ) -> NavSolution:
     for name in list(flight.refused):
         flight.close(name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import InitialState, SensorData
+from bench.data import EventRow, InitialState, SensorData
 from bench.navigation import square_root, timeline
 from bench.navigation.classic.navigator import (
     FRD_OF_FUR,
@@ -92,7 +92,7 @@ class FilterLoop:
         self.refused: dict[str, tuple[float, float, str]] = {}
         self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
-        self.events: list[tuple[float, float, str, str]] = []
+        self.events: list[EventRow] = []
 
     # -- the navigator
 
@@ -166,7 +166,7 @@ class FilterLoop:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
             if ratio > self.options.monitor_sigmas:
                 text = f"barometer and GNSS height differ by {ratio:.1f} sigma"
-                self.events.append((now, now, "integrity", text))
+                self.events.append((now, now, "integrity", text, "gnss_position baro"))
         use.sort()
         if not use:
             return
@@ -281,7 +281,7 @@ class FilterLoop:
         """Report a stretch of refusals that has ended."""
         if name in self.refused:
             start, end, test = self.refused.pop(name)
-            self.events.append((start, end, "integrity", f"{name} refused by {test}"))
+            self.events.append((start, end, "integrity", f"{name} refused by {test}", name))
 
     # -- the correction
 
