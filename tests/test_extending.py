@@ -49,7 +49,7 @@ METRIC = Toy(
             ),
             (
                 '    Metric("cep50_m",',
-                '    Metric("pos_mean_h_m", pos_mean_h, "m", "pos", "lower", "mean horizontal error"),\n',
+                '    Metric("pos_mean_h_m", pos_mean_h, "pos", "lower"),\n',
             ),
         ]
     }

@@ -6,7 +6,6 @@ is an upper bound for the error of the estimate, and its covariance is the sum o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,8 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
-from bench.evaluation import metrics
-from bench.evaluation.case import build_case
-from bench.evaluation.error_series import (
-    check_convergence,
-    count_aligning_epochs,
-    normalized_squares,
-    select_epochs,
-)
+from bench.evaluation.error_series import normalized_squares, select_epochs
+from bench.evaluation.metrics import METRICS, judge_epochs
 from bench.units import SAME_INSTANT
 
 
@@ -88,28 +81,16 @@ def judge(
     """
     errors = antenna_errors(solution, fixes, data)
     rows, _ = _match_instants(solution.t, errors.t)
-    at = select_epochs(solution, rows)
-    aligned = slice(count_aligning_epochs(at, evaluation_from) if len(rows) else 0, None)
-    judged, at = select_epochs(errors, aligned), select_epochs(at, aligned)
-    sound, reason = check_convergence(judged, at) if len(at) else (True, None)
-    if len(at) and count_aligning_epochs(at, np.inf):
-        sound, reason = False, f"no solution before the metrics begin at {evaluation_from:g} s"
-    values: dict[str, Any] = {"converged": sound, "reason": reason, "withheld_fixes": len(rows)}
-    for suffix, start in (("", evaluation_from), ("_all", -np.inf)):
-        case = build_case(judged, at, start, ())
-        if not len(case.t):
-            continue
-        for metric in metrics.METRICS:
-            if metric.block == "phi" or metric.name.startswith(("outage", "coverage")):
-                continue  # fixes have no attitude, and their own errors would break the containment
-            if metric.block == "vel" and not np.isfinite(case.vel_n).all():
-                continue
-            result = metric.function(case)
-            named = result.items() if isinstance(result, Mapping) else [("", result)]
-            for key, value in named:
-                good = sound and value is not None and np.isfinite(value)
-                values[f"{metric.name.format(key)}{suffix}"] = value if good else None
-    return errors, values
+    values: dict[str, Any] = {"converged": True, "reason": None}
+    if len(rows):
+        left_out = {"phi", "vel"} if np.isnan(errors.vel_n).all() else {"phi"}
+        wanted = [
+            metric
+            for metric in METRICS  # fixes have no attitude, and their own errors would break the coverage
+            if metric.block not in left_out and not metric.name.startswith(("outage", "coverage"))
+        ]
+        values = judge_epochs(errors, select_epochs(solution, rows), evaluation_from, metrics=wanted)
+    return errors, {**values, "withheld_fixes": len(rows)}
 
 
 def find_angular_rate(imu: ImuData, t: FloatArray) -> FloatArray:

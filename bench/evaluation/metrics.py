@@ -7,16 +7,15 @@ alignment window on, ``x_all`` over the whole run.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.evaluation import detection
-from bench.evaluation.case import Case, Outages, build_case
+from bench.evaluation.case import NO_TIMES, Case, Outages, build_case
 from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
@@ -29,7 +28,7 @@ from bench.evaluation.error_series import (
     select_epochs,
 )
 from bench.specs import Fault
-from bench.units import SAME_INSTANT
+from bench.units import SAME_INSTANT, unit_of
 
 Value = float | None
 Values = Mapping[str, Value]
@@ -40,16 +39,18 @@ HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Metric:
+class Metric(NamedTuple):
     """A row of :data:`METRICS`."""
 
     name: str  # ends in the unit; ``{}`` stands for each key of a function that returns several values
-    function: Callable[[Case], Value | Values]
-    unit: str
+    function: Callable[[Case], Value | Values]  # its docstring describes the metric
     block: Literal["pos", "vel", "phi", "cov", "pos cov", "vel cov", "phi cov", ""]  # absent without it
-    direction: Literal["lower", "both", ""]  # what a baseline watches: growth, any change, nothing
-    description: str
+    direction: Literal["lower", "both", ""] = ""  # what a baseline watches: growth, any change, nothing
+
+    @property
+    def unit(self) -> str:
+        """Unit of the metric; "1" if it has none."""
+        return unit_of(self.name) or "1"
 
 
 # --- accuracy -----------------------------------------------------------------------------------------
@@ -226,19 +227,23 @@ def output_coverage(case: Case) -> float:
     return len(case.t) / case.asked
 
 
+def _mean_nis(case: Case, part: Literal["mean", "low", "high"]) -> Values:
+    return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
+
+
 def nis_mean(case: Case) -> Values:
     """Mean NIS of each sensor, rejected updates included."""
-    return {name: mean_nis(s.nis, s.dof).mean for name, s in case.nis.items()}
+    return _mean_nis(case, "mean")
 
 
 def nis_low(case: Case) -> Values:
     """Lower edge of the 99.9 % band of nis_mean."""
-    return {name: mean_nis(s.nis, s.dof).low for name, s in case.nis.items()}
+    return _mean_nis(case, "low")
 
 
 def nis_high(case: Case) -> Values:
     """Upper edge of the 99.9 % band of nis_mean."""
-    return {name: mean_nis(s.nis, s.dof).high for name, s in case.nis.items()}
+    return _mean_nis(case, "high")
 
 
 def updates(case: Case) -> Values:
@@ -257,91 +262,39 @@ def events(case: Case) -> Values:
 
 
 METRICS: tuple[Metric, ...] = (
-    Metric("pos_rmse_{}_m", pos_rmse, "m", "pos", "lower", "RMS position error: n, e, d, horizontal, 3D"),
-    Metric("pos_max_h_m", pos_max_h, "m", "pos", "", "largest horizontal position error"),
-    Metric("pos_max_v_m", pos_max_v, "m", "pos", "", "largest vertical position error"),
-    Metric("cep50_m", cep50, "m", "pos", "lower", "radius that holds 50 % of the horizontal errors"),
-    Metric("cep95_m", cep95, "m", "pos", "lower", "radius that holds 95 % of the horizontal errors"),
-    Metric("r95_m", cep95, "m", "pos", "", "the same as cep95_m, as navigation standards call it"),
-    Metric("pos_95_v_m", pos_95_v, "m", "pos", "lower", "height that holds 95 % of the vertical errors"),
-    Metric("vel_rmse_{}_mps", vel_rmse, "m/s", "vel", "lower", "RMS velocity error: n, e, d, horizontal, 3D"),
-    Metric("vel_max_mps", vel_max, "m/s", "vel", "", "largest velocity error, 3D"),
-    Metric("phi_rmse_{}_deg", phi_rmse, "deg", "phi", "lower", "RMS attitude error about n, e, d"),
-    Metric("tilt_rmse_deg", tilt_rmse, "deg", "phi", "lower", "RMS error of the vertical"),
-    Metric("heading_rmse_deg", heading_rmse, "deg", "phi", "lower", "RMS heading error"),
-    Metric("heading_max_deg", heading_max, "deg", "phi", "", "largest heading error"),
-    Metric(
-        "heading_convergence_s",
-        heading_convergence,
-        "s",
-        "phi",
-        "",
-        "from then on |heading error| < max(1 deg, 3 sigma) to the end or the next outage",
-    ),
-    Metric(
-        "outage_{}_drift_h_m", outage_drift_h, "m", "pos", "lower", "horizontal error at the end of an outage"
-    ),
-    Metric(
-        "outage_{}_growth_h_m",
-        outage_growth_h,
-        "m",
-        "pos",
-        "lower",
-        "growth of the horizontal error in an outage",
-    ),
-    Metric(
-        "fault_{}_detected",
-        detection.fault_detected,
-        "1",
-        "",
-        "both",
-        "1: an alarm was raised during the fault",
-    ),
-    Metric(
-        "fault_{}_delay_s",
-        detection.fault_delay,
-        "s",
-        "",
-        "lower",
-        "time from the start of a fault to its first alarm",
-    ),
-    Metric(
-        "fault_{}_max_h_m",
-        detection.fault_max_h,
-        "m",
-        "pos",
-        "lower",
-        "largest horizontal error during the fault",
-    ),
-    Metric(
-        "false_alarms_{}", detection.false_alarms, "1", "", "", "alarms of a sensor that no fault explains"
-    ),
-    Metric("nees_mean", nees_mean, "1", "cov", "both", "mean NEES; nees_states is expected"),
-    Metric("nees_states", nees_states, "1", "cov", "", "number of states in NEES"),
-    Metric(
-        "nees_inside_95",
-        nees_inside_95,
-        "1",
-        "cov",
-        "both",
-        "fraction of epochs in the 95 % interval of NEES",
-    ),
-    Metric(
-        "coverage_3sigma_pos_{}", coverage_pos, "1", "pos cov", "both", "fraction of epochs within 3 sigma"
-    ),
-    Metric(
-        "coverage_3sigma_vel_{}", coverage_vel, "1", "vel cov", "both", "fraction of epochs within 3 sigma"
-    ),
-    Metric(
-        "coverage_3sigma_phi_{}", coverage_phi, "1", "phi cov", "both", "fraction of epochs within 3 sigma"
-    ),
-    Metric("output_coverage", output_coverage, "1", "", "", "fraction of requested epochs with a solution"),
-    Metric("nis_mean_{}", nis_mean, "1", "", "both", "mean NIS of a sensor, rejected updates included"),
-    Metric("nis_low_{}", nis_low, "1", "", "", "lower edge of the 99.9 % band of nis_mean"),
-    Metric("nis_high_{}", nis_high, "1", "", "", "upper edge of the 99.9 % band of nis_mean"),
-    Metric("updates_{}", updates, "1", "", "", "updates of a sensor, accepted or not"),
-    Metric("rejected_{}", rejected, "1", "", "", "updates of a sensor rejected by the gate"),
-    Metric("events_{}", events, "1", "", "", "events of one kind that the estimator reported"),
+    Metric("pos_rmse_{}_m", pos_rmse, "pos", "lower"),
+    Metric("pos_max_h_m", pos_max_h, "pos"),
+    Metric("pos_max_v_m", pos_max_v, "pos"),
+    Metric("cep50_m", cep50, "pos", "lower"),
+    Metric("cep95_m", cep95, "pos", "lower"),
+    Metric("r95_m", cep95, "pos"),
+    Metric("pos_95_v_m", pos_95_v, "pos", "lower"),
+    Metric("vel_rmse_{}_mps", vel_rmse, "vel", "lower"),
+    Metric("vel_max_mps", vel_max, "vel"),
+    Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
+    Metric("tilt_rmse_deg", tilt_rmse, "phi", "lower"),
+    Metric("heading_rmse_deg", heading_rmse, "phi", "lower"),
+    Metric("heading_max_deg", heading_max, "phi"),
+    Metric("heading_convergence_s", heading_convergence, "phi"),
+    Metric("outage_{}_drift_h_m", outage_drift_h, "pos", "lower"),
+    Metric("outage_{}_growth_h_m", outage_growth_h, "pos", "lower"),
+    Metric("fault_{}_detected", detection.fault_detected, "", "both"),
+    Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
+    Metric("fault_{}_max_h_m", detection.fault_max_h, "pos", "lower"),
+    Metric("false_alarms_{}", detection.false_alarms, ""),
+    Metric("nees_mean", nees_mean, "cov", "both"),
+    Metric("nees_states", nees_states, "cov"),
+    Metric("nees_inside_95", nees_inside_95, "cov", "both"),
+    Metric("coverage_3sigma_pos_{}", coverage_pos, "pos cov", "both"),
+    Metric("coverage_3sigma_vel_{}", coverage_vel, "vel cov", "both"),
+    Metric("coverage_3sigma_phi_{}", coverage_phi, "phi cov", "both"),
+    Metric("output_coverage", output_coverage, ""),
+    Metric("nis_mean_{}", nis_mean, "", "both"),
+    Metric("nis_low_{}", nis_low, ""),
+    Metric("nis_high_{}", nis_high, ""),
+    Metric("updates_{}", updates, ""),
+    Metric("rejected_{}", rejected, ""),
+    Metric("events_{}", events, ""),
 )
 
 
@@ -390,37 +343,57 @@ def judge(
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
     rows = find_covered_epochs(solution)
-    missing = solution.t[~rows]
-    judged, solution = select_epochs(errors, rows), select_epochs(solution, rows)
+    judged, covered = select_epochs(errors, rows), select_epochs(solution, rows)
+    return errors, judge_epochs(
+        judged, covered, evaluation_from, outages=outages, faults=faults, missing=solution.t[~rows]
+    )
+
+
+def judge_epochs(
+    errors: ErrorSeries,
+    solution: NavSolution,
+    evaluation_from: float,
+    *,
+    outages: Outages = (),
+    faults: Sequence[Fault] = (),
+    missing: FloatArray = NO_TIMES,
+    metrics: Sequence[Metric] = METRICS,
+) -> dict[str, Any]:
+    """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.
+
+    ``missing`` holds the instants (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
+    of :data:`METRICS` to compute.
+    """
     aligned = slice(count_aligning_epochs(solution, evaluation_from), None)
-    judged, solution = select_epochs(judged, aligned), select_epochs(solution, aligned)
-    sound, reason = check_convergence(judged, solution)
+    errors, solution = select_epochs(errors, aligned), select_epochs(solution, aligned)
+    sound, reason = check_convergence(errors, solution)
     late = count_aligning_epochs(solution, np.inf)
     if late:
         first = solution.t[late]
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole = _compute_metrics(build_case(judged, solution, -np.inf, outages, faults, missing), solution)
-        after = build_case(judged, solution, evaluation_from, outages, faults, missing)
-        window = _compute_metrics(after, solution) if len(after.t) else {}
-    metrics: dict[str, Any] = {"converged": sound, "reason": reason}
-    metrics.update({name: window.get(name) if sound else None for name in whole})
-    metrics.update({f"{name}_all": whole[name] if sound else None for name in whole})
-    return errors, metrics
+        whole, window = (
+            _compute_metrics(build_case(errors, solution, start, outages, faults, missing), solution, metrics)
+            for start in (-np.inf, evaluation_from)
+        )
+    values: dict[str, Any] = {"converged": sound, "reason": reason}
+    values.update({name: window.get(name) if sound else None for name in whole})
+    values.update({f"{name}_all": whole[name] if sound else None for name in whole})
+    return values
 
 
-def _compute_metrics(case: Case, solution: NavSolution) -> dict[str, Value]:
-    """Compute every metric of the estimated blocks; a value that is not finite becomes None."""
+def _compute_metrics(case: Case, solution: NavSolution, metrics: Sequence[Metric]) -> dict[str, Value]:
+    """Compute the metrics of the estimated blocks; a value that is not finite becomes None."""
+    if not len(case.t):
+        return {}
     claimed = claimed_blocks(solution)
     blocks = ("", *estimated_blocks(solution), *(f"{name} cov" for name in claimed), *["cov"][: len(claimed)])
     values: dict[str, Value] = {}
-    for metric in METRICS:
+    for metric in metrics:
         if metric.block in blocks:
             result = metric.function(case)
-            if isinstance(result, Mapping):
-                values.update({metric.name.format(key): value for key, value in result.items()})
-            else:
-                values[metric.name] = result
+            named = result if isinstance(result, Mapping) else {"": result}
+            values.update({metric.name.format(key): value for key, value in named.items()})
     return {
         name: value if value is not None and np.isfinite(value) else None for name, value in values.items()
     }
@@ -436,12 +409,8 @@ def find_metric(name: str) -> Metric | None:
     """
     name = name.removesuffix("_all")
     for metric in METRICS:
-        head, _, tail = metric.name.partition("{}")
-        if name == metric.name or (
-            "{}" in metric.name
-            and name.startswith(head)
-            and name.endswith(tail)
-            and len(name) > len(head) + len(tail)
-        ):
+        head, gap, tail = metric.name.partition("{}")
+        longer = len(name) > len(head) + len(tail)
+        if name == metric.name or (gap and longer and name.startswith(head) and name.endswith(tail)):
             return metric
     return None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from bench.arrays import FloatArray
 from bench.config.log import LogSpec
@@ -56,30 +57,6 @@ def write(
     bench.errors.NothingToShowError
         If there is no truth and no estimator has a motion to show.
     """
-    recorded = _record(profile, truth, sensed, solutions, errors, metrics, outages)
-    part = path.with_name(f"{path.name}.tmp")
-    try:
-        part.write_bytes(recorded)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _record(
-    profile: Profile | LogSpec,
-    truth: Trajectory | None,
-    sensed: Sensed,
-    solutions: Mapping[str, NavSolution],
-    errors: Mapping[str, ErrorSeries],
-    metrics: Mapping[str, Mapping[str, Any]],
-    outages: Sequence[Mapping[str, Any]],
-) -> bytes:
-    """Return the recording as the bytes of its file.
-
-    rerun's own file writer waits for ever when the disk is full, so the file is not left to it.
-    """
-    import rerun as rr
-
     motion = carrier(solutions) if truth is None else truth
     sky = profile.sensors.gnss.sky if isinstance(profile, Profile) and profile.sensors.gnss else None
     mask = None if sky is None else sky.antenna_mask
@@ -87,11 +64,12 @@ def _record(
     plots = {tab.name: tab.plots(content) for tab in TABS}
     scene = space.make_scene(motion, sensed, solutions)
     shades = drawing.shades(sensed.events)
+    part = path.with_name(f"{path.name}.tmp")
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
         stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
-        memory = stream.memory_recording()
+        memory = stream.memory_recording()  # rerun's own file writer waits for ever when the disk is full
         stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(solutions), "")))
         title, mesh = profile.name, None
         if isinstance(profile, Profile):
@@ -105,7 +83,11 @@ def _record(
         for tab in TABS:
             if tab.send is not None:
                 tab.send(stream, content)
-        return memory.drain_as_bytes()
+        try:
+            part.write_bytes(memory.drain_as_bytes())
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def column(
@@ -162,8 +144,6 @@ def column(
 @contextmanager
 def _strict() -> Iterator[None]:
     """Make rerun raise where it would print a warning and drop the data."""
-    import rerun as rr
-
     before = rr.strict_mode()
     rr.set_strict_mode(True)
     try:

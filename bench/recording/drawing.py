@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from bench.arrays import FloatArray
 from bench.data import Events
@@ -101,8 +102,6 @@ Rows = Sequence[Sequence[Plot]]
 
 def entity(*parts: str) -> str:
     """Return an entity path, with what rerun reserves escaped in each part."""
-    import rerun as rr
-
     return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
 
 
@@ -152,11 +151,17 @@ def draw_dots(
 
 
 def draw_three_sigma(
-    key: str, t: FloatArray, value: FloatArray, sd: FloatArray, name: str, colour: Colour
+    key: str,
+    t: FloatArray,
+    value: FloatArray,
+    sd: FloatArray,
+    name: str,
+    colour: Colour,
+    around: FloatArray | float = 0.0,
 ) -> Series:
-    """Return a value with 3 sigma either side of zero: three lines on one entity."""
+    """Return a value, and 3 sigma either side of zero or of other values: three lines on one entity."""
     keep = thin(t)
-    values = np.column_stack([value, 3.0 * sd, -3.0 * sd])[keep]
+    values = np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd])[keep]
     pale = paler(colour)
     return Series(key, t[keep], values, (name, "±3σ", "±3σ"), (colour, pale, pale), (1.5, 1.0, 1.0))
 
@@ -184,30 +189,21 @@ def shades(events: Events) -> tuple[Shade, ...]:
 def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
     """Send the series of a plot, and shades over its whole height."""
     for series in plot.series:
-        names, colours = list(series.names), [list(colour) for colour in series.colours]
-        _send_series(stream, f"{plot.path}/{series.key}", series, names, colours)
+        path, names = f"{plot.path}/{series.key}", list(series.names)
+        colours = [list(colour) for colour in series.colours]
+        style = (
+            rr.SeriesPoints(colors=colours, names=names, marker_sizes=series.widths)
+            if series.marks
+            else rr.SeriesLines(colors=colours, names=names, widths=series.widths)
+        )
+        stream.log(path, style, static=True)
+        _send_scalars(stream, path, series.t, series.values)
     for shade in shades:
         _send_shade(stream, f"{plot.path}/{shade.key}", shade, plot)
 
 
-def _send_series(
-    stream: Any, entity: str, series: Series, names: list[str], colours: list[list[int]]
-) -> None:
-    import rerun as rr
-
-    style = (
-        rr.SeriesPoints(colors=colours, names=names, marker_sizes=series.widths)
-        if series.marks
-        else rr.SeriesLines(colors=colours, names=names, widths=series.widths)
-    )
-    stream.log(entity, style, static=True)
-    _send_scalars(stream, entity, series.t, series.values)
-
-
 def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:
     """Send values (N, k); a row of nothing but NaN becomes an empty one, where the lines break."""
-    import rerun as rr
-
     there = ~np.isnan(values).all(axis=1)
     if len(t):
         stream.send_columns(
@@ -219,8 +215,6 @@ def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -
 
 def _send_shade(stream: Any, entity: str, shade: Shade, plot: Plot) -> None:
     """Send a hatch over the height of a plot: it has no shaded region, and a wide line ends in round caps."""
-    import rerun as rr
-
     low, high = plot.limits()
     spacing = HATCH * max(float(series.t[-1]) for series in plot.series if len(series.t))
     t, y = [], []

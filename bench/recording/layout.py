@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from bench.recording.content import Tab
 from bench.recording.drawing import TIMELINE, Plot, Rows
@@ -38,8 +40,6 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     blueprint : rerun.blueprint.Blueprint
         It opens paused, with every time axis on the whole flight.
     """
-    import rerun.blueprint as rrb
-
     views = [_make_overview(scene, plots, main)]
     for tab in TABS:
         columns = {label: rows for label, rows in plots[tab.name].items() if any(rows)}
@@ -56,8 +56,6 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
 
 
 def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
-    import rerun.blueprint as rrb
-
     position, attitude = (plots[tab.name].get(main, ()) for tab in (POSITION, ATTITUDE))
     key_plots = [row[0] for row in (*position, *attitude[2:])] or [plots[FLIGHT.name][""][0][0]]
 
@@ -65,15 +63,17 @@ def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
     errors = rrb.Vertical(*[_make_plot(scene, plot) for plot in key_plots], _make_phases(scene))
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
-        _make_event_log(),
+        rrb.TextLogView(
+            origin="/events",
+            name="Events",
+            columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+        ),
         row_shares=[3, 2],
     )
     return rrb.Horizontal(where, errors, words, column_shares=[5, 5, 3], name="Overview")
 
 
 def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
-    import rerun.blueprint as rrb
-
     narrow = all(len(row) == 1 for rows in columns.values() for row in rows)
     grids = [
         rrb.Vertical(
@@ -95,23 +95,16 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
 
 
 def _make_row(scene: Scene, row: Sequence[Plot]) -> Any:
-    import rerun.blueprint as rrb
-
     views = [_make_plot(scene, plot) for plot in row]
     return views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
 
 def _make_time_axis(scene: Scene) -> Any:
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     edge = rrb.TimeRangeBoundary.absolute
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
 
 
 def _make_plot(scene: Scene, plot: Plot) -> Any:
-    import rerun.blueprint as rrb
-
     return rrb.TimeSeriesView(
         origin=plot.path,
         contents="$origin/**",
@@ -123,40 +116,22 @@ def _make_plot(scene: Scene, plot: Plot) -> Any:
 
 
 def _make_phases(scene: Scene) -> Any:
-    import rerun.blueprint as rrb
-
     return rrb.StateTimelineView(origin="/phase", name="Legs, GNSS, faults", time_view=_make_time_axis(scene))
 
 
-def _make_event_log() -> Any:
-    import rerun.blueprint as rrb
-
-    return rrb.TextLogView(
-        origin="/events",
-        name="Events",
-        columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
-    )
-
-
-def _show_past(paths: Sequence[str], hidden: Sequence[str]) -> dict[Any, Any]:
-    import rerun.blueprint as rrb
-
+def _show_past(scene: Scene, root: str) -> dict[Any, Any]:
+    """Show the fixes of a view in space up to the cursor, and hide what is switched off."""
     past = rrb.VisibleTimeRange(
         TIMELINE,
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
     )
-    shown: dict[Any, Any] = {path: rrb.VisibleTimeRanges(past) for path in paths}
-    return shown | {path: rrb.EntityBehavior(visible=False) for path in hidden}
-
-
-def _filter_paths(paths: Sequence[str], root: str) -> list[str]:
-    return [path for path in paths if path.startswith(root)]
+    shown: dict[Any, Any] = {path: rrb.VisibleTimeRanges(past) for path in scene.fixes}
+    shown |= {path: rrb.EntityBehavior(visible=False) for path in scene.hidden}
+    return {path: behaviour for path, behaviour in shown.items() if path.startswith(root)}
 
 
 def _make_space_view(scene: Scene) -> Any:
-    import rerun.blueprint as rrb
-
     middle = 0.5 * (scene.low + scene.high)
     eye = middle + scene.size * np.array([-0.8, -0.25, -0.6])
     return rrb.Spatial3DView(
@@ -164,13 +139,11 @@ def _make_space_view(scene: Scene) -> Any:
         name=f"Flight path (grid {scene.grid:g} m, aircraft enlarged)",
         eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0.0, 0.0, -1.0)),
         line_grid=rrb.LineGrid3D(visible=True, spacing=scene.grid),
-        overrides=_show_past(_filter_paths(scene.fixes, "/world"), _filter_paths(scene.hidden, "/world")),
+        overrides=_show_past(scene, "/world"),
     )
 
 
 def _make_map(scene: Scene) -> Any:
-    import rerun.blueprint as rrb
-
     # at zoom z a tile of 256 points covers (length of the parallel) / 2^z; a view has about 500 points
     metres = 1.4 * scene.size / 500.0
     zoom = np.log2(40_075_017.0 * np.cos(scene.lat) / 256.0 / metres)
@@ -178,5 +151,5 @@ def _make_map(scene: Scene) -> Any:
         origin="/map",
         name="Map",
         zoom=float(np.clip(zoom, 1.0, 18.0)),
-        overrides=_show_past(_filter_paths(scene.fixes, "/map"), _filter_paths(scene.hidden, "/map")),
+        overrides=_show_past(scene, "/map"),
     )

@@ -43,6 +43,11 @@ def _make_ring(x: float, radius: float, z: float = 0.0, y: float = 0.0) -> Float
     return np.array([x, y, z]) + radius * _CIRCLE
 
 
+def _make_rings(*stations: tuple[float, ...]) -> list[FloatArray]:
+    """Return rings at stations (x, radius, z, y); z and y are 0 if left out."""
+    return [_make_ring(*station) for station in stations]
+
+
 def _make_foil(x: float, y: float, z: float, chord: float) -> FloatArray:
     return np.array([x, y, z]) + chord * _FOIL
 
@@ -81,10 +86,7 @@ def _make_uav() -> Mesh:
     def make_boom(y: float) -> list[FloatArray]:
         return [_make_ring(x, 0.010, -0.03, y) for x in (0.0, -0.38)]
 
-    body = [
-        _make_ring(x, radius)
-        for x, radius in ((0.36, 0.006), (0.30, 0.04), (0.15, 0.06), (-0.10, 0.06), (-0.20, 0.03))
-    ]
+    body = _make_rings((0.36, 0.006), (0.30, 0.04), (0.15, 0.06), (-0.10, 0.06), (-0.20, 0.03))
     return _join_parts(
         [
             (body, _BODY),
@@ -98,16 +100,13 @@ def _make_uav() -> Mesh:
 
 def _make_light_single() -> Mesh:
     """Return a low-wing single with a canopy and a propeller disc."""
-    body = [
-        _make_ring(x, radius, z)
-        for x, radius, z in (
-            (0.30, 0.025, 0.01),
-            (0.27, 0.050, 0.01),
-            (0.10, 0.066, 0.0),
-            (-0.08, 0.064, 0.0),
-            (-0.50, 0.015, -0.02),
-        )
-    ]
+    body = _make_rings(
+        (0.30, 0.025, 0.01),
+        (0.27, 0.050, 0.01),
+        (0.10, 0.066, 0.0),
+        (-0.08, 0.064, 0.0),
+        (-0.50, 0.015, -0.02),
+    )
     canopy = [
         _make_ring(x, radius, -0.05)
         for x, radius in ((0.09, 0.008), (0.05, 0.045), (-0.06, 0.045), (-0.16, 0.008))
@@ -126,16 +125,13 @@ def _make_light_single() -> Mesh:
 
 def _make_jet() -> Mesh:
     """Return a swept low-wing transport with four engines under the wing."""
-    body = [
-        _make_ring(x, radius, z)
-        for x, radius, z in (
-            (0.52, 0.008, 0.01),
-            (0.49, 0.030, 0.0),
-            (0.42, 0.050, 0.0),
-            (-0.25, 0.050, 0.0),
-            (-0.56, 0.010, -0.03),
-        )
-    ]
+    body = _make_rings(
+        (0.52, 0.008, 0.01),
+        (0.49, 0.030, 0.0),
+        (0.42, 0.050, 0.0),
+        (-0.25, 0.050, 0.0),
+        (-0.56, 0.010, -0.03),
+    )
 
     def make_engine(x: float, y: float) -> list[FloatArray]:
         return [

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
@@ -72,8 +73,6 @@ def send(
 
     Without a mesh there is no truth: the vehicle is a set of body axes where the first estimator has it.
     """
-    import rerun as rr
-
     origin = truth.lla[0]
     colours = estimator_colours(solutions)
     keep = thin(truth.t)
@@ -133,8 +132,6 @@ def send(
 
 def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:
     """Send the shape of the vehicle: an aircraft, or body axes without a mesh."""
-    import rerun as rr
-
     scale = max(1.0, 0.12 * size)
     if mesh is None:
         axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLOURS)
@@ -158,8 +155,6 @@ def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> Non
 
 def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, colour: Colour) -> None:
     """Send a path in space and on the map, with every fifth point."""
-    import rerun as rr
-
     lla = np.vstack([lla[:-1:5], lla[-1:]])
     stream.log(
         f"/world{branch}/path",

@@ -10,7 +10,7 @@ from bench.arrays import FloatArray
 from bench.data import NavSolution
 from bench.instruments import INSTRUMENTS
 from bench.recording.content import Content, Tab
-from bench.recording.drawing import AXES_B, TRUTH, Colour, Plot, Rows, Series, draw_line, entity, paler, thin
+from bench.recording.drawing import AXES_B, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma, entity
 from bench.units import STANDARD_GRAVITY
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
@@ -22,60 +22,44 @@ def _plots(content: Content) -> Mapping[str, Rows]:
 
 
 def _rows(content: Content, label: str, colour: Colour) -> Rows:
+    """Return a row of plots each for the gyros, the accelerometers and the other instruments."""
     drawn, solution = content.sensed.truth, content.solutions[label]
-    gyro = [
-        (
-            f"gyro_bias_{a}",
-            f"gyro bias {a} [deg/h]",
-            _DEG_H,
-            solution.gyro_bias_b[:, k],
-            drawn.gyro_bias_b[:, k],
-        )
-        for k, a in enumerate(AXES_B)
-    ]
-    accel = [
-        (
-            f"accel_bias_{a}",
-            f"accelerometer bias {a} [mg]",
-            _MG,
-            solution.accel_bias_b[:, k],
-            drawn.accel_bias_b[:, k],
-        )
-        for k, a in enumerate(AXES_B)
-    ]
     unknown = np.full((len(drawn.t), 1), np.nan)
-    others = [
-        (
-            f"{name}_bias",
-            f"{name} bias [{row.unit}]",
-            1.0,
-            _extra(solution, f"{name}_bias", solution.extra),
-            drawn.bias.get(name, unknown)[:, 0],
+    groups = [
+        [
+            (f"{triad}_bias_{axis}", f"{title} bias {axis} [{unit}]", scale, estimate[:, k], true[:, k])
+            for k, axis in enumerate(AXES_B)
+        ]
+        for triad, title, unit, scale, estimate, true in (
+            ("gyro", "gyro", "deg/h", _DEG_H, solution.gyro_bias_b, drawn.gyro_bias_b),
+            ("accel", "accelerometer", "mg", _MG, solution.accel_bias_b, drawn.accel_bias_b),
         )
-        for name, row in INSTRUMENTS.items()
     ]
+    groups.append(
+        [
+            (
+                f"{name}_bias",
+                f"{name} bias [{row.unit}]",
+                1.0,
+                _extra(solution, f"{name}_bias", solution.extra),
+                drawn.bias.get(name, unknown)[:, 0],
+            )
+            for name, row in INSTRUMENTS.items()
+        ]
+    )
     rows = []
-    for group in (gyro, accel, others):
+    for group in groups:
         row = []
-        for name, title, unit, estimate, true in group:
+        for name, title, scale, estimate, true in group:
             if not np.isfinite(estimate).any():
                 continue
-            sd = 3.0 * _extra(solution, name, solution.extra_sd)
-            keep = thin(solution.t)
-            pale = paler(colour)
-            values = unit * np.column_stack([estimate, estimate + sd, estimate - sd])[keep]
-            estimated = Series(
-                "estimated",
-                solution.t[keep],
-                values,
-                ("estimated", "±3σ", "±3σ"),
-                (colour, pale, pale),
-                (1.5, 1.0, 1.0),
-            )
-            drawn_line = [draw_line("true", drawn.t, unit * true, "true", TRUTH)] if len(drawn.t) else []
-            series = (estimated, *drawn_line)
+            sd = scale * _extra(solution, name, solution.extra_sd)
+            value = scale * estimate
+            series = [draw_three_sigma("estimated", solution.t, value, sd, "estimated", colour, around=value)]
+            if len(drawn.t):
+                series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH))
             path = entity("estimators", label, "bias", name)
-            row.append(Plot(path, f"{label}: {title}", series, content.evaluation_from))
+            row.append(Plot(path, f"{label}: {title}", tuple(series), content.evaluation_from))
         if row:
             rows.append(row)
     return rows

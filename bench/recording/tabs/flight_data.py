@@ -56,10 +56,8 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     ]
     wraps = np.abs(np.diff(euler[:, 2], prepend=euler[0, 2])) > 180.0
     heading = [draw_line("heading", t, np.where(wraps, np.nan, euler[:, 2]), "heading", AXIS_COLOURS[2])]
-    angles = [
-        draw_line("alpha", air.t, np.rad2deg(air.alpha), "angle of attack", blue),
-        draw_line("beta", air.t, np.rad2deg(air.beta), "sideslip", red),
-    ]
+    alpha = draw_line("alpha", air.t, np.rad2deg(air.alpha), "angle of attack", blue)
+    beta = draw_line("beta", air.t, np.rad2deg(air.beta), "sideslip", red)
     wind = [
         draw_line(axis, air.t, air.wind_n[:, k], f"to the {axis}" if k < 2 else "down", AXIS_COLOURS[k])
         for k, axis in enumerate(AXES_N)
@@ -73,7 +71,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     groups = [
         [("altitude", "Altitude [m]", altitude), ("speed", "Speed [m/s]", speed)],
         [("attitude", "Roll and pitch [deg]", attitude), ("heading", "Heading [deg]", heading)],
-        [("air_angles", "Air angles [deg]", angles), ("wind", "Wind [m/s]", wind)],
+        [("air_angles", "Air angles [deg]", [alpha, beta]), ("wind", "Wind [m/s]", wind)],
         [
             ("surfaces", "Control surfaces [-1 to 1]", surfaces),
             ("throttle", "Throttle [%]", power),
@@ -81,16 +79,13 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         ],
         *([(name, _measured_title(name), series)] for name, series in measured.items()),
     ]
-    told = [  # a truth that was brought as a table says nothing of the air and the controls
-        [(name, title, [line for line in series if len(line.t)]) for name, title, series in group]
-        for group in groups
-    ]
-    rows = [
-        [Plot(entity("flight", name), title, tuple(series)) for name, title, series in group if series]
-        for group in told
-        if any(series for _, _, series in group)
-    ]
-    return {"": rows}
+    rows = []
+    for group in groups:  # a truth from a table has no air data and no controls
+        filled = [
+            (name, title, tuple(line for line in series if len(line.t))) for name, title, series in group
+        ]
+        rows.append([Plot(entity("flight", name), title, series) for name, title, series in filled if series])
+    return {"": [row for row in rows if row]}
 
 
 def _trace(row: Instrument, record: Any) -> list[Series]:

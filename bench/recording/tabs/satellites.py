@@ -7,12 +7,25 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from bench import rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import GPS, SkyView, Trajectory
 from bench.recording.content import Content, Tab
-from bench.recording.drawing import AXIS_COLOURS, SLOW, TIMELINE, Colour, Plot, Rows, Series, entity, thin
+from bench.recording.drawing import (
+    AXIS_COLOURS,
+    SLOW,
+    TIMELINE,
+    Colour,
+    Plot,
+    Rows,
+    Series,
+    draw_line,
+    entity,
+    thin,
+)
 from bench.signals import least_squares
 
 SKY = "/sky"
@@ -42,28 +55,21 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         for name, code in (("GPS", GPS), ("GLONASS", 1 - GPS))
         if (series := _strengths(sky, code, t))
     ]
-    numbers = Plot(
-        entity("satellites", "number"),
-        "Satellites above the mask, and used",
-        (
-            _lines("above", t, above[:, None], ("above the mask",), (_FRAME,)),
-            _lines("used", t, count[:, None], ("used",), (USED,)),
-        ),
+    counts = (
+        draw_line("above", t, above, "above the mask", _FRAME),
+        draw_line("used", t, count, "used", USED),
     )
+    numbers = Plot(entity("satellites", "number"), "Satellites above the mask, and used", counts)
     values = np.column_stack([dop.p, dop.h, dop.v])
     values[~(values < _WORST)] = np.nan
-    geometry = Plot(
-        entity("satellites", "dop"),
-        "Dilution of precision",
-        (_lines("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS),),
-    )
+    keep = thin(t, SLOW)
+    lines = Series("dop", t[keep], values[keep], ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS, (1.5,) * 3)
+    geometry = Plot(entity("satellites", "dop"), "Dilution of precision", (lines,))
     return {"": [[plot] for plot in (*strength, numbers, geometry)]}
 
 
 def _send(stream: Any, content: Content) -> None:
     """Send the sky plot: satellites by what the receiver has of them, and where its antenna ends to see."""
-    import rerun as rr
-
     sky, truth, antenna_mask = content.sensed.sky, content.motion, content.antenna_mask
     if sky is None or antenna_mask is None or not isinstance(truth, Trajectory):
         return
@@ -107,8 +113,6 @@ def _send(stream: Any, content: Content) -> None:
 
 def _view() -> Any:
     """Return the view of the sky plot."""
-    import rerun.blueprint as rrb
-
     return rrb.Spatial2DView(
         origin=SKY,
         name="Sky: used green, received yellow, not received red; blue edge: below it the antenna is blind",
@@ -153,16 +157,9 @@ def _strengths(sky: SkyView, system: int, t: FloatArray) -> tuple[Series, ...]:
         values[np.searchsorted(t, sky.t[mine])] = sky.cn0[mine]
         name = name_of(system, int(sat))
         hue = colorsys.hsv_to_rgb(0.618 * float(sat) % 1.0, 0.7, 0.95)  # neighbours far apart
-        colour = tuple(int(255 * part) for part in hue)
-        series.append(_lines(name, t, values[:, None], (name,), (colour,)))
+        colour = (int(255 * hue[0]), int(255 * hue[1]), int(255 * hue[2]))
+        series.append(draw_line(name, t, values, name, colour))
     return tuple(series)
-
-
-def _lines(
-    key: str, t: FloatArray, values: FloatArray, names: tuple[str, ...], colours: tuple[Any, ...]
-) -> Series:
-    keep = thin(t, SLOW)
-    return Series(key, t[keep], values[keep], names, colours, (1.5,) * len(names))
 
 
 SATELLITES = Tab("Satellites", 80, _plots, _view, _send)
