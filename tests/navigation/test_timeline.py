@@ -203,7 +203,7 @@ def test_imu_rows_and_spans_by_hand(sensed):
     rows, span, events = timeline.imu_rows(imu, 0.0025)
     assert_array_equal(rows, [0, 1, 3, 5])
     assert_allclose(span, [0.0025, 0.005, 0.01, 0.01], atol=1e-12)
-    assert [text for *_, text in events] == [
+    assert [text for _, _, _, text, _ in events] == [
         "imu: 1 rows left out: flagged, not finite or without length",
         "imu: 1 rows left out: repeated or going back in time",
         "imu: gap of 0.005 s",
@@ -252,7 +252,7 @@ def test_output_beyond_the_imu_is_absent(sensed):
     ids=["nothing at all", "a bridge", "at the start, before a NaN", "before the run", "after the run"],
 )
 def test_epochs_without_satellites_lie_between_their_neighbours(t, epoch_start, span):
-    ((first, last, kind, text),) = timeline.empty_epochs(np.array(t), np.array(epoch_start), 10.0, 20.0)
+    ((first, last, kind, text, _),) = timeline.empty_epochs(np.array(t), np.array(epoch_start), 10.0, 20.0)
     assert (first, last) == span
     assert kind == "timeline"
     assert text == f"satellites: {np.sum(np.diff(epoch_start) == 0)} epochs without satellites"
