@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, get_args
 from bench import pipeline, store
 from bench.config import load_profile
 from bench.config.library import CatalogEntry
-from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
+from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
+from bench.run_result import RunResult
 from bench.specs import EstimatorChoice, Profile
 from bench.wording import suggest
 

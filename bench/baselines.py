@@ -22,9 +22,9 @@ from pydantic import Field
 from bench import pipeline, store
 from bench.config import load_profile
 from bench.config.tables import NOT_NEGATIVE, Table, check_table, collect_errors
-from bench.data import RunResult
 from bench.errors import ConfigError
 from bench.evaluation.metrics import find_metric
+from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.wording import suggest
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -388,70 +387,6 @@ class Sensed(Rebuilt):
     truth: SensorTruth
     events: Events  # outages and faults of this run
     sky: SkyView | None = None  # of a measurement-level receiver
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class RunResult(Rebuilt):
-    """One run of one profile: metrics per estimator, with everything needed to repeat it."""
-
-    profile: Mapping[str, Any]  # the profile as flown, in the units of its file
-    seed: int
-    run: int
-    metrics: Mapping[str, Mapping[str, Any]]  # estimator -> metric -> number, null or list
-    errors: Mapping[str, ErrorSeries]
-    solutions: Mapping[str, NavSolution]
-    provenance: Mapping[str, Any]  # versions, commit, CPU time
-    more: Mapping[str, Any] = field(default_factory=dict)  # for a log: "log", "validity", "outages"
-    records: Mapping[str, Any] = field(default_factory=dict)  # input of the run: "spec", "truth", "sensed"
-
-    @property
-    def truth(self) -> Trajectory | None:
-        """The flight; None for a log."""
-        return self.records.get("truth")
-
-    @property
-    def sensed(self) -> Sensed | None:
-        """The reports of the sensors, the errors drawn for them, and the initial state of the estimators."""
-        return self.records.get("sensed")
-
-    @property
-    def sensors(self) -> SensorData | None:
-        """The input of the estimators."""
-        return self.sensed.data if self.sensed else None
-
-    @property
-    def events(self) -> Events:
-        """Events of the flight and of the sensors, in order of time."""
-        both = [record.events for record in (self.truth, self.sensed) if record is not None]
-        return Events.from_rows([row for events in both for row in events.rows()])
-
-    def __repr__(self) -> str:
-        """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""
-        found = []
-        for label, values in self.metrics.items():
-            error = values.get("pos_rmse_h_m")
-            sound = values.get("converged", True)
-            found.append(f"{label} {error:.3g} m" if sound and error is not None else f"{label} -")
-        heading = f"{self.profile.get('title', '')!r}, seed {self.seed}, run {self.run}"
-        return f"<RunResult {heading}: {', '.join(found)}>"
-
-    def _repr_html_(self) -> str:
-        """Return the metrics without ``_all`` as an HTML table with a column for each estimator."""
-        names = {name: None for values in self.metrics.values() for name in values}
-        rows = [["", *self.metrics]]
-        for name in names:
-            values = [one.get(name) for one in self.metrics.values()]
-            if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
-                rows.append([name, *(_format_value(value) for value in values)])
-        cells = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
-        head = escape(f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}")
-        return f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
-
-
-def _format_value(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "-" if value is None else str(value)
 
 
 if not TYPE_CHECKING:

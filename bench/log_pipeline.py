@@ -12,7 +12,7 @@ import numpy as np
 from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
-from bench.data import Events, GnssFixes, InitialState, RunResult, Sensed, SensorData, no_sensor_truth
+from bench.data import Events, GnssFixes, InitialState, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError
 from bench.evaluation import validity
 from bench.evaluation.fixes import antenna_errors, judge
@@ -20,6 +20,7 @@ from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
+from bench.run_result import RunResult
 from bench.units import SAME_INSTANT
 
 

@@ -15,6 +15,7 @@ MODULES: Mapping[str, str] = {
 NAMES: Mapping[str, str] = {
     "bench.config.ConfigError": "bench.ConfigError",
     "bench.flight.FlightError": "bench.FlightError",
+    "bench.data.RunResult": "bench.run_result.RunResult",
     **{f"bench.data.{name}": f"bench.instruments.{name}" for name in ("BaroData", "MagData", "AirspeedData")},
     **{
         f"bench.specs.{name}": f"bench.instruments.{name}"

@@ -9,10 +9,11 @@ from itertools import pairwise
 from typing import Any
 
 from bench import store
-from bench.data import ErrorSeries, InitialState, NavSolution, RunResult, Sensed, SensorData, Trajectory
+from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
+from bench.run_result import RunResult
 from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
 
 

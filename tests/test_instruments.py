@@ -12,7 +12,6 @@ from numpy.testing import assert_array_equal
 from bench import store
 from bench.config import fault_tables, list_sensors
 from bench.config.datasheets import SENSORS
-from bench.data import RunResult
 from bench.exchange import exports, frames
 from bench.exchange.exports import column_files
 from bench.fields import columns_of, figures_of
@@ -21,6 +20,7 @@ from bench.navigation.estimator import RECORDS
 from bench.places import PACKAGE
 from bench.recording.content import Content
 from bench.recording.tabs.flight_data import FLIGHT
+from bench.run_result import RunResult
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.weaving import units

@@ -13,11 +13,12 @@ import numpy as np
 
 from bench import store
 from bench.config import fault_tables
-from bench.data import ErrorSeries, NavSolution, RunResult
+from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
 from bench.exchange.exports import report_damage
 from bench.exchange.solutions import check_unit, read_solution, resample
+from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
 
 _LABEL = re.compile(r"[A-Za-z0-9_.-]+")

@@ -7,8 +7,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from bench.data import RunResult
 from bench.errors import BenchError
+from bench.run_result import RunResult
 from bench.store.columns import flatten
 from bench.store.parquet import to_table
 from bench.store.results import list_aiding

@@ -21,7 +21,6 @@ from bench.data import (
     ImuData,
     Innovations,
     NavSolution,
-    RunResult,
     Sensed,
     SensorData,
     SensorTruth,
@@ -32,6 +31,7 @@ from bench.data import (
 from bench.errors import ConfigError
 from bench.fields import columns_of
 from bench.instruments import INSTRUMENTS, InstrumentData
+from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench import api, config, store
-from bench.data import RunResult
+from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.workbench import show
 

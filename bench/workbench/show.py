@@ -15,11 +15,12 @@ from bench import api, config
 from bench.baselines import Verdict
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
-from bench.data import NavSolution, RunResult
+from bench.data import NavSolution
 from bench.evaluation.error_series import FAILED
 from bench.evaluation.metrics import find_metric
 from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described
+from bench.run_result import RunResult
 from bench.specs import Profile
 
 _DEG = 180 / math.pi

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from bench import config, sensors, store
-from bench.data import RunResult, Sensed, Trajectory
+from bench.data import Sensed, Trajectory
 from bench.evaluation import metrics
 from bench.evaluation.error_series import select_epochs
+from bench.run_result import RunResult
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 

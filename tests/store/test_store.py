@@ -29,7 +29,6 @@ from bench.data import (
     InitialState,
     Innovations,
     NavSolution,
-    RunResult,
     Sensed,
     SensorData,
     SensorTruth,
@@ -39,6 +38,7 @@ from bench.data import (
 )
 from bench.errors import BenchError
 from bench.instruments import AirspeedData, BaroData, MagData
+from bench.run_result import RunResult
 from bench.specs import FlightSpec
 from bench.store import truth_cache
 from tests.exchange.exported import make_run

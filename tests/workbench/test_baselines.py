@@ -14,8 +14,8 @@ import pytest
 
 from bench import baselines
 from bench.baselines import Statistic, check, compare, measure, read, record, write
-from bench.data import RunResult
 from bench.errors import ConfigError
+from bench.run_result import RunResult
 
 PROFILE = SimpleNamespace(name="survey", seed=7)
 
