@@ -8,6 +8,7 @@ IMU can raise an alarm in any update.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -82,8 +83,5 @@ def false_alarms(case: Case) -> dict[str, float | None]:
     """Number of alarms of each sensor that no fault explains; absent in a run without faults."""
     if not case.scripted:
         return {}
-    names = dict.fromkeys(one.name for one in case.alarms)
-    return {
-        name: float(count_false_alarms(case.scripted, case.alarms, name, case.from_s - SAME_INSTANT))
-        for name in names
-    }
+    count = partial(count_false_alarms, case.scripted, case.alarms, from_s=case.from_s - SAME_INSTANT)
+    return {name: float(count(name)) for name in dict.fromkeys(one.name for one in case.alarms)}

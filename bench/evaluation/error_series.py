@@ -17,6 +17,9 @@ _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 """Block of states -> its rows of ``NavSolution.cov``."""
 
+_VALUES = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
+"""Block of states -> its field in a solution."""
+
 FAILED, NOT_COVERED = "failed", "not_covered"
 """Kinds of events: there is no solution, for the reason in the text; an interval without a solution."""
 
@@ -72,12 +75,11 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
 
 def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
     """Return the names of the blocks that have any number, as values or on the diagonal of cov."""
-    values = {"pos": solution.lla, "vel": solution.vel_n, "phi": solution.q_nb}
     variance = np.einsum("kii->ki", solution.cov)
     return tuple(
         name
         for name, rows in BLOCKS.items()
-        if not (np.isnan(values[name]).all() and np.isnan(variance[:, rows]).all())
+        if not (np.isnan(getattr(solution, _VALUES[name])).all() and np.isnan(variance[:, rows]).all())
     )
 
 
@@ -168,27 +170,18 @@ def _scaled_factors(cov: FloatArray, wanted: BoolArray) -> tuple[IntArray, Float
     variance = np.einsum("kii->ki", cov)
     usable = wanted & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
     sd = np.sqrt(variance[usable])
-    factors, good = _factor_matrices(cov[usable] / sd[:, :, None] / sd[:, None, :])
-    return np.flatnonzero(usable)[good], factors, sd[good]
-
-
-def _factor_matrices(P: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the Cholesky factors of the positive definite matrices among P (M, n, n), and a mask (M,)."""
+    P = cov[usable] / sd[:, :, None] / sd[:, None, :]
     good = np.ones(len(P), np.bool_)
     try:
-        factors = np.asarray(np.linalg.cholesky(P), np.float64)
+        factors = np.linalg.cholesky(P)
     except np.linalg.LinAlgError:  # at least one matrix is not positive definite: find out which
-        good = np.array([_has_factor(matrix) for matrix in P], np.bool_)
-        factors = np.asarray(np.linalg.cholesky(P[good]), np.float64)
-    return factors, good
-
-
-def _has_factor(matrix: FloatArray) -> bool:
-    try:
-        np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+        for k, matrix in enumerate(P):
+            try:
+                np.linalg.cholesky(matrix)
+            except np.linalg.LinAlgError:
+                good[k] = False
+        factors = np.linalg.cholesky(P[good])
+    return np.flatnonzero(usable)[good], np.asarray(factors, np.float64), sd[good]
 
 
 def heading_sd(solution: NavSolution) -> FloatArray:
@@ -221,9 +214,8 @@ def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool,
     blocks = estimated_blocks(solution)
     if not blocks:
         return False, "no finite position, velocity or attitude at any epoch"
-    values = {"pos": solution.lla, "vel": solution.vel_n, "phi": solution.q_nb}
     titles = {"pos": "position", "vel": "velocity", "phi": "attitude"}
-    columns = {titles[name]: values[name] for name in blocks}
+    columns = {titles[name]: getattr(solution, _VALUES[name]) for name in blocks}
     biases = {"gyro bias": solution.gyro_bias_b, "accelerometer bias": solution.accel_bias_b}
     columns |= {title: bias_b for title, bias_b in biases.items() if not np.isnan(bias_b).all()}
     columns |= {name: solution.extra[:, k] for k, name in enumerate(solution.extra_names)}
@@ -260,7 +252,7 @@ def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool,
 def count_aligning_epochs(solution: NavSolution, until: float) -> int:
     """Count the epochs at the start of a solution, before ``until`` [s], that are NaN throughout."""
     started = solution.t >= until
-    for column in (solution.lla, solution.vel_n, solution.q_nb, solution.cov):
+    for column in (*(getattr(solution, name) for name in _VALUES.values()), solution.cov):
         started |= ~np.isnan(column.reshape(len(column), -1)).all(axis=1)
     return int(np.argmax(started)) if started.any() else 0
 

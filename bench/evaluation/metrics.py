@@ -7,6 +7,7 @@ alignment window on, ``x_all`` over the whole run.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -60,22 +61,11 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _rms_by_axis(error_n: FloatArray) -> dict[str, Value]:
+def rmse(block: str, case: Case) -> Values:
+    """Root mean square of the error of a block by axis, horizontal and 3D [m or m/s]."""
+    error_n = getattr(case, f"{block}_n")
     by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
-    squares = np.square(error_n)
-    by_axis["h"] = float(np.sqrt(squares[:, :2].sum(axis=1).mean()))
-    by_axis["3d"] = float(np.sqrt(squares.sum(axis=1).mean()))
-    return by_axis
-
-
-def pos_rmse(case: Case) -> Values:
-    """Root mean square of the position error by axis, horizontal and 3D [m]."""
-    return _rms_by_axis(case.pos_n)
-
-
-def vel_rmse(case: Case) -> Values:
-    """Root mean square of the velocity error by axis, horizontal and 3D [m/s]."""
-    return _rms_by_axis(case.vel_n)
+    return by_axis | {"h": _rms(_horizontal_norm(error_n)), "3d": _rms(np.linalg.norm(error_n, axis=1))}
 
 
 def phi_rmse(case: Case) -> Values:
@@ -122,14 +112,9 @@ def _order_statistic(values: FloatArray, fraction: float) -> float:
     return float(np.quantile(values, fraction, method="inverted_cdf"))
 
 
-def cep50(case: Case) -> float:
-    """Radius that holds half of the horizontal errors [m]."""
-    return _order_statistic(_horizontal_norm(case.pos_n), 0.50)
-
-
-def cep95(case: Case) -> float:
-    """Radius that holds 95 % of the horizontal errors [m]; also called R95."""
-    return _order_statistic(_horizontal_norm(case.pos_n), 0.95)
+def cep(fraction: float, case: Case) -> float:
+    """Radius that holds a fraction of the horizontal errors [m]; navigation standards call cep95 R95."""
+    return _order_statistic(_horizontal_norm(case.pos_n), fraction)
 
 
 def pos_95_v(case: Case) -> float:
@@ -202,24 +187,10 @@ def nees_inside_95(case: Case) -> float:
     return float(np.mean((low <= case.nees) & (case.nees <= high)))
 
 
-def _coverage(error_n: FloatArray, sd: FloatArray) -> Values:
-    inside = np.abs(error_n) <= 3.0 * sd
+def coverage(block: str, case: Case) -> Values:
+    """Fraction of epochs with the error of a block within 3 sigma, by axis of n; 0.9973 is expected."""
+    inside = np.abs(getattr(case, f"{block}_n")) <= 3.0 * case.sd[:, BLOCKS[block]]
     return {axis: float(np.mean(inside[:, k])) for k, axis in enumerate(AXES)}
-
-
-def coverage_pos(case: Case) -> Values:
-    """Fraction of epochs with the position error within 3 sigma, by axis; 0.9973 is expected."""
-    return _coverage(case.pos_n, case.sd[:, BLOCKS["pos"]])
-
-
-def coverage_vel(case: Case) -> Values:
-    """Fraction of epochs with the velocity error within 3 sigma, by axis; 0.9973 is expected."""
-    return _coverage(case.vel_n, case.sd[:, BLOCKS["vel"]])
-
-
-def coverage_phi(case: Case) -> Values:
-    """Fraction of epochs with the attitude error within 3 sigma, by axis of n; 0.9973 is expected."""
-    return _coverage(case.phi_n, case.sd[:, BLOCKS["phi"]])
 
 
 def output_coverage(case: Case) -> float:
@@ -227,23 +198,9 @@ def output_coverage(case: Case) -> float:
     return len(case.t) / case.asked
 
 
-def _mean_nis(case: Case, part: Literal["mean", "low", "high"]) -> Values:
+def nis(part: Literal["mean", "low", "high"], case: Case) -> Values:
+    """Mean NIS of each sensor, rejected updates included, or an edge of the 99.9 % band of that mean."""
     return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
-
-
-def nis_mean(case: Case) -> Values:
-    """Mean NIS of each sensor, rejected updates included."""
-    return _mean_nis(case, "mean")
-
-
-def nis_low(case: Case) -> Values:
-    """Lower edge of the 99.9 % band of nis_mean."""
-    return _mean_nis(case, "low")
-
-
-def nis_high(case: Case) -> Values:
-    """Upper edge of the 99.9 % band of nis_mean."""
-    return _mean_nis(case, "high")
 
 
 def updates(case: Case) -> Values:
@@ -262,14 +219,14 @@ def events(case: Case) -> Values:
 
 
 METRICS: tuple[Metric, ...] = (
-    Metric("pos_rmse_{}_m", pos_rmse, "pos", "lower"),
+    Metric("pos_rmse_{}_m", partial(rmse, "pos"), "pos", "lower"),
     Metric("pos_max_h_m", pos_max_h, "pos"),
     Metric("pos_max_v_m", pos_max_v, "pos"),
-    Metric("cep50_m", cep50, "pos", "lower"),
-    Metric("cep95_m", cep95, "pos", "lower"),
-    Metric("r95_m", cep95, "pos"),
+    Metric("cep50_m", partial(cep, 0.50), "pos", "lower"),
+    Metric("cep95_m", partial(cep, 0.95), "pos", "lower"),
+    Metric("r95_m", partial(cep, 0.95), "pos"),
     Metric("pos_95_v_m", pos_95_v, "pos", "lower"),
-    Metric("vel_rmse_{}_mps", vel_rmse, "vel", "lower"),
+    Metric("vel_rmse_{}_mps", partial(rmse, "vel"), "vel", "lower"),
     Metric("vel_max_mps", vel_max, "vel"),
     Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
     Metric("tilt_rmse_deg", tilt_rmse, "phi", "lower"),
@@ -285,13 +242,13 @@ METRICS: tuple[Metric, ...] = (
     Metric("nees_mean", nees_mean, "cov", "both"),
     Metric("nees_states", nees_states, "cov"),
     Metric("nees_inside_95", nees_inside_95, "cov", "both"),
-    Metric("coverage_3sigma_pos_{}", coverage_pos, "pos cov", "both"),
-    Metric("coverage_3sigma_vel_{}", coverage_vel, "vel cov", "both"),
-    Metric("coverage_3sigma_phi_{}", coverage_phi, "phi cov", "both"),
+    Metric("coverage_3sigma_pos_{}", partial(coverage, "pos"), "pos cov", "both"),
+    Metric("coverage_3sigma_vel_{}", partial(coverage, "vel"), "vel cov", "both"),
+    Metric("coverage_3sigma_phi_{}", partial(coverage, "phi"), "phi cov", "both"),
     Metric("output_coverage", output_coverage, ""),
-    Metric("nis_mean_{}", nis_mean, "", "both"),
-    Metric("nis_low_{}", nis_low, ""),
-    Metric("nis_high_{}", nis_high, ""),
+    Metric("nis_mean_{}", partial(nis, "mean"), "", "both"),
+    Metric("nis_low_{}", partial(nis, "low"), ""),
+    Metric("nis_high_{}", partial(nis, "high"), ""),
     Metric("updates_{}", updates, ""),
     Metric("rejected_{}", rejected, ""),
     Metric("events_{}", events, ""),

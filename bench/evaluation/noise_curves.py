@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import AirData, Controls, Trajectory, no_events
+from bench.data import AirData, Trajectory, no_controls, no_events
 from bench.sensors import imu
 from bench.sensors.processes import make_noise_terms
 from bench.signals import allan
@@ -98,24 +98,13 @@ def _make_resting_truth(rate: float, length: float) -> Trajectory:
     """Return a truth at rest in a frame that does not rotate, with 1 g, at 25 degC in calm air."""
     n = round(rate * length)
     t = np.arange(n + 1) / rate
-    one = np.ones(2)
-    air = AirData(
-        t=np.array([0.0, t[-1]]),
-        pressure=101325.0 * one,
-        temperature=298.15 * one,
-        airspeed_true=0 * one,
-        airspeed_calibrated=0 * one,
-        alpha=0 * one,
-        beta=0 * one,
-        wind_n=np.zeros((2, 3)),
-        engine_speed=0 * one,
-    )
-    controls = Controls(t=air.t, aileron=0 * one, elevator=0 * one, rudder=0 * one, throttle=0 * one)
+    ends, one, zero = t[[0, -1]], np.ones(2), np.zeros(2)
+    air = AirData(ends, 101325.0 * one, 298.15 * one, zero, zero, zero, zero, np.zeros((2, 3)), zero)
     fixed, turn = np.zeros((n + 1, 3)), np.zeros((n + 1, 4))
     turn[:, 0] = 1.0
     force = np.zeros((n, 3))
     force[:, 2] = -STANDARD_GRAVITY / rate
-    return Trajectory(t, fixed, fixed, turn, np.zeros((n, 3)), force, air, controls, no_events())
+    return Trajectory(t, fixed, fixed, turn, np.zeros((n, 3)), force, air, no_controls(), no_events())
 
 
 def _measure_curve(

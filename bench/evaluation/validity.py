@@ -79,10 +79,12 @@ def check_recording(
     if baro is not None:
         checks += _check_times("baro", baro.t, baro.valid)
     motion = _Motion.from_records(imu, fixes)
-    checks += _check_rates(motion)
-    checks += _check_rest(motion)
-    checks += _check_alignment(motion, np.asarray(antenna_b))
-    return checks
+    return [
+        *checks,
+        _check_rates(motion),
+        *_check_rest(motion),
+        *_check_alignment(motion, np.asarray(antenna_b)),
+    ]
 
 
 def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
@@ -93,14 +95,8 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     long = np.flatnonzero(steps > _GAP * usual)
     bad = np.flatnonzero(~valid)
     rate = 1.0 / usual
-    found = [
-        Check(
-            f"{name}_rate_hz",
-            rate,
-            f"{name}: {len(t)} rows, {t[0]:.2f} to {t[-1]:.2f} s, {rate:.4g} Hz",
-            True,
-        )
-    ]
+    text = f"{name}: {len(t)} rows, {t[0]:.2f} to {t[-1]:.2f} s, {rate:.4g} Hz"
+    found = [Check(f"{name}_rate_hz", rate, text, True)]
     if len(back):
         text = f"{name}: {len(back)} rows repeat a time or go back and are left out, first row {back[0] + 2}"
         found.append(Check(f"{name}_unordered_rows", float(len(back)), text, False))
@@ -129,11 +125,8 @@ class _Motion:
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> _Motion:
         """Take the valid rows whose time increases."""
-        keep = np.flatnonzero(imu.valid)
-        keep = keep[imu.t[keep] > np.concatenate([[-np.inf], np.maximum.accumulate(imu.t[keep])[:-1]])]
+        keep, good = (_find_ordered(record.t, record.valid) for record in (imu, fixes))
         dt = imu.dt[keep, None]
-        good = np.flatnonzero(fixes.valid)
-        good = good[fixes.t[good] > np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t[good])[:-1]])]
         return cls(
             imu.t[keep],
             imu.dt[keep],
@@ -150,20 +143,21 @@ class _Motion:
         return np.asarray(np.hypot(self.vel[:, 0], self.vel[:, 1]))
 
 
-def _check_rates(motion: _Motion) -> list[Check]:
+def _find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
+    """Return the valid rows with a time after those of all valid rows before."""
+    rows = np.flatnonzero(valid)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+    return rows[t[rows] > before]
+
+
+def _check_rates(motion: _Motion) -> Check:
     """Check the largest angular rate."""
-    most = float(np.abs(motion.gyro).max()) if len(motion.gyro) else 0.0
+    most = float(np.abs(motion.gyro).max(initial=0.0))
     text = f"imu: largest angular rate {np.rad2deg(most):.4g} deg/s"
-    if most > RATE_LIMIT:
-        return [
-            Check(
-                "gyro_max_deg_s",
-                float(np.rad2deg(most)),
-                f"{text}: are these deg/s in a column of rad/s?",
-                False,
-            )
-        ]
-    return [Check("gyro_max_deg_s", float(np.rad2deg(most)), text, True)]
+    good = most <= RATE_LIMIT
+    if not good:
+        text += ": are these deg/s in a column of rad/s?"
+    return Check("gyro_max_deg_s", float(np.rad2deg(most)), text, good)
 
 
 def find_standstills(fixes_t: FloatArray, speed: FloatArray) -> list[tuple[float, float]]:
@@ -204,11 +198,8 @@ def _check_rest(motion: _Motion) -> list[Check]:
         words += ": mounting_deg does not make z point down"
     found.append(Check("rest_tilt_deg", float(np.rad2deg(tilt)), words, bool(tilt <= TILT_OFF)))
     bias = np.rad2deg(motion.gyro[rows].mean(axis=0))
-    axes = ", ".join(f"{b:.3f}" for b in bias)
-    found.append(
-        Check("rest_rate_deg_s", float(np.linalg.norm(bias)), f"imu: angular rate at rest {axes} deg/s", True)
-    )
-    return found
+    text = f"imu: angular rate at rest {', '.join(f'{b:.3f}' for b in bias)} deg/s"
+    return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
 
 
 def _check_alignment(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
@@ -247,9 +238,8 @@ def _check_alignment(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
         if abs(gain - 1.0) > GAIN_OFF:
             guess = {57.3: "deg/s in a column of rad/s", 1 / 57.3: "rad/s in a column of deg/s"}
             near = [words for value, words in guess.items() if abs(abs(gain) / value - 1.0) < GAIN_OFF]
-            text += (
-                f": are these {near[0]}?" if near else ": the unit, or the axes of the mounting, look wrong"
-            )
+            likely = f"are these {near[0]}?" if near else "the unit, or the axes of the mounting, look wrong"
+            text += f": {likely}"
         found.append(Check("turn_gain", gain, text, abs(gain - 1.0) <= GAIN_OFF))
     elif np.sqrt(np.mean(gain_of_speed**2)) > _SPEEDING:
         forward = _integrate(motion.t, motion.accel[:, :1] - level[:1])
@@ -259,10 +249,8 @@ def _check_alignment(motion: _Motion, antenna_b: FloatArray) -> list[Check]:
         text = "imu: too few turns and accelerations to compare its clock with the receiver's"
         found.append(Check("imu_shift_s", None, text, True))
     if np.sqrt(np.mean(gain_of_speed**2)) > _SPEEDING:
-        across = 0.5 * (speed[middle + 2] + speed[middle]) * turn
-        found.append(
-            _check_forward_axis(motion, level, early, late, np.column_stack([gain_of_speed, across]))
-        )
+        seen = np.column_stack([gain_of_speed, 0.5 * (speed[middle + 2] + speed[middle]) * turn])
+        found.append(_check_forward_axis(motion, level, early, late, seen))
     return found
 
 

@@ -120,14 +120,12 @@ def send(
     if fixes is not None:
         good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
         time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
-        stream.log("/world/gnss/fixes", rr.Points3D.from_fields(colors=[FIX], radii=[-1.2]), static=True)
-        stream.send_columns(
-            "/world/gnss/fixes", time, rr.Points3D.columns(positions=earth.local_ned(fixes.lla[good], origin))
-        )
-        stream.log("/map/gnss/fixes", rr.GeoPoints.from_fields(colors=[FIX], radii=[-1.2]), static=True)
-        stream.send_columns(
-            "/map/gnss/fixes", time, rr.GeoPoints.columns(positions=np.rad2deg(fixes.lla[good, :2]))
-        )
+        for place, points, positions in (
+            ("/world/gnss/fixes", rr.Points3D, earth.local_ned(fixes.lla[good], origin)),
+            ("/map/gnss/fixes", rr.GeoPoints, np.rad2deg(fixes.lla[good, :2])),
+        ):
+            stream.log(place, points.from_fields(colors=[FIX], radii=[-1.2]), static=True)
+            stream.send_columns(place, time, points.columns(positions=positions))
 
 
 def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from bench.arrays import BoolArray
-from bench.data import ErrorSeries, Innovations, NavSolution
+from bench.data import Innovations
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
 from bench.instruments import INSTRUMENTS
 from bench.recording.content import Content, Tab
@@ -35,37 +34,36 @@ _MEASURED = {
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    found = {}
-    for label, colour in content.colours.items():
-        rows = _rows(label, content.solutions[label], content.errors[label], colour)
-        found[label] = [[replace(plot, scale_from=content.evaluation_from) for plot in row] for row in rows]
-    return found
+    return {label: _rows(content, label, colour) for label, colour in content.colours.items()}
 
 
-def _rows(label: str, solution: NavSolution, error: ErrorSeries, colour: Colour) -> Rows:
+def _rows(content: Content, label: str, colour: Colour) -> Rows:
     """Return a row per sensor: the innovation of each component, then the NIS; and the NEES."""
     rows: list[list[Plot]] = []
-    table = solution.innovations
+    error, table = content.errors[label], content.solutions[label].innovations
     for sensor, nis in nis_by_sensor(table).items():
         title, unit = _MEASURED.get(sensor, (sensor, "SI"))
         here = table.code == table.sensor.index(sensor)
         components = np.unique(table.component[here])
         row = []
         for component in components:
-            axis = AXES_N[component] if len(components) > 1 else "value"
+            axis, name = "value", f"{title} innovation"
+            if len(components) > 1:
+                axis = AXES_N[component]
+                name += f" {axis}"
             path = entity("estimators", label, "innovation", sensor, axis)
-            name = f"{title} innovation" if axis == "value" else f"{title} innovation {axis}"
-            one = here & (table.component == component)
-            row.append(Plot(path, f"{label}: {name} [{unit}]", _innovation_series(table, one, colour)))
-        path, dof = entity("estimators", label, "nis", sensor), int(nis.dof.max())
+            series = _innovation_series(table, here & (table.component == component), colour)
+            row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.evaluation_from))
         squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
-        rows.append([*row, _chi_square(path, f"{label}: NIS of {title}", squares, dof)])
+        path = entity("estimators", label, "nis", sensor)
+        dof = int(nis.dof.max())
+        rows.append([*row, _chi_square(content, path, f"{label}: NIS of {title}", squares, dof)])
     if np.isfinite(error.nees).any():
         nees = draw_line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
-        plot = _chi_square(entity("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
         if not rows or len(rows[-1]) > 2:
             rows.append([])
-        rows[-1].append(plot)
+        path = entity("estimators", label, "nees")
+        rows[-1].append(_chi_square(content, path, f"{label}: NEES", nees, error.states))
     return rows
 
 
@@ -78,13 +76,13 @@ def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> t
     return tuple(series)
 
 
-def _chi_square(path: str, title: str, squares: Series, dof: int) -> Plot:
+def _chi_square(content: Content, path: str, title: str, squares: Series, dof: int) -> Plot:
     """Return a plot of normalized squares with the central 95 % of chi-square."""
     edges = [chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)]
     band = Series(
         "band", squares.t[[0, -1]], np.array([edges, edges]), ("95 % band",) * 2, (BAND, BAND), (1.0, 1.0)
     )
-    return Plot(path, f"{title} ({dof} expected)", (band, squares))
+    return Plot(path, f"{title} ({dof} expected)", (band, squares), content.evaluation_from)
 
 
 INNOVATIONS = Tab("Innovations", 60, _plots)
