@@ -1,6 +1,6 @@
-"""What each aiding sensor measures of the error state, and the tests a measurement has to pass.
+"""The rows of H of each aiding sensor, and the tests that a measurement has to pass.
 
-Every z is predicted less measured, z = H dx + noise:
+Every z is predicted minus measured, z = H dx + noise:
 
     fix        antenna position = dp - [C l x] phi + C dl + dm_p
                antenna velocity = dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl + dm_v
@@ -11,9 +11,9 @@ Every z is predicted less measured, z = H dx + noise:
     odometer   (1 + s) c . v_n - V = (1 + s) (c . dv + (c x v_n) . phi) + (c . v_n) ds
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
 
-with l the antenna in b, w the rate of b against e, m the Markov part of the GNSS error where the layout has
-it, u the direction of the airspeed and w in its row the wind, c the forward axis of b. A fix without velocity
-is its position alone.
+with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
+estimated, u the direction of the airspeed, w in its row the wind, and c the forward axis of b. A fix without
+velocity has the rows of its position only.
 """
 
 from __future__ import annotations
@@ -51,31 +51,31 @@ FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_RO
 RADAR_ROWS, ODOMETER_ROWS = 6, 7
 """Kinds of records; at one instant they are used in this order."""
 
-_SLOWEST_AIR = 5.0  # below it a pitot tube says nothing [m/s]
+_SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
 
 
 class Measurements(NamedTuple):
-    """Measurements of all kinds but satellites."""
+    """Measurements of all kinds except satellites."""
 
     values: FloatArray  # (R, 6)
     variance: FloatArray  # (R, 6)
     antenna_b: FloatArray  # (3,) [m], b
-    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change by metre north, east, down
+    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
     field_lla: FloatArray  # (3,)
 
 
 class Gate(NamedTuple):
-    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T), and what they remember."""
+    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T) and their memories."""
 
-    nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: not tested
-    trace: float  # largest trace ratio; inf: not tested
-    max_acceleration: float  # of the tolerance test of fixes [m/s^2]; inf: not tested
-    sigmas: float  # that test grants to the receiver
-    memory: float  # share of a new measurement in the adapted noise; 0: noise as the datasheet says
-    readmit_after: IntArray  # (sensors,) refusals in a row after which a channel is used all the same
-    own: IntArray  # (sensors, 3) the states it then opens; -1: none
+    nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: no test
+    trace: float  # largest trace ratio; inf: no test
+    max_acceleration: float  # tolerance test: unnoticed acceleration of the aircraft [m/s^2]; inf: no test
+    sigmas: float  # tolerance test: standard deviations granted to the receiver
+    memory: float  # weight of a new measurement in the adapted noise; 0: noise of the datasheet
+    readmit_after: IntArray  # (sensors,) refusals in a row after which the next measurement is used
+    own: IntArray  # (sensors, 3) states whose variance then grows; -1: none
     misses: IntArray  # (channels,) refusals in a row
-    used: FloatArray  # (channels,) when it was last used [s]
+    used: FloatArray  # (channels,) instant of the last measurement used [s]
     level: FloatArray  # (sensors,) adapted variance over that of the datasheet
 
 
@@ -84,7 +84,7 @@ class Log(NamedTuple):
 
     numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
     marks: IntArray  # (N, 4) sensor, component, accepted, channel
-    filled: IntArray  # (1,) how many
+    filled: IntArray  # (1,) number of rows written
 
 
 @inner
@@ -99,9 +99,9 @@ def use_kernel(
     log: Log,
     work: Work,
 ) -> None:
-    """Test the sub-vectors of a measurement in turn, use them or not, write their rows; feed back.
+    """Test each sub-vector of a measurement, update with those that pass, log all of them, feed back.
 
-    ``before`` is the covariance a smoother takes for that before the measurement: it grows where P does.
+    ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
     P, dx, n = now.P, now.dx, now.P.shape[0]
     a = first
@@ -120,7 +120,7 @@ def use_kernel(
             reach *= 0.5 * waited
         row = log.filled[0]
         for b in range(m):
-            innovation = -z[b]  # measured less predicted
+            innovation = -z[b]  # measured minus predicted
             for i in range(n):
                 innovation += H[b, i] * dx[i]
             squares += innovation * innovation
@@ -134,7 +134,7 @@ def use_kernel(
         if not squares <= gate.trace * spread:
             sound = False
         if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
-            sound = False  # it flies: the rates of the window are not those of the Earth alone
+            sound = False  # in flight the mean rate is not that of the Earth alone
         accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
         gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
         for b in range(m):
@@ -151,7 +151,7 @@ def use_kernel(
         if gate.memory > 0.0 and np.isfinite(excess):
             gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
         a += m
-    for slot in range(pending.live.shape[0]):  # what waits was measured before this correction
+    for slot in range(pending.live.shape[0]):  # rows that wait were measured before this correction
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
@@ -162,7 +162,7 @@ def use_kernel(
 def _row_kernel(
     pending: Pending, row: int, code: int, channel: int, component: int, length: int, r: float
 ) -> None:
-    """Begin a row: H zero, its tags, its variance."""
+    """Set a row of H to zero and write its variance and tags."""
     for i in range(pending.H.shape[1]):
         pending.H[row, i] = 0.0
     pending.r[row] = r
@@ -181,15 +181,15 @@ def antenna_kernel(
     H: FloatArray,
     z: FloatArray,
 ) -> None:
-    """Fill z (6,) and H (6, n) of a fix: predicted less measured position [m] and velocity [m/s], n.
+    """Fill z (6,) and H (6, n) of a fix: predicted minus measured position [m] and velocity [m/s], n.
 
-    Elements of H that are zero by structure are left as they are: the caller hands in zeros.
+    Elements of H that are always zero are not written: H must hold zeros there.
     """
     s, c = np.sin(nav[0]), np.cos(nav[0])
     meridian, prime = radii_kernel(s)
     r_m, r_p = meridian + nav[2], prime + nav[2]
     x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
-    # rate of b against e: less the Earth's, seen in b
+    # rate of b relative to e: without that of the Earth, in b
     p = w_ib_b[0] - EARTH_RATE * (C[0, 0] * c - C[2, 0] * s)
     q = w_ib_b[1] - EARTH_RATE * (C[0, 1] * c - C[2, 1] * s)
     r = w_ib_b[2] - EARTH_RATE * (C[0, 2] * c - C[2, 2] * s)
@@ -219,7 +219,7 @@ def antenna_kernel(
 
 @inner
 def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> None:
-    """Fill the columns ``at`` of H (6, n) for an antenna whose place is estimated, but for the Earth rate."""
+    """Fill the columns from ``at`` on of H (6, n): the estimated lever arm. The Earth rate is neglected."""
     p, q, r = w_ib_b[0], w_ib_b[1], w_ib_b[2]
     for i in range(3):
         for j in range(3):
@@ -231,7 +231,7 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 @inner
 def place_kernel(now: FilterState, data: Measurements, index: Index, work: Work) -> None:
-    """Fill ``work.lever`` with the estimated place of the antenna, ``work.C`` with the attitude."""
+    """Fill ``work.lever`` with the lever arm, estimated if the layout has it, and ``work.C`` with C_nb."""
     at = index.antenna_b
     for i in range(3):
         work.lever[i] = now.state[at + 1 + i] if at >= 0 else data.antenna_b[i]
@@ -304,7 +304,7 @@ def _airspeed_kernel(
 def _height_kernel(
     code: int, bias: int, row: int, first: int, now: FilterState, data: Measurements, pending: Pending
 ) -> int:
-    """A height above the ellipsoid, with the state of its bias (-1: it has none)."""
+    """Fill the row of a height above the ellipsoid; ``bias`` is the state of its bias, -1 for none."""
     _row_kernel(pending, first, code, code, 0, 1, data.variance[row, 0])
     pending.H[first, POS + 2] = -1.0
     pending.z[first] = now.state[2] - data.values[row, 0]
@@ -338,7 +338,7 @@ def _odometer_kernel(
 def _standstill_kernel(
     row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
-    """Zero velocity, and the rate of the Earth in the mean of the gyros."""
+    """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
     state, C, at = now.state, work.C, index.g_sensitivity_x
     matrix_kernel(state, C)
     s, c = np.sin(state[0]), np.cos(state[0])
@@ -375,7 +375,7 @@ def measure_kernel(
     pending: Pending,
     work: Work,
 ) -> int:
-    """Fill the rows of one measurement from ``first`` on; return their number."""
+    """Fill the rows of one measurement from row ``first`` on; return their number."""
     if kind == FIX_ROWS:
         return _fix_kernel(row, first, now, data, index, pending, work)
     if kind == BARO_ROWS:

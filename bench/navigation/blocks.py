@@ -52,9 +52,7 @@ class Block:
 
     option: str  # of the compiled filters, that asks for it
     states: Callable[[AssumedSpecs], Sequence[States]]
-    takes: tuple[
-        str, ...
-    ] = ()  # errors that are modelled with it, as `bench.navigation.unmodelled` names them
+    takes: tuple[str, ...] = ()  # errors that it models, as `bench.navigation.measurements` names them
     records: tuple[str, ...] = ()  # of `SensorData`, one of which has to be in use; none: always there
 
 
@@ -273,14 +271,6 @@ ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale facto
 
 def chosen_blocks(options: FusionOptions) -> list[Block]:
     """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
-    every = (
-        BARO_BIAS,
-        GNSS_MARKOV,
-        MEMS,
-        CLOCK,
-        antenna(options.lever_arm_sd),
-        WIND,
-        RADAR_BIAS,
-        ODOMETER_SCALE,
-    )
+    arm = antenna(options.lever_arm_sd)
+    every = (BARO_BIAS, GNSS_MARKOV, MEMS, CLOCK, arm, WIND, RADAR_BIAS, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

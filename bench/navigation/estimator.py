@@ -41,6 +41,13 @@ class Estimator(Protocol):
         """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
 
         Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds the rest.
+
+        Raises
+        ------
+        ValueError
+            If no datasheet of a sensor in use is assumed.
+        EstimatorError
+            If the record does not allow the alignment asked for.
         """
         ...
 

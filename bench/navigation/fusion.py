@@ -61,13 +61,7 @@ class Fusion:
         self.options = read_options(self._model, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude, biases and their covariance.
-
-        Raises
-        ------
-        ValueError
-            If no datasheet of a sensor in use is assumed.
-        """
+        """Estimate position, velocity, attitude, biases and their covariance."""
         return self.forward(sensors, initial, keep=False)[0]
 
     def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
@@ -84,7 +78,7 @@ class Fusion:
         model = state_model(initial, specs, blocks)
         schedule = Schedule(sensors, initial.t, compensate=self.options.compensate_latency)
         schedule.events += aligned
-        sky, seen = ranging.no_sky(), sensors.observations if SATELLITES in used else None
+        sky, seen = ranging.empty_sky(), sensors.observations if SATELLITES in used else None
         if seen is not None:
             sky = schedule.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
         for sensor in used:
@@ -99,7 +93,8 @@ class Fusion:
             schedule.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
         names = list(SENSORS)
         if seen is not None:
-            names += [f"{sat} {what}" for sat in ranging.satellite_names(seen) for what in ("range", "rate")]
+            satellites, _ = ranging.name_satellites(seen)
+            names += [f"{satellite} {what}" for satellite in satellites for what in ("range", "rate")]
         absent = [sensor.option for sensor in self.aiding() if sensor.on_request and sensor not in used]
         if SATELLITES in self.aiding() and seen is None and sensors.fixes is not None:
             absent.append("tight coupling")

@@ -23,9 +23,8 @@ from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
 from bench.navigation.integrity import nis, nis_limit
-from bench.navigation.measurements import LATENCY, fix_errors, fix_variance
+from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining
 from bench.navigation.options import GnssOnlyOptions, read_options
-from bench.navigation.unmodelled import remaining
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
@@ -49,11 +48,6 @@ class GnssOnly:
         """Estimate position, velocity and their covariance; attitude and sensor errors are NaN.
 
         Without a given initial state it begins with the first fix.
-
-        Raises
-        ------
-        ValueError
-            If no datasheet of the receiver is assumed.
         """
         fixes, given = sensors.fixes, initial.alignment == "given"
         track = _Track(self.options, initial) if given else None
@@ -176,9 +170,8 @@ class _Track:
         """Use a fix that is valid now, position and velocity (if it has one) each gated by itself."""
         for code in (0, 1) if np.isfinite(vel_n).all() else (0,):
             rows = slice(3 * code, 3 * code + 3)
-            y = (
-                earth.difference_n(lla, self.lla) if code == 0 else vel_n - self.vel
-            )  # measured less predicted
+            # y is measured less predicted
+            y = earth.difference_n(lla, self.lla) if code == 0 else vel_n - self.vel
             R = np.diag(r[rows])
             S = self.P[rows, rows] + R
             value = nis(y, S)

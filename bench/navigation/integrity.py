@@ -72,28 +72,15 @@ def tolerance(
     return bound
 
 
-def attitude_bound(T: float, start: float, gyro: float, accel: float) -> float:
-    """Return the largest attitude error of an uncorrected INS after T [s], rad: A-5.4.10 with its start.
-
-    An upper bound for T far below 84.4 min: the Schuler feedback that is left out has the opposite sign.
-
-    Parameters
-    ----------
-    T : float
-        Time since the correction [s].
-    start : float
-        Attitude error left by the correction, Delta alpha_0 [rad].
-    gyro, accel : float
-        Gyro drift [rad/s] and accelerometer bias [m/s^2].
-    """
-    tilted = 0.5 * (start * SCHULER_GRAVITY + accel) * T**2 + SCHULER_GRAVITY * gyro * T**3 / 6.0
-    return start + gyro * T + tilted / SCHULER_RADIUS
-
-
 def correction_period(admissible: float, start: float, gyro: float, accel: float) -> float:
     """Return the time [s] an INS may run before its attitude error can exceed ``admissible`` [rad].
 
-    Zero when the correction itself leaves more than that, infinite when nothing makes the error grow.
+    The bound of A-5.4.10, for T far below 84.4 min (the Schuler feedback, left out, has the opposite sign):
+
+        start + gyro T + ((start g + accel) T^2 / 2 + g gyro T^3 / 6) / R
+
+    with ``start`` the error the correction leaves [rad], ``gyro`` drift [rad/s] and ``accel`` bias [m/s^2].
+    Zero when ``start`` exceeds ``admissible``, infinite when nothing makes the error grow.
 
     Examples
     --------

@@ -14,14 +14,14 @@ from bench.navigation import timeline
 from bench.navigation.measurements import fix_variance
 from bench.specs import TriadSpec
 
-WINDOW = 1.0  # means that are compared to see the aircraft move [s]
-LEAST_REST = 10.0  # of a standstill that is used [s]
-REST_FORCE = 0.05  # change of the mean specific force an aircraft on its wheels may show [m/s^2]
-REST_RATE = np.deg2rad(0.5)  # the same of the rate: wind and engine rock it [rad/s]
-REST_SPEED_SD = 0.01  # of a standstill: 0.6 m in a minute would show as a change of place [m/s]
-SIGMAS = 5.0  # noise a standstill may show
-FLICKER_KEPT = 0.5  # share of the variance of a flicker bias that it has in common with its mean [1]
-UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # of a heading that may be anything [rad]
+WINDOW = 1.0  # length of the means that are compared to detect motion [s]
+LEAST_REST = 10.0  # shortest standstill that is used [s]
+REST_FORCE = 0.05  # largest change of the mean specific force of an aircraft on its wheels [m/s^2]
+REST_RATE = np.deg2rad(0.5)  # the same of the mean rate: wind and engine rock it [rad/s]
+REST_SPEED_SD = 0.01  # velocity of a standstill: more would show as a change of position [m/s]
+SIGMAS = 5.0  # standard deviations of noise that a standstill may show
+FLICKER_KEPT = 0.5  # covariance of a flicker bias with its mean, over its variance [1]
+UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # a heading anywhere from -180 to 180 deg [rad]
 
 Rows = list[EventRow]
 
@@ -99,7 +99,7 @@ def _rest(
     stretch: FloatArray,
     rows: IntArray,
 ) -> tuple[int, str]:
-    """Return the number of IMU samples before the aircraft moves, whole windows, and what ends them."""
+    """Return the number of IMU samples of the standstill, in whole windows, and what ends it."""
     imu, specs = sensors.imu, sensors.specs.imu
     last = initial.t + initial.align_for + timeline.TIME_TOLERANCE
     why, until = "the time of the alignment is over", last
@@ -140,7 +140,7 @@ def _rest(
 
 
 def mean_sd(sensors: SensorData, T: float, g: float) -> tuple[float, float]:
-    """Return the standard deviations of a mean of T seconds at rest: specific force, rate; each axis."""
+    """Return the standard deviations of the mean force and mean rate over T seconds at rest, each axis."""
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
     by_g = np.hypot(g * gyro.g_sensitivity_sd, g * g * gyro.g2_sensitivity_sd)
     return (
@@ -150,17 +150,17 @@ def mean_sd(sensors: SensorData, T: float, g: float) -> tuple[float, float]:
 
 
 def bias_sd(triad: TriadSpec, along: float) -> float:
-    """Return the standard deviation of the bias of a mean, with the part of a rate ``along`` another axis."""
+    """Return the standard deviation of the bias of one axis; ``along`` is the force or rate on the others."""
     turned = along**2 * (triad.misalignment_sd**2 + triad.nonorthogonality_sd**2 + triad.alignment_sd**2)
     return float(np.sqrt(triad.turn_on_bias_sd**2 + triad.instability_sd**2 + turned))
 
 
 def common_variance(triad: TriadSpec, T: float) -> float:
-    """Return the covariance of a bias with its mean over the T seconds before.
+    """Return the covariance of a bias with its mean over the last T seconds.
 
-    A Gauss-Markov process has what its autocorrelation says. Flicker noise, as `bench.sensors.processes`
-    makes it, parts from its mean over a minute or two by 2.4 to 2.8 times the square of its instability,
-    about the variance its state is given: a half is left. Over less time more would be.
+    For a Gauss-Markov process it follows from the autocorrelation. Flicker noise (`bench.sensors.processes`)
+    differs from its mean over a minute or two by a variance of 2.4 to 2.8 instability^2, about the variance
+    of its state: half of it is in common. Over a shorter time it would be more.
     """
     kept = FLICKER_KEPT
     if triad.instability_sd > 0.0 and triad.bias_model == "gauss-markov":

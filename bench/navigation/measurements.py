@@ -8,8 +8,8 @@ and its branch in :func:`bench.navigation.aiding.measure_kernel`. Satellites alo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -39,12 +39,14 @@ from bench.navigation.aiding import (
     SATELLITE_ROWS,
 )
 from bench.navigation.error_state import StateLayout
-from bench.navigation.unmodelled import Errors, imu_errors, remaining
 from bench.signals import air
 from bench.signals.magnetic import field_n
-from bench.specs import AssumedSpecs, GnssSpec
+from bench.specs import AssumedSpecs, GnssSpec, ImuSpec
 
 LATENCY = "GNSS latency"
+
+Errors = Iterator[tuple[str, object]]
+"""Words for an error of a sensor, and its size: zero or false where the unit has no such error."""
 
 Reader = Callable[[Any, Any, SensorData, InitialState, StateLayout], tuple[FloatArray, FloatArray]]
 """Record (M rows), its datasheet, all sensors, start, layout -> values (M, m), up to six, and their variance
@@ -62,9 +64,6 @@ class AidingSensor:
     read: Reader | None  # None: satellites
     errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
     on_request: bool = True  # a filter that asks for it cannot work without its record
-
-
-# --- GNSS -------------------------------------------------------------------------------------------------
 
 
 def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
@@ -108,9 +107,6 @@ def _satellite_errors(gnss: GnssSpec) -> Errors:
     yield LATENCY, gnss.latency
 
 
-# --- barometer --------------------------------------------------------------------------------------------
-
-
 def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.alt_baro[:, None], np.array([baro.white_sd**2])
 
@@ -118,9 +114,6 @@ def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray
 def _baro_errors(baro: BaroSpec) -> Errors:
     yield "barometer quantization", baro.quantization
     yield "barometer errors with height, airspeed and incidence", baro.physical is not None
-
-
-# --- airspeed ---------------------------------------------------------------------------------------------
 
 
 def airspeed_variance(record: AirspeedData, airspeed: AirspeedSpec, height: float) -> FloatArray:
@@ -149,9 +142,6 @@ def _airspeed_errors(airspeed: AirspeedSpec) -> Errors:
     yield "airspeed lag", airspeed.lag
 
 
-# --- radar altimeter and odometer ---------------------------------------------------------------------------
-
-
 def _read_radar(
     record: RadarData, radar: RadarSpec, sensors: SensorData, *_: object
 ) -> tuple[FloatArray, FloatArray]:
@@ -171,9 +161,6 @@ def _read_odometer(record: OdometerData, odometer: OdometerSpec, *_: object) -> 
 def _odometer_errors(odometer: OdometerSpec) -> Errors:
     yield "odometer scale factor", odometer.scale_factor_sd
     yield "odometer quantization", odometer.quantization
-
-
-# --- magnetometer -----------------------------------------------------------------------------------------
 
 
 def field_variance(record: MagData, mag: MagSpec) -> FloatArray:
@@ -205,8 +192,6 @@ def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
     return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])
 
 
-# --- the table --------------------------------------------------------------------------------------------
-
 FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors, on_request=False)
 SATELLITES = AidingSensor(
     "gnss", "observations", "gnss", SATELLITE_ROWS, None, _satellite_errors, on_request=False
@@ -235,3 +220,30 @@ def unmodelled(
         spec = getattr(specs, sensor.spec)
         found += () if spec is None else sensor.errors(spec)
     return remaining(found, taken)
+
+
+def remaining(errors: Iterable[tuple[str, object]], taken: Collection[str]) -> tuple[str, ...]:
+    """Return the words of the errors that a unit has and nothing takes.
+
+    Examples
+    --------
+    >>> remaining([("lag", 0.2), ("bias", 1.0), ("drift", 0.0)], taken={"bias"})
+    ('lag',)
+    """
+    return tuple(dict.fromkeys(words for words, size in errors if size and words not in taken))
+
+
+def imu_errors(imu: ImuSpec) -> Errors:
+    """Yield the errors of an IMU beyond white noise and biases."""
+    for name, triad in (("gyro", imu.gyro), ("accelerometer", imu.accel)):
+        for one in fields(triad):
+            if "triad" in one.metadata and one.metadata["triad"].error:
+                yield f"{name} {one.metadata['triad'].error}", getattr(triad, one.name)
+        flicker = triad.bias_model == "flicker"
+        yield f"{name} bias instability as flicker noise", triad.bias_instability if flicker else 0.0
+    yield "distance between the accelerometers", imu.accel_arms
+    shaking = imu.vibration
+    yield (
+        "vibration",
+        max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel),
+    )

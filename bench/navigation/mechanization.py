@@ -1,19 +1,16 @@
 """Strapdown mechanization in the local level frame: one kernel per record.
 
-The equations are A-5.1.2 to A-5.1.4 in north, east, down on the WGS 84
-ellipsoid with normal gravity (`bench.earth`):
+A-5.1.2 to A-5.1.4 in north, east, down on the WGS 84 ellipsoid with normal gravity (`bench.earth`):
 
     lat'  = v_N / (R_M + h)      lon' = v_E / ((R_P + h) cos lat)      h' = -v_D
     v_n'  = C_nb f_b + g_n - (2 w_ie_n + w_en_n) x v_n
     C_nb' = C_nb [w_ib_b x] - [w_in_n x] C_nb
 
-The input are increments, integrals of w_ib_b and f_b over each interval. Coning
-and sculling are corrected with the previous interval (equations section 10): both
-rates are taken as linear over two intervals. Coriolis, transport rate and
-gravity are taken at the middle of the interval.
+The inputs are increments: integrals of w_ib_b and f_b over each interval. Coning and sculling are corrected
+with the previous interval (equations section 10): both rates are taken as linear over two intervals.
+Coriolis, transport rate and gravity are taken at the middle of the interval.
 
-A navigation state is a row of ten: lat, lon [rad], height [m], v_N, v_E, v_D
-[m/s], q_nb.
+A navigation state is a row of ten: lat, lon [rad], height [m], v_N, v_E, v_D [m/s], q_nb.
 """
 
 from __future__ import annotations
@@ -74,8 +71,8 @@ def body_step_kernel(
 ) -> None:
     """Fill the rotation vector of one interval and its velocity increment in the body axes at its start.
 
-    ``before`` (7,) holds dtheta, dvel and the length of the interval before, zero where there is none,
-    and is overwritten by this one.
+    ``before`` (7,) holds dtheta, dvel and length of the previous interval (zeros if there is none) and is
+    overwritten by this one.
     """
     a, b, c = dth[0], dth[1], dth[2]
     u, v, w = dv[0], dv[1], dv[2]
@@ -109,7 +106,7 @@ def body_step_kernel(
 def step_kernel(
     nav: FloatArray, dt: float, rotvec: FloatArray, dv_start: FloatArray, C: FloatArray, dv_n: FloatArray
 ) -> None:
-    """Move a navigation state over one interval; fill C_nb at its start and C_nb dv_start.
+    """Carry a navigation state over one interval; fill C_nb at its start and C_nb dv_start.
 
     ``rotvec`` and ``dv_start`` come from :func:`body_step_kernel`.
     """
@@ -161,7 +158,7 @@ def _propagate_kernel(
     C: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Fill out (N, 10) with the state after each interval; ``nav`` ends as the last one."""
+    """Fill out (N, 10) with the state after each interval; ``nav`` becomes the last one."""
     rotvec, dv_start, dv_n = work[0], work[1], work[2]
     for k in range(dt.shape[0]):
         body_step_kernel(dt[k], dtheta_b[k], dvel_b[k], before, rotvec, dv_start)
@@ -189,13 +186,13 @@ def propagate(
     dtheta_b, dvel_b : (N, 3) arrays
         Increments over each interval [rad], [m/s], frame b.
     before : (7,) array or None
-        dtheta_b, dvel_b and length of the interval before the first, zero where there is none;
-        overwritten by the last, so that a record can be given in pieces.
+        dtheta_b, dvel_b and length of the interval before the first, zeros if there is none; overwritten
+        by the last, so that a record can be given in pieces.
 
     Raises
     ------
     ValueError
-        When an array has the wrong shape or a value that is not finite.
+        If an array has the wrong shape or a value that is not finite.
 
     Notes
     -----

@@ -55,7 +55,29 @@ class Options(BaseModel):
     )
 
 
-class FusionOptions(Options):
+class GateOptions(Options):
+    """Options of every filter that tests its innovations."""
+
+    gate_probability: Probability = 1e-5
+    """Chance of refusing a sound sub-vector of a matched filter."""
+    readmit_after: Count = 10
+    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7); every
+    satellite counts for itself."""
+
+
+class IntegrityOptions(GateOptions):
+    """Options of the filters that can test a measurement in more than one way."""
+
+    integrity: Tests = ("nis",)
+    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
+    fixes the distance from the INS since the last one used (A-5.4.T)."""
+    max_acceleration: Positive = 20.0
+    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
+    tolerance_sigmas: Positive = 5.0
+    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
+
+
+class FusionOptions(IntegrityOptions):
     """Options of the compiled filters."""
 
     gnss: bool = True
@@ -64,20 +86,8 @@ class FusionOptions(Options):
     """Use the barometer; without it and GNSS the IMU alone navigates, with its open-loop covariance."""
     covariance_hz: Positive | None = None
     """Rate of the covariance step [Hz]; left out: at every IMU sample."""
-    gate_probability: Probability = 1e-5
-    """Chance of refusing a sound sub-vector of a matched filter."""
-    readmit_after: Count = 10
-    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7); every
-    satellite counts for itself."""
-    integrity: Tests = ("nis",)
-    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
-    fixes the distance from the INS since the last one used (A-5.4.T)."""
     trace_ratio: Positive = 10.0
     """Limit of "trace", delta of A-5.4.7."""
-    max_acceleration: Positive = 20.0
-    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
-    tolerance_sigmas: Positive = 5.0
-    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
     gnss_markov: bool = False
     """Estimate the Markov part of the GNSS errors in six states: with all aiding the 22 states of A-5.4.1;
     loose coupling only."""
@@ -143,20 +153,16 @@ class SmootherOptions(FusionOptions):
         return self.over == "tight"
 
 
-class GnssOnlyOptions(Options):
+class GnssOnlyOptions(GateOptions):
     """Options of the filter without IMU."""
 
     acceleration: Positive = 3.0
     """Standard deviation of the acceleration along each axis [m/s^2]."""
     correlation_s: Positive = 10.0
     """How long a manoeuvre lasts [s]."""
-    gate_probability: Probability = 1e-5
-    """Chance of refusing a sound sub-vector of a matched filter."""
-    readmit_after: Count = 10
-    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
 
 
-class UnscentedOptions(Options):
+class UnscentedOptions(GateOptions):
     """Options of the filter by sigma points."""
 
     gnss: bool = True
@@ -165,16 +171,12 @@ class UnscentedOptions(Options):
     """Use the barometer."""
     covariance_hz: Positive = 10.0
     """Rate of the steps [Hz]; a measurement or an output takes one at once."""
-    gate_probability: Probability = 1e-5
-    """Chance of refusing a sound sub-vector of a matched filter."""
-    readmit_after: Count = 10
-    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
     spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "must lie above 0 and not above 1")] = 0.5
     """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
     states."""
 
 
-class ClassicOptions(Options):
+class ClassicOptions(IntegrityOptions):
     """Options of the source's filter."""
 
     covariance_hz: Positive = 20.0
@@ -189,19 +191,8 @@ class ClassicOptions(Options):
     the same."""
     floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "must be at least 0 and below 1")] = 0.0
     """No standard deviation falls below this part of its value at the start (A-5.4.F); 0: no floor."""
-    integrity: Tests = ("nis",)
-    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
-    fixes the distance from the INS since the last one used (A-5.4.T)."""
-    gate_probability: Probability = 1e-5
-    """Chance of refusing a sound sub-vector of a matched filter."""
     trace_limit: Positive = 10.0
     """Largest ratio of "trace"; the source asks for 10 or more."""
-    max_acceleration: Positive = 20.0
-    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
-    tolerance_sigmas: Positive = 5.0
-    """Multiple of the standard deviation of the receiver that "tolerance" grants."""
-    readmit_after: Count = 10
-    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7)."""
     monitor_sigmas: Positive = 5.0
     """Difference of barometer and GNSS height, over its standard deviation, that is reported (row 8 of
     A-5.4.3)."""

@@ -1,12 +1,11 @@
-"""What a satellite measures of the error state: pseudorange and range rate, with a receiver's corrections.
+"""Pseudorange and range rate of a satellite: prediction, corrections and rows of H.
 
     z_range = |r_sat - r_ant| + troposphere + ionosphere + clock + offset - (pseudorange + satellite clock)
     z_rate  = d/dt |r_sat - r_ant| + drift - (range rate + satellite clock rate)
 
-(B-12, B-14b) with the offset for GLONASS only. Both see the errors of the antenna along the line of sight.
-The delays are computed at the filter's own position, so that it goes on with any number of satellites; how
-they change with its errors is left out of H: 3e-4 of a metre per metre of height at the zenith, 3e-3 at
-5 deg.
+(B-12, B-14b) with the offset for GLONASS only. Both depend on the errors of the antenna along the line of
+sight. The delays are computed at the position of the filter, so that any number of satellites will do. H
+neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
 """
 
 from __future__ import annotations
@@ -43,43 +42,32 @@ from bench.specs import GnssSpec
 
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
-_TOP = 12_000.0  # above it the delay counts as there [m]
+_TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
 _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
 class Sky(NamedTuple):
-    """Corrected observations, a row per satellite and epoch."""
+    """Corrected observations, one row per satellite and epoch."""
 
     epoch_start: IntArray  # (M + 1,)
-    values: FloatArray  # (K, 2) range [m] and rate [m/s], corrected for all but the atmosphere
+    values: FloatArray  # (K, 2) range [m] and rate [m/s], corrected for everything but the atmosphere
     variance: FloatArray  # (K, 2)
     sat: FloatArray  # (K, 6) position and velocity, e at transmission
-    t: FloatArray  # (K,) of the GPS day [s]
-    ionosphere: FloatArray  # (K,) delay over that on L1, 0 for two frequencies [1]
+    t: FloatArray  # (K,) time of the GPS day [s]
+    ionosphere: FloatArray  # (K,) ionospheric delay over that on L1; 0 with two frequencies [1]
     which: IntArray  # (K, 3) system, channel of the range, channel of the rate
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
 
 
-def no_sky() -> Sky:
+def empty_sky() -> Sky:
     """Return a sky without satellites."""
-    none = np.empty(0)
-    return Sky(
-        np.zeros(1, np.int64),
-        np.empty((0, 2)),
-        np.empty((0, 2)),
-        np.empty((0, 6)),
-        none,
-        none,
-        np.empty((0, 3), np.int64),
-        none,
-        none,
-        0.0,
-    )
+    none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 3), np.int64)
+    return Sky(np.zeros(1, np.int64), pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0)
 
 
-def usable(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
+def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
     """Return range and rate (K, 2) corrected for satellite clock and group delay, and their variances (K, 2).
 
     With two bands assumed the range is the ionosphere-free combination (B-11).
@@ -92,25 +80,25 @@ def usable(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, Floa
     return values, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2
 
 
-def sky_of(
+def make_sky(
     o: GnssObservations, spec: GnssSpec, rows: IntArray, epochs: IntArray, count: int, lat: float
 ) -> Sky:
-    """Return the rows of observations to use as the kernel wants them.
+    """Return the rows of a record that are used, as the kernel takes them.
 
     Parameters
     ----------
     o : GnssObservations
         Record.
     spec : GnssSpec
-        The receiver assumed.
+        Datasheet of the receiver that is assumed.
     rows, epochs : (K,) arrays of int
-        Rows in use, and the number of each one's epoch among the ``count`` in use, growing.
+        Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
     lat : float
-        Where the vertical delay is taken [rad]; 500 km north or south it is 1 mm another.
+        Latitude of the table of vertical delays [rad]; 500 km north or south they differ by 1 mm.
     """
-    values, variance = usable(o, spec)
+    values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
-    satellite = satellites(o)[rows]
+    satellite = name_satellites(o)[1][rows]
     first = len(SENSORS)
     return Sky(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
@@ -126,17 +114,11 @@ def sky_of(
     )
 
 
-def satellites(o: GnssObservations) -> IntArray:
-    """Return which satellite each row (K,) is of, counted from 0 in the order of :func:`satellite_names`."""
-    _, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
-    index: IntArray = which.astype(np.int64)
-    return index
-
-
-def satellite_names(o: GnssObservations) -> list[str]:
-    """Return the satellites of a record, GPS as G05 and GLONASS as R07."""
+def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
+    """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
     letter = {GPS: "G", GLONASS: "R"}
-    return [f"{letter[int(n) // 1000]}{int(n) % 1000:02d}" for n in np.unique(1000 * o.system + o.sat)]
+    numbers, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
+    return [f"{letter[n // 1000]}{n % 1000:02d}" for n in numbers.tolist()], which.astype(np.int64)
 
 
 @inner
@@ -154,7 +136,7 @@ def satellites_kernel(
     state, C, H, z = now.state, work.C, pending.H, pending.z
     n, at = now.P.shape[0], index.clock_offset
     place_kernel(now, data, index, work)
-    # the last six rows of the slot take the antenna
+    # the last six rows of the slot hold position and velocity of the antenna
     last = first + pending.width - 6
     for j in range(last, last + 6):
         for i in range(n):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
@@ -76,7 +78,7 @@ class Schedule:
     def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float) -> ranging.Sky:
         """Take the usable satellites of each epoch, and return them."""
         assert gnss.sky is not None
-        values, variance = ranging.usable(o, gnss)
+        values, variance = ranging.correct_observations(o, gnss)
         sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
         sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
         sound &= np.isfinite(o.frequency[:, 0])
@@ -97,7 +99,7 @@ class Schedule:
         of_row = number[o.epoch]
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
-        return ranging.sky_of(o, gnss, rows, of_row[rows], len(epochs), lat)
+        return ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat)
 
     def _plan(
         self,
@@ -161,23 +163,15 @@ class Schedule:
         at = np.searchsorted(steps.t, self._output_t - TIME_TOLERANCE)
         at[self._output_t < self._start + TIME_TOLERANCE] = -1
         kinds, rows, measures, uses = planned.T
-        parts = [
-            _entries(uses[~late], AT_ONCE, kinds[~late], rows[~late], 0),
-            _entries(measures[late], MEASURE, kinds[late], rows[late], slot[late]),
-            _entries(uses[late], USE, kinds[late], rows[late], slot[late]),
-            _entries(at, OUTPUT, 99, 0, 0),
+        parts: list[tuple[Any, ...]] = [
+            (uses[~late], AT_ONCE, kinds[~late], rows[~late], 0),
+            (measures[late], MEASURE, kinds[late], rows[late], slot[late]),
+            (uses[late], USE, kinds[late], rows[late], slot[late]),
+            (at, OUTPUT, 99, 0, 0),
         ]
-        schedule = np.concatenate(parts)
+        schedule = np.concatenate([np.column_stack(np.broadcast_arrays(*part)) for part in parts])
         schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
         return steps, np.ascontiguousarray(schedule), int(slot.max(initial=0)) + 1
-
-
-def _entries(
-    step: IntArray, action: int, kind: IntArray | int, row: IntArray | int, slot: IntArray | int
-) -> IntArray:
-    table = np.empty((len(step), 5), np.int64)
-    table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4] = step, action, kind, row, slot
-    return table
 
 
 def _slots(measure: IntArray, use: IntArray) -> IntArray:

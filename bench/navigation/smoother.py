@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
-from bench.navigation.error_state import CORE, PHI, POS, VEL
+from bench.navigation.error_state import moved_state, state_difference
 from bench.navigation.forward import Nodes, solution
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
@@ -41,13 +40,7 @@ class Smoother:
         self.filter = forward(**self.options.model_dump(exclude={"over"}))
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate each instant from all measurements of the record, earlier and later.
-
-        Raises
-        ------
-        ValueError
-            If no datasheet of a sensor in use is assumed.
-        """
+        """Estimate each instant from all measurements of the record, earlier and later."""
         forward, nodes = self.filter.forward(sensors, initial, keep=True)
         state, P = smooth(nodes)
         served = nodes.output >= 0
@@ -77,8 +70,8 @@ def smooth(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
     state, P = nodes.state[:, 1].copy(), nodes.P[:, 1].copy()
     gain = _gains(nodes)
     for j in range(len(nodes.t) - 2, -1, -1):
-        correction = gain[j] @ _difference(state[j + 1], nodes.state[j + 1, 0])
-        state[j] = _moved(state[j], correction)
+        correction = gain[j] @ state_difference(state[j + 1], nodes.state[j + 1, 0])
+        state[j] = moved_state(state[j], correction)
         change = gain[j] @ (P[j + 1] - nodes.P[j + 1, 0]) @ gain[j].T
         P[j] += 0.5 * (change + change.T)
     return state, P
@@ -97,24 +90,3 @@ def _gains(nodes: Nodes) -> FloatArray:
     dead = np.einsum("kij,kj->kij", np.broadcast_to(np.eye(before.shape[1]), before.shape), ~live * 1.0)
     transposed = np.linalg.solve(scaled + dead, (Phi @ after) * scale[:, :, None]) * scale[:, :, None]
     return np.swapaxes(transposed, 1, 2)
-
-
-def _difference(state: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the error state (n,) by which one state differs from another."""
-    d = np.empty(len(state) - 1)
-    d[POS : POS + 3] = earth.difference_n(state[:3], other[:3])
-    d[VEL : VEL + 3] = state[3:6] - other[3:6]
-    turn = rotation.multiply(state[6:10], rotation.conjugate(other[6:10]))
-    d[PHI : PHI + 3] = rotation.to_rotvec(turn)
-    d[CORE - 6 :] = state[10:] - other[10:]
-    return d
-
-
-def _moved(state: FloatArray, d: FloatArray) -> FloatArray:
-    """Return a state with an error state added: the inverse of :func:`_difference`."""
-    moved = np.empty_like(state)
-    moved[:3] = earth.displace(state[:3], d[POS : POS + 3])
-    moved[3:6] = state[3:6] + d[VEL : VEL + 3]
-    moved[6:10] = rotation.multiply(rotation.from_rotvec(d[PHI : PHI + 3]), state[6:10])
-    moved[10:] = state[10:] + d[CORE - 6 :]
-    return moved

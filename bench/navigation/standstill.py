@@ -42,9 +42,7 @@ def windows(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[IntArray, Floa
         Measured mean rate [rad/s], b.
     """
     t, dt = imu.t[rows], imu.dt[rows]
-    if len(t) < 4:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    count = max(round(WINDOW / float(np.median(dt))), 4)
+    count = max(round(WINDOW / float(np.median(dt))), 4) if len(t) else 4
     whole = len(t) // count
     if whole == 0:
         return np.empty(0, np.int64), np.empty((0, 3))
@@ -63,9 +61,8 @@ def windows(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[IntArray, Floa
         still &= (rate.std(axis=1) < _NOISY * noise).all(axis=1)
         means.append(rate.mean(axis=1))
     turn, force = means
-    still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD) + _g_error(spec)).all(
-        axis=1
-    )
+    by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
+    still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
     size = np.linalg.norm(force, axis=1)
     allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
     still &= np.abs(size - GAMMA_E) < allowed
@@ -85,7 +82,3 @@ def _sample_sd(triad: TriadSpec, dt: float, vibration: float) -> float:
 
 def _bias_sd(triad: TriadSpec) -> float:
     return float(np.hypot(triad.turn_on_bias_sd, triad.instability_sd))
-
-
-def _g_error(spec: ImuSpec) -> float:
-    return _SIGMAS * spec.gyro.g_sensitivity_sd * GAMMA_E

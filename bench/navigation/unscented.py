@@ -24,7 +24,8 @@ from bench.data import Events, InitialState, Innovations, NavSolution, SensorDat
 from bench.navigation import alignment
 from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
-from bench.navigation.error_state import GYRO, PHI, POS, VEL
+from bench.navigation.error_state import GYRO, PHI, POS, VEL, moved_state, state_difference
+from bench.navigation.forward import solution
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
@@ -38,7 +39,6 @@ SENSORS = ("gnss_position", "gnss_velocity", "baro")
 @kernel
 def _carry_kernel(
     points: FloatArray,
-    biases: FloatArray,
     before: FloatArray,
     dt: FloatArray,
     dtheta_b: FloatArray,
@@ -46,7 +46,7 @@ def _carry_kernel(
     work: FloatArray,
     C: FloatArray,
 ) -> None:
-    """Carry navigation states ``points`` (S, 10) with their biases (S, 6) over the same increments.
+    """Carry filter states ``points`` (S, n + 1), each with its own biases, over the same increments.
 
     ``before`` (S, 7) is the interval before, for coning and sculling, as each of them knows it.
     """
@@ -54,8 +54,8 @@ def _carry_kernel(
     for s in range(points.shape[0]):
         for k in range(dt.shape[0]):
             for i in range(3):
-                dth[i] = dtheta_b[k, i] - biases[s, i] * dt[k]
-                dv[i] = dvel_b[k, i] - biases[s, 3 + i] * dt[k]
+                dth[i] = dtheta_b[k, i] - points[s, 10 + i] * dt[k]
+                dv[i] = dvel_b[k, i] - points[s, 13 + i] * dt[k]
             body_step_kernel(dt[k], dth, dv, before[s], rotvec, dv_start)
             step_kernel(points[s], dt[k], rotvec, dv_start, C, dv_n)
 
@@ -70,15 +70,7 @@ class Unscented:
         self.options = read_options(UnscentedOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude, biases and their covariance.
-
-        Raises
-        ------
-        ValueError
-            If no datasheet of a sensor in use is assumed.
-        bench.errors.EstimatorError
-            If the record does not allow the alignment asked for.
-        """
+        """Estimate position, velocity, attitude, biases and their covariance."""
         initial, aligned = alignment.complete(sensors, initial)
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
@@ -95,7 +87,7 @@ class Unscented:
             todo.setdefault(step, []).append(what)
 
         flight = _Flight(self.options, model, initial)
-        out = np.full((len(sensors.output_t), 10 + model.layout.size - 9), np.nan)
+        out = np.full((len(sensors.output_t), model.layout.size + 1), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
         waiting = iter(schedule.outputs.tolist())
         interval = (1.0 - 1e-6) / self.options.covariance_hz
@@ -110,27 +102,14 @@ class Unscented:
             for action, kind, row, _ in todo.get(k, []):
                 if action == OUTPUT:
                     at = next(waiting)
-                    out[at], out_P[at] = np.concatenate([flight.nav, flight.rest]), flight.P
+                    out[at], out_P[at] = flight.state, flight.P
                 elif kind == FIX_ROWS:
                     w_b = dtheta[k] / steps.span[k]
                     flight.use_fix(float(steps.t[k]), values[row], variance[row], sensors.antenna_b, w_b)
                 else:
                     flight.use_baro(float(steps.t[k]), float(values[row, 0]), float(variance[row, 0]))
-        sd2 = np.einsum("kii->ki", out_P)[:, 9:]
-        return NavSolution(
-            t=sensors.output_t,
-            lla=out[:, :3],
-            vel_n=out[:, 3:6],
-            q_nb=out[:, 6:10],
-            gyro_bias_b=out[:, 10:13],
-            accel_bias_b=out[:, 13:16],
-            cov=out_P[:, :9, :9],
-            extra_names=model.layout.labels(),
-            extra=out[:, 10:],
-            extra_sd=np.sqrt(np.where(sd2 >= 0, sd2, np.nan)),
-            innovations=Innovations.from_rows(SENSORS, flight.innovations),
-            events=Events.from_rows(schedule.events),
-        )
+        table = Innovations.from_rows(SENSORS, flight.innovations)
+        return solution(sensors.output_t, model.layout, out, out_P, table, Events.from_rows(schedule.events))
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -159,8 +138,8 @@ class _Flight:
 
     def __init__(self, options: UnscentedOptions, model: StateModel, initial: InitialState) -> None:
         self.options, self.model = options, model
-        self.nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
-        self.rest = np.zeros(model.layout.size - 9)  # biases and what comes after them
+        rest = np.zeros(model.layout.size - 9)
+        self.state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, rest])
         self.P = model.P.copy()
         self.before = np.zeros(7)
         self.gates = {m: nis_limit(m, options.gate_probability) for m in (1, 3)}
@@ -191,23 +170,21 @@ class _Flight:
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
         """Carry estimate and covariance over some steps; ``unknown`` (2,) is what a gap adds to P."""
         if self.lost:
-            self.nav[:], self.rest[:] = np.nan, np.nan
+            self.state[:] = np.nan
             return
         process, T = self.model.process, float(dt.sum())
-        ground_speed = np.hypot(self.nav[3], self.nav[4])
+        ground_speed = np.hypot(self.state[3], self.state[4])
         decay = np.exp(-(process.decay_time + process.decay_distance * ground_speed) * T)
         points = self.points()
         x = points.x
-        nav = np.empty((len(x) + 1, 10))
-        nav[:-1], nav[-1] = _less(self.nav, x), self.nav  # truths, and the estimate
-        biases = np.vstack([self.rest[:6] - x[:, GYRO : GYRO + 6], self.rest[:6]])
-        before = np.tile(self.before, (len(nav), 1))
+        states = np.vstack([moved_state(self.state, -x), self.state])  # truths, and the estimate
+        before = np.tile(self.before, (len(states), 1))
         if self.before[6] > 0:  # what each of them takes off the interval before
             before[:-1, :6] += x[:, GYRO : GYRO + 6] * self.before[6]
-        _carry_kernel(nav, biases, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
-        self.nav, self.before = nav[-1], before[-1]
+        _carry_kernel(states, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
+        self.state, self.before = states[-1], before[-1]
         after = x * decay
-        after[:, :9] = _differences(self.nav, nav[:-1])
+        after[:, :GYRO] = -state_difference(states[:-1], self.state)[:, :GYRO]
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(
@@ -215,7 +192,7 @@ class _Flight:
         )
         self.P[VEL : VEL + 3, VEL : VEL + 3] += unknown[0] * np.eye(3)
         self.P[PHI : PHI + 3, PHI : PHI + 3] += unknown[1] * np.eye(3)
-        self.rest *= decay[9:]
+        self.state[10:] *= decay[9:]
         self._feed_back(mean)
 
     def use_fix(
@@ -231,16 +208,15 @@ class _Flight:
             return
 
         def place(x: FloatArray) -> FloatArray:
-            truth = _less(self.nav, x)
-            return rotation.rotate(truth[:, 6:], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
+            truth = moved_state(self.state, -x)
+            return rotation.rotate(truth[:, 6:10], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
 
         def motion(x: FloatArray) -> FloatArray:
-            truth = _less(self.nav, x)
-            lat = self.nav[0]
+            truth = moved_state(self.state, -x)
+            lat, q_nb = self.state[0], truth[:, 6:10]
             earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-            w_b = w_ib_b - self.rest[:3] + x[:, GYRO : GYRO + 3]
-            w_b = w_b - rotation.rotate(rotation.conjugate(truth[:, 6:]), earth_n)
-            return truth[:, 3:6] + rotation.rotate(truth[:, 6:], np.cross(w_b, antenna_b)) - fix[3:]
+            w_b = w_ib_b - truth[:, 10:13] - rotation.rotate(rotation.conjugate(q_nb), earth_n)
+            return truth[:, 3:6] + rotation.rotate(q_nb, np.cross(w_b, antenna_b)) - fix[3:]
 
         self._update(t, 0, place, r[:3], slice(POS, POS + 3))
         if np.isfinite(fix[3:]).all():
@@ -254,7 +230,7 @@ class _Flight:
         at = self.model.index.baro_bias
 
         def height(x: FloatArray) -> FloatArray:
-            y = self.nav[2] + x[:, POS + 2] - alt_baro + self.rest[at - 9] - x[:, at]
+            y = self.state[2] + x[:, POS + 2] - alt_baro + self.state[at + 1] - x[:, at]
             return np.asarray(y[:, None])
 
         self._update(t, 2, height, np.array([r]), slice(at, at + 1))
@@ -296,8 +272,7 @@ class _Flight:
 
     def _feed_back(self, x: FloatArray) -> None:
         """Take an expected error off the estimate."""
-        self.nav = _less(self.nav, x[None])[0]
-        self.rest = self.rest - x[9:]
+        self.state = moved_state(self.state, -x)
 
 
 def _root(P: FloatArray) -> FloatArray:
@@ -313,21 +288,3 @@ def _root(P: FloatArray) -> FloatArray:
     if w[0] < -1e-9:
         raise np.linalg.LinAlgError(f"the covariance of the sigma points has an eigenvalue of {w[0]:.2g}")
     return np.asarray(np.sqrt(np.maximum(w, 0.0))[:, None] * V.T * sd, np.float64)
-
-
-def _less(nav: FloatArray, x: FloatArray) -> FloatArray:
-    """Return the navigation states (S, 10) that remain of one when errors (S, n) are taken off it."""
-    states = np.empty((len(x), 10))
-    states[:, :3] = earth.displace(nav[:3], -x[:, POS : POS + 3])
-    states[:, 3:6] = nav[3:6] - x[:, VEL : VEL + 3]
-    states[:, 6:] = rotation.multiply(rotation.from_rotvec(-x[:, PHI : PHI + 3]), nav[6:])
-    return states
-
-
-def _differences(nav: FloatArray, truths: FloatArray) -> FloatArray:
-    """Return the errors (S, 9) of a navigation state against truths (S, 10): undoes :func:`_less`."""
-    d = np.empty((len(truths), 9))
-    d[:, :3] = -earth.difference_n(truths[:, :3], nav[:3])
-    d[:, 3:6] = nav[3:6] - truths[:, 3:6]
-    d[:, 6:] = rotation.to_rotvec(rotation.multiply(nav[6:], rotation.conjugate(truths[:, 6:])))
-    return d

@@ -22,6 +22,7 @@ from bench.navigation.classic import Classic22, error_dynamics, navigator, obser
 from bench.navigation.classic.navigator import FRD_OF_FUR, NED_OF_ENU, R3, Nav
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
+from tests.register import equations
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
 WANDERING = replace(
@@ -97,7 +98,7 @@ def test_the_comparison_sees_small_defects(sensed, solution):
         assert max(np.array(rms(solution, other)) / [1e-3, 2e-5, 1e-6]) > 1
 
 
-NAV = Nav(0.83, 0.3, 2500.0, np.array([41.0, -55.0, 3.0]), navigator.body_to_enu(2.1, 0.15, -0.4))
+NAV = Nav(0.83, 0.3, 2500.0, np.array([41.0, -55.0, 3.0]), equations.body_to_enu(2.1, 0.15, -0.4))
 NAV_N = np.concatenate([[0.83, 0.3, 2500.0], NED_OF_ENU @ NAV.V, rotation.from_euler(-0.4, 0.15, 2.1)])
 A_ENU = np.array([1.5, -2.5, 9.6])
 
@@ -123,7 +124,7 @@ def test_the_axes_are_those_of_the_bench():
 def test_f_of_both_filters_is_one_matrix():
     """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced metres stretch on the way."""
     F = error_dynamics.dynamics_matrix(NAV, A_ENU, navigator.ellipsoid(NAV.lat, NAV.h))
-    (lat_rate, lon_rate, h_rate), _, _ = navigator.rates(
+    (lat_rate, lon_rate, h_rate), _, _ = equations.rates(
         NAV, np.zeros(3), np.zeros(3), navigator.ellipsoid(NAV.lat, NAV.h)
     )
     step = 1.0
@@ -205,7 +206,7 @@ def test_the_step_integrates_the_equations():
     def slope(t, y):
         nav = Nav(y[0], y[1], y[2], y[3:6], y[6:15].reshape(3, 3))
         w, a = motion(t)
-        parts = navigator.rates(nav, w, a, navigator.ellipsoid(nav.lat, nav.h))
+        parts = equations.rates(nav, w, a, navigator.ellipsoid(nav.lat, nav.h))
         return np.concatenate([parts[0], parts[1], parts[2].ravel(), w, a])
 
     y0 = np.concatenate([[NAV.lat, NAV.lon, NAV.h], NAV.V, NAV.B.ravel(), np.zeros(6)])

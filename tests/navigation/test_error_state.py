@@ -315,3 +315,13 @@ def test_layout_names_every_state_once():
     assert len(layout.labels()) == 9
     with pytest.raises(KeyError, match="no state block 'scale'; there are pos, vel"):
         layout.slice("scale")
+
+
+def test_difference_and_move_are_inverse():
+    rng = np.random.default_rng(5)
+    start = [0.8, 0.2, 500.0, 20.0, 5.0, -1.0, *rotation.from_euler(0.1, 0.2, 0.3), *rng.normal(size=7)]
+    d = rng.normal(size=(20, 16)) * np.repeat([5.0, 0.5, 0.3, 1e-3, 1e-2, 3.0], [3, 3, 3, 3, 3, 1])
+    state = np.array(start)
+    moved = error_state.moved_state(state, d)
+    assert_allclose(error_state.state_difference(moved, state), d, rtol=1e-5, atol=1e-9)
+    assert_allclose(error_state.moved_state(state, d[3]), moved[3], rtol=1e-15)

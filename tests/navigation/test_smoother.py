@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from bench import pipeline, rotation
 from bench.config import load_profile
 from bench.data import GnssFixes
-from bench.navigation.error_state import StateLayout
+from bench.navigation.error_state import StateLayout, moved_state, state_difference
 from bench.navigation.estimator import load
 from bench.navigation.forward import Nodes
-from bench.navigation.smoother import _difference, _moved, smooth
+from bench.navigation.smoother import smooth
 from tests.navigation.test_layouts import claims, five_minutes  # noqa: F401 (a fixture)
 
 BASE = np.concatenate(
@@ -41,7 +41,7 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
         kf.update(size * rng.normal(size=(4, 1)))
         xs.append(kf.x.copy()), Ps.append(kf.P.copy())
     wanted, wanted_P, _, _ = kf.rts_smoother(np.array(xs), np.array(Ps), Fs=list(Phi), Qs=[kf.Q] * steps)
-    rows = [[_moved(BASE, x[:, 0]) for x in pair] for pair in zip(before, xs, strict=True)]
+    rows = [[moved_state(BASE, x[:, 0]) for x in pair] for pair in zip(before, xs, strict=True)]
     nodes = Nodes(
         StateLayout(("baro_bias", "m", 1)),
         np.arange(steps) * 1.0,
@@ -51,16 +51,9 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
         np.arange(steps),
     )
     state, P = smooth(nodes)
-    got = np.array([_difference(row, BASE) for row in state])
+    got = np.array([state_difference(row, BASE) for row in state])
     assert_allclose(got, wanted[:, :, 0], rtol=0, atol=1e-4 * size)
     assert_allclose(P, wanted_P, rtol=1e-6, atol=1e-9 * size**2)
-
-
-def test_difference_and_move_are_inverse():
-    d = np.random.default_rng(1).normal(size=16) * np.repeat(
-        [5.0, 0.5, 0.05, 1e-3, 1e-2, 3.0], [3, 3, 3, 3, 3, 1]
-    )
-    assert_allclose(_difference(_moved(BASE, d), BASE), d, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("markov", [False, True])

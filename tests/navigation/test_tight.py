@@ -233,8 +233,7 @@ def refused(solution, name):
 
 def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
     o = sensed.data.observations
-    names = ranging.satellite_names(o)
-    which = ranging.satellites(o)
+    names, which = ranging.name_satellites(o)
     sat = int(np.bincount(which).argmax())
     rows = np.flatnonzero((which == sat) & (o.t >= 30.0))
     data = replace(sensed.data, observations=shifted(o, rows, 100.0))
@@ -251,7 +250,7 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
     A ramp ten times as steep is seen sooner; none of another satellite is refused.
     """
     o = sensed.data.observations
-    names, which = ranging.satellite_names(o), ranging.satellites(o)
+    names, which = ranging.name_satellites(o)
     sat = int(np.bincount(which).argmax())
     rows = np.flatnonzero((which == sat) & (o.t >= 20.0))
     delay = {}
@@ -268,8 +267,9 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
 def scripted(truth, sensed, step, ramp, start, end, **options):
     """Fault of the pseudorange of the satellite seen most, its metrics, and the solution."""
     o = sensed.data.observations
-    row = np.flatnonzero(ranging.satellites(o) == np.bincount(ranging.satellites(o)).argmax())[0]
-    name = ranging.satellite_names(o)[ranging.satellites(o)[row]]
+    names, which = ranging.name_satellites(o)
+    row = np.flatnonzero(which == np.bincount(which).argmax())[0]
+    name = names[which[row]]
     satellite = (int(o.system[row]), int(o.sat[row]))
     fault = Fault(
         "pseudorange", "gnss", start, end, "scripted", satellites=(satellite,), step=(step,), ramp=(ramp,)

@@ -17,7 +17,7 @@ from bench.navigation import unscented
 from bench.navigation.blocks import BARO_BIAS, state_model
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
-from bench.navigation.unscented import Unscented, _differences, _less
+from bench.navigation.unscented import Unscented
 from tests.builders import ensemble
 from tests.navigation.test_layouts import standard_errors_from
 from tests.weaving import DEG, GNSS, units, weaving
@@ -113,35 +113,27 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     flight = unscented._Flight(Unscented().options, model, sensed.initial)
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0
-    flight.rest = np.arange(1.0, len(flight.rest) + 1) * 1e-4
-    flight.rest[at - 9] = 7.0
-    before = flight.rest.copy()
+    flight.state[10:] = np.arange(1.0, len(flight.state) - 9) * 1e-4
+    flight.state[at + 1] = 7.0
+    before = flight.state[10:].copy()
     n = 1000
     quiet = np.zeros((n, 3)), np.tile([0.0, 0.0, -9.81 * T / n], (n, 1))
     flight.predict(np.full(n, T / n), *quiet, np.zeros(2))
     gone = np.exp(-T / tau)
-    assert flight.rest[at - 9] == pytest.approx(7.0 * gone, rel=1e-9)
+    assert flight.state[at + 1] == pytest.approx(7.0 * gone, rel=1e-9)
     assert flight.P[at, at] == pytest.approx(25.0 * gone**2 + sd**2 * (1 - gone**2), rel=1e-9)
-    assert_allclose(np.delete(flight.rest, at - 9), np.delete(before, at - 9), rtol=1e-9)
-
-
-def test_less_and_differences_are_inverse():
-    rng = np.random.default_rng(5)
-    nav = np.concatenate([[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3)])
-    x = rng.normal(size=(20, 15)) * np.repeat([5.0, 0.5, 0.3, 1e-3, 1e-2], 3)
-    assert_allclose(_differences(nav, _less(nav, x)), x[:, :9], rtol=1e-5, atol=1e-9)
+    assert_allclose(np.delete(flight.state[10:], at - 9), np.delete(before, at - 9), rtol=1e-9)
 
 
 def test_the_kernel_is_its_own_python(sensed):
     imu = sensed.data.imu
-    nav = np.concatenate([sensed.initial.lla, sensed.initial.vel_n, sensed.initial.q_nb])
+    initial = sensed.initial
+    nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
+    start = np.hstack([np.tile(nav, (3, 1)), 1e-3 * np.arange(18.0).reshape(3, 6)])
     results = []
     for kernel in (unscented._carry_kernel, unscented._carry_kernel.py_func):
-        points, biases, before = np.tile(nav, (3, 1)), 1e-3 * np.arange(18.0).reshape(3, 6), np.zeros((3, 7))
-        kernel(
-            points, biases, before, imu.dt[:20], imu.dtheta_b[:20], imu.dvel_b[:20], np.empty((5, 3)),
-            np.empty((3, 3)),
-        )  # fmt: skip
+        points, before, work = start.copy(), np.zeros((3, 7)), np.empty((5, 3))
+        kernel(points, before, imu.dt[:20], imu.dtheta_b[:20], imu.dvel_b[:20], work, np.empty((3, 3)))
         results.append(np.hstack([points, before]))
     assert_allclose(results[0], results[1], rtol=1e-12, atol=1e-13)
     assert not np.array_equal(results[0][0], results[0][1])

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from bench.navigation.classic import navigator, observation_model, process_model
+from tests.register import equations
 
 DEG = math.pi / 180
 G0 = 9.80665
@@ -61,7 +62,7 @@ def place(t, turns=True):
         rate, course = RATE * math.sin(w * phase), COURSE + RATE / w * (1 - math.cos(w * phase))
     s, c = math.sin(course), math.cos(course)
     bank = math.atan2(SPEED * rate, EARTH.g)
-    B = navigator.body_to_enu(course, 0.0, bank)
+    B = equations.body_to_enu(course, 0.0, bank)
     nav = navigator.Nav(LAT, 0.0, HEIGHT, SPEED * np.array([s, c, 0.0]), B)
     return nav, np.array([SPEED * rate * c, -SPEED * rate * s, EARTH.g]), rate
 

@@ -18,7 +18,7 @@ from bench.navigation import integrity, square_root
 from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
 from bench.navigation.classic.navigator import R3, Nav
 from bench.navigation.estimator import load
-from tests.register import course
+from tests.register import course, equations
 from tests.register.course import DEG, G0, GRADES
 from tests.weaving import IMU, units, weaving
 
@@ -48,7 +48,7 @@ def moved(nav, x):
 
 
 def slope(y, w_b, a_b, figure):
-    return np.concatenate([np.ravel(r) for r in navigator.rates(nav_of(y), w_b, a_b, figure(y[0], y[2]))])
+    return np.concatenate([np.ravel(r) for r in equations.rates(nav_of(y), w_b, a_b, figure(y[0], y[2]))])
 
 
 def error_rate(nav, x, w_b, a_b, figure):
@@ -72,10 +72,10 @@ def differences(nav, w_b, a_b, figure):
     return (np.transpose(ends[0]) - np.transpose(ends[1])) / (2 * np.diag(steps))
 
 
-@pytest.mark.parametrize("figure", [navigator.sphere, navigator.ellipsoid])
+@pytest.mark.parametrize("figure", [equations.sphere, navigator.ellipsoid])
 def test_18_f_is_the_jacobian_of_the_mechanization(figure):
     """G1: every element within 1e-4 of central differences, or 1e-6 of what its row does."""
-    nav = Nav(0.9, 0.3, 9000.0, np.array([150.0, -140.0, 7.0]), navigator.body_to_enu(2.4, 0.1, 0.3))
+    nav = Nav(0.9, 0.3, 9000.0, np.array([150.0, -140.0, 7.0]), equations.body_to_enu(2.4, 0.1, 0.3))
     a_b, w_b = np.array([0.7, 9.9, 0.4]), np.array([0.01, -0.02, 0.03])
     earth = figure(nav.lat, nav.h)
     F, D = error_dynamics.dynamics_matrix(nav, nav.B @ a_b, earth), differences(nav, w_b, a_b, figure)
@@ -96,16 +96,16 @@ def test_18_f_is_the_jacobian_of_the_mechanization(figure):
 def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
     """The effect test of A-5.1.10: below 0.05 m; f6,3 with the printed sign misses by tens of metres."""
     V, course_, h = 228.0, 0.8, 9000.0
-    B = navigator.body_to_enu(course_, 0.0, 0.0)
+    B = equations.body_to_enu(course_, 0.0, 0.0)
     V_n = V * np.array([math.sin(course_), math.cos(course_), 0.0])
     eps, da = np.full(3, 0.01 * DEG / 3600), np.full(3, 5e-6 * G0)
     x0 = np.concatenate([[10, -10, 5, 0.1, 0.1, 0.1, 2e-5, 2e-5, 1e-4], eps, da])
 
     def sensed(lat):
         """Rate and specific force that keep V and B constant at a latitude."""
-        earth = navigator.sphere(lat, h)
+        earth = equations.sphere(lat, h)
         still = Nav(lat, 0.0, h, V_n, B)
-        (lat_rate, lon_rate, _), V_rate, _ = navigator.rates(still, np.zeros(3), np.zeros(3), earth)
+        (lat_rate, lon_rate, _), V_rate, _ = equations.rates(still, np.zeros(3), np.zeros(3), earth)
         turn = EARTH_RATE + lon_rate
         w_in = np.array([-lat_rate, turn * math.cos(lat), turn * math.sin(lat)])
         return lat_rate, lon_rate, B.T @ w_in, B.T @ -V_rate, earth, still
@@ -116,7 +116,7 @@ def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
             F = error_dynamics.dynamics_matrix(still, B @ a_b, earth)
             if misprint:
                 F[5, 2] = -F[5, 2]
-            computed = slope(y[2:17], w_b + eps, a_b + da, navigator.sphere)
+            computed = slope(y[2:17], w_b + eps, a_b + da, equations.sphere)
             return np.concatenate([[lat_rate, lon_rate], computed, F @ y[17:32]])
 
         here = Nav(0.8, 0.2, h, V_n, B)
@@ -137,17 +137,17 @@ def test_19_three_attitude_parametrizations_are_one():
     def rate(t, y):
         lat, lon, x, delta = y[0], y[1], y[2:17], y[17:20]  # delta_u drives nothing
         earth = navigator.ellipsoid(lat, 9000.0)
-        nav = Nav(lat, lon, 9000.0, v, navigator.body_to_enu(0.9, 0.02, 0.0))
+        nav = Nav(lat, lon, 9000.0, v, equations.body_to_enu(0.9, 0.02, 0.0))
         F = error_dynamics.dynamics_matrix(nav, [0.0, 0.0, earth.g], earth)
         lon_rate = v[0] / (earth.r1 * math.cos(lat))
-        eps = error_dynamics.equatorial_matrix(lat) @ nav.B @ eps_b
+        eps = equations.equatorial_matrix(lat) @ nav.B @ eps_b
         x = np.concatenate([x[:9], eps_b, np.zeros(3)])
         return np.concatenate(
             [
                 [v[1] / earth.r2, lon_rate],
                 F @ x,
-                error_dynamics.delta_rate(lon_rate, delta, eps),
-                -error_dynamics.inertial_matrix(EARTH_RATE * t + lon) @ eps,
+                equations.delta_rate(lon_rate, delta, eps),
+                -equations.inertial_matrix(EARTH_RATE * t + lon) @ eps,
             ]
         )
 
@@ -155,17 +155,17 @@ def test_19_three_attitude_parametrizations_are_one():
     lat, lon = 0.7, 0.4
     x0 = np.concatenate([[50.0, -80.0, 20.0, 0.1, 0.2, 0.01], alpha0, np.zeros(6)])
     turned = np.array([80.0, 50.0 * math.cos(lat), 50.0 * math.sin(lat)]) / R3
-    delta0 = error_dynamics.equatorial_matrix(lat) @ (alpha0 - turned)
-    assert_allclose(error_dynamics.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
-    y0 = np.concatenate([[lat, lon], x0, delta0, error_dynamics.inertial_matrix(lon) @ delta0])
+    delta0 = equations.equatorial_matrix(lat) @ (alpha0 - turned)
+    assert_allclose(equations.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
+    y0 = np.concatenate([[lat, lon], x0, delta0, equations.inertial_matrix(lon) @ delta0])
     end = solve_ivp(rate, (0, 5000), y0, rtol=3e-14, atol=1e-18, method="DOP853").y[:, -1]
     lat, lon = end[0], end[1]
-    of_delta = error_dynamics.alpha_of_delta(lat, end[2], end[3], end[17:20])
-    back = error_dynamics.inertial_matrix(EARTH_RATE * 5000 + lon).T @ end[20:23]
+    of_delta = equations.alpha_of_delta(lat, end[2], end[3], end[17:20])
+    back = equations.inertial_matrix(EARTH_RATE * 5000 + lon).T @ end[20:23]
     assert np.abs(of_delta - end[8:11]).max() < 1e-15
     assert np.abs(back - end[17:20]).max() < 1e-15
     assert np.abs(end[8:11]).max() > 1e-4  # of which there is much
-    printed = error_dynamics.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
+    printed = equations.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
     assert np.abs(printed - end[8:11]).max() > 1e-5  # delta_zeta of the printed sign
 
 
@@ -291,7 +291,7 @@ def test_35_g_s_with_12_columns_and_with_6_give_one_q():
     """A-5.4.2: Markov and jump noise apart (34 noises) or merged (28)."""
     decay = process_model.gnss_decay(GRADES["3"], 200.0, 1.0)
     merged, apart = (
-        g(GRADES["3"], decay, 1.5, 1.0, True) for g in (process_model.gnss_noise, process_model.gnss_noise_12)
+        g(GRADES["3"], decay, 1.5, 1.0, True) for g in (process_model.gnss_noise, equations.gnss_noise_12)
     )
     assert (merged.shape, apart.shape) == ((6, 6), (6, 12))
     assert_allclose(merged @ merged.T, apart @ apart.T, rtol=1e-14)
@@ -637,8 +637,8 @@ def test_43_the_table_of_correction_periods(limit, start, gyro, accel, period, p
     e, b = gyro * DEG / 3600, accel * G0
     found = integrity.correction_period(limit * DEG, start * DEG, e, b)
     assert found == pytest.approx(period, rel=5e-4)
-    assert integrity.attitude_bound(found, start * DEG, e, b) == pytest.approx(limit * DEG, rel=1e-9)
-    as_printed = integrity.attitude_bound(printed, start * DEG, e, b) - start * DEG
+    assert equations.attitude_bound(found, start * DEG, e, b) == pytest.approx(limit * DEG, rel=1e-9)
+    as_printed = equations.attitude_bound(printed, start * DEG, e, b) - start * DEG
     assert as_printed == pytest.approx(limit * DEG, rel=5e-3)
 
 

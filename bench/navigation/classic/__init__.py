@@ -55,13 +55,7 @@ class Classic22:
         self.options = read_options(ClassicOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate position, velocity, attitude, sensor errors and their covariance.
-
-        Raises
-        ------
-        ValueError
-            If no datasheet of a sensor with data is assumed.
-        """
+        """Estimate position, velocity, attitude, sensor errors and their covariance."""
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")

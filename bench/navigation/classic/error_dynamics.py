@@ -1,4 +1,4 @@
-"""The error equations of the inertial navigator: A-5.1.9 to A-5.1.13."""
+"""The error equations of the inertial navigator: A-5.1.9 to A-5.1.11."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def dynamics_matrix(nav: Nav, a: ArrayLike, earth: Earth) -> FloatArray:
     """Return F (15, 15) of the inertial states (A-5.1.10), ``a`` the specific force east, north, up [m/s^2].
 
     The elements of the register with R1 + h in the east rows and R2 + h in the north rows, and what the
-    change of the radii with latitude adds; on :func:`sphere` these are the register's own.
+    change of the radii with latitude adds; on a sphere these are the register's own.
     """
     s, c = math.sin(nav.lat), math.cos(nav.lat)
     tan = s / c
@@ -88,29 +88,3 @@ def noise_matrix(B: FloatArray, process: ArrayLike, gyro: float, accel: float) -
     G[6:9, 15:18] = -gyro * B
     G[3:6, 18:21] = accel * B
     return G
-
-
-def equatorial_matrix(lat: float) -> FloatArray:
-    """Return Q (3, 3): east, north, up to the moving equatorial axes xi, eta (pole), zeta (A-5.1.1Q)."""
-    s, c = math.sin(lat), math.cos(lat)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
-
-
-def alpha_of_delta(lat: float, dR_E: float, dR_N: float, delta: ArrayLike) -> FloatArray:
-    """Return alpha (3,) of the equatorial attitude error delta and the reduced position errors (A-5.1.12)."""
-    turned = np.array([-dR_N, dR_E * math.cos(lat), dR_E * math.sin(lat)]) / R3
-    alpha: FloatArray = equatorial_matrix(lat).T @ np.asarray(delta, float) + turned
-    return alpha
-
-
-def delta_rate(lon_rate: float, delta: ArrayLike, eps: ArrayLike) -> FloatArray:
-    """Return d/dt of delta (3,) for gyro errors ``eps`` in the moving equatorial axes (A-5.1.12b)."""
-    d, e = np.asarray(delta, float), np.asarray(eps, float)
-    turn = EARTH_RATE + lon_rate
-    return np.array([-turn * d[2] - e[0], -e[1], turn * d[0] - e[2]])
-
-
-def inertial_matrix(angle: float) -> FloatArray:
-    """Return the matrix (3, 3) from moving equatorial to inertial axes, ``angle`` = u t + lon (A-5.1.13)."""
-    s, c = math.sin(angle), math.cos(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -1,4 +1,4 @@
-"""The inertial navigator in east, north, up: A-5.1.1 to A-5.1.4, and its correction A-5.4.8 to A-5.4.9."""
+"""The inertial navigator in east, north, up: A-5.1.2 to A-5.1.4, and its correction A-5.4.8 to A-5.4.9."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from bench import rotation
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
 
@@ -49,25 +47,6 @@ def ellipsoid(lat: float, h: float) -> Earth:
     )
 
 
-def sphere(lat: float, h: float) -> Earth:
-    """Return the source's sphere of radius R3 with g = g_e (1 + beta sin^2 lat)(1 - 2 h / R3) (A-5.1.6)."""
-    s, c = math.sin(lat), math.cos(lat)
-    g_e, beta = 9.7803253359, 0.0053024  # equations 1.6 and A-5.1.6
-    surface, height = g_e * (1.0 + beta * s * s), 1.0 - 2.0 * h / R3
-    return Earth(
-        r1=R3 + h,
-        r2=R3 + h,
-        r1_lat=0.0,
-        r2_lat=0.0,
-        g_n=0.0,
-        g=surface * height,
-        g_n_lat=0.0,
-        g_n_h=0.0,
-        g_lat=2.0 * beta * g_e * s * c * height,
-        g_h=-2.0 * surface / R3,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Nav:
     """What the inertial navigator knows."""
@@ -77,50 +56,6 @@ class Nav:
     h: float  # ellipsoidal [m]
     V: FloatArray  # (3,) east, north, up [m/s]
     B: FloatArray  # (3, 3) body (forward, up, right) to east, north, up
-
-
-def body_to_enu(heading: float, pitch: float, roll: float) -> FloatArray:
-    """Return B (3, 3) of heading (clockwise from north), pitch and roll [rad] (A-5.1.1)."""
-    sp, cp = math.sin(heading), math.cos(heading)
-    st, ct = math.sin(pitch), math.cos(pitch)
-    sg, cg = math.sin(roll), math.cos(roll)
-    return np.array(
-        [
-            [sp * ct, cp * sg - sp * cg * st, cp * cg + sp * sg * st],
-            [cp * ct, -sp * sg - cp * cg * st, -sp * cg + cp * sg * st],
-            [st, cg * ct, -sg * ct],
-        ]
-    )
-
-
-def rates(
-    nav: Nav, w_b: ArrayLike, a_b: ArrayLike, earth: Earth
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return d/dt of (lat, lon, h), of V and of B: the equations the navigator integrates.
-
-    Parameters
-    ----------
-    nav : Nav
-        Where it is.
-    w_b, a_b : (3,) arrays
-        Inertial rate [rad/s] and specific force [m/s^2], body.
-    earth : Earth
-        Radii and gravity there.
-    """
-    s, c, tan = math.sin(nav.lat), math.cos(nav.lat), math.tan(nav.lat)
-    v_e, v_n, v_h = nav.V
-    lat_rate, lon_rate = v_n / earth.r2, v_e / (earth.r1 * c)  # A-5.1.2
-    dn = np.array(  # A-5.1.4
-        [
-            v_e * v_h / earth.r1 - v_e * v_n * tan / earth.r1 + 2 * EARTH_RATE * (v_h * c - v_n * s),
-            v_n * v_h / earth.r2 + v_e**2 * tan / earth.r1 + 2 * EARTH_RATE * v_e * s,
-            -(v_e**2) / earth.r1 - v_n**2 / earth.r2 - 2 * EARTH_RATE * v_e * c,
-        ]
-    )
-    V_rate = nav.B @ np.asarray(a_b, float) - dn + [0.0, earth.g_n, -earth.g]
-    w_in = np.array([-lat_rate, (EARTH_RATE + lon_rate) * c, (EARTH_RATE + lon_rate) * s])
-    B_rate = nav.B @ rotation.skew(w_b) - rotation.skew(w_in) @ nav.B  # A-5.1.3
-    return np.array([lat_rate, lon_rate, v_h]), V_rate, B_rate
 
 
 def mechanize(nav: Nav, dt: float, turn: Vector, dvel: Vector) -> tuple[Nav, FloatArray]:
@@ -146,11 +81,8 @@ def mechanize(nav: Nav, dt: float, turn: Vector, dvel: Vector) -> tuple[Nav, Flo
 
     lat_rate, lon_rate = m_n / r2, m_e / (r1 * c)  # and at its middle
     w_e, w_n, w_h = -lat_rate, (2 * EARTH_RATE + lon_rate) * c, (2 * EARTH_RATE + lon_rate) * s
-    z_e, z_n, z_h = (
-        -lat_rate * dt,
-        (EARTH_RATE + lon_rate) * c * dt,
-        (EARTH_RATE + lon_rate) * s * dt,
-    )  # turn of the triad
+    turned = (EARTH_RATE + lon_rate) * dt
+    z_e, z_n, z_h = -lat_rate * dt, turned * c, turned * s  # turn of the triad
     u_e = v_e + a_e - 0.5 * (z_n * a_h - z_h * a_n) - dt * (w_n * m_h - w_h * m_n)
     u_n = v_n + a_n - 0.5 * (z_h * a_e - z_e * a_h) - dt * (w_h * m_e - w_e * m_h - g_n)
     u_h = v_h + a_h - 0.5 * (z_e * a_n - z_n * a_e) - dt * (w_e * m_n - w_n * m_e + g)

@@ -35,11 +35,8 @@ class Sigmas:
     lambda_s: float  # decay of the position's Markov part by distance [1/m]
     lambda_st: float  # and by time [1/s]
     lambda_v: float  # decay of the velocity's Markov part [1/s]
-    jump_white: Vector = (
-        0.0,
-        0.0,
-        0.0,
-    )  # sigma_dRs, sigma_dHs [m], sigma_dVs [m/s] at a new set of satellites
+    # of a fix at a new set of satellites
+    jump_white: Vector = (0.0, 0.0, 0.0)  # sigma_dRs, sigma_dHs [m], sigma_dVs [m/s]
     jump_markov: Vector = (0.0, 0.0, 0.0)  # sigma_dRc, sigma_dHc [m], sigma_dVc [m/s]
 
 
@@ -90,18 +87,6 @@ def gnss_noise(sig: Sigmas, decay: FloatArray, east: float, north: float, jump: 
     q = np.sqrt(1.0 - decay**2)
     unit = np.array([east, north, 1.0, 1.0, 1.0, 1.0])
     return np.diag(np.hypot(q * per_axis(sig.markov), float(jump) * per_axis(sig.jump_markov)) * unit)
-
-
-def gnss_noise_12(sig: Sigmas, decay: FloatArray, east: float, north: float, jump: bool) -> FloatArray:
-    """Return G_S (6, 12) with Markov and jump noise apart: the 34 noises of the published blocks."""
-    q = np.sqrt(1.0 - decay**2)
-    unit = np.array([east, north, 1.0, 1.0, 1.0, 1.0])
-    return np.hstack(
-        [
-            np.diag(q * per_axis(sig.markov) * unit),
-            np.diag(float(jump) * per_axis(sig.jump_markov) * unit),
-        ]
-    )
 
 
 def per_axis(figures: Vector) -> FloatArray:
