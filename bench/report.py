@@ -10,6 +10,7 @@ import numpy as np
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
 from bench.specs import ImuSpec
+from bench.store import check_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,9 +27,10 @@ _TITLES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 
 
 def check_picture(path: Path) -> None:
-    """Raise ConfigError if a path does not end in .png, .svg or .pdf."""
+    """Raise ConfigError if a path does not end in .png, .svg or .pdf, or cannot be written."""
     if path.suffix not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: must end in .png, .svg or .pdf")
+    check_file(path)
 
 
 def draw_allan(path: Path, measured: AllanResult) -> None:

@@ -142,6 +142,8 @@ def _read_satellites(
     files = ephemerides.merge_navigation(
         [ephemerides.read_navigation(beside / f, f) for f in table.navigation]
     )
+    if files.lost:
+        raise ConfigError(*files.reasons)
     gps, glonass = files.kepler.shift_origin(midnight), files.glonass.shift_origin(midnight)
     for system, name, t, oldest in (
         ("gps", "GPS", gps.t, _GPS_STALE),

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bench import earth
-from bench.arrays import FloatArray
-from bench.data import GnssFixes
+from bench.arrays import BoolArray, FloatArray
+from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
 from bench.errors import ConfigError
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.exchange.rinex.observations import ObservationFile, read_observations
@@ -27,13 +28,22 @@ _HEADER = (
 )
 
 
+_MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is a few cm/s; assumed [m/s]
+_MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
+
+
 @dataclass(frozen=True, slots=True)
 class RinexFixes:
-    """An observation file, its fixes, and the dilution of precision of the satellites used."""
+    """An observation file, its fixes, the dilution of precision of the satellites used, and remarks.
+
+    ``notes`` are lines for a person: what is left out of the files, why there is no fix, and why the fixes
+    are not compared with the position in the header.
+    """
 
     observations: ObservationFile
     solution: receiver.ReceiverSolution
     dop: least_squares.Dop
+    notes: tuple[str, ...] = ()
 
     @property
     def fixes(self) -> GnssFixes:
@@ -49,6 +59,19 @@ class RinexFixes:
     def day(self) -> str:
         """The date of the first epoch, ISO 8601, GPS time."""
         return _format_day(self.observations.origin + self.observations.t[0])
+
+    @property
+    def moving(self) -> bool:
+        """Whether the receiver moves: by an event in the file, its speed, or the spread of its fixes."""
+        good = self.fixes.valid
+        if self.observations.moving or not good.any():
+            return self.observations.moving
+        speed = np.linalg.norm(self.fixes.vel_n[good], axis=1)
+        if np.isfinite(speed).any():
+            return bool(np.nanmedian(speed) > _MOVING_SPEED)
+        pos_e = earth.to_ecef(self.fixes.lla[good])
+        far = np.linalg.norm(pos_e - np.median(pos_e, axis=0), axis=1)
+        return bool(np.percentile(far, 95) > _MOVING_SPREAD)
 
     def errors(self) -> FloatArray:
         """Return fix minus antenna position (header position plus antenna offset) (M, 3) [m], n.
@@ -68,16 +91,18 @@ class RinexFixes:
     def figures(self) -> dict[str, Any]:
         """Return counts, medians and 95 % quantiles; names end in the unit.
 
-        Errors are relative to the position in the header of the file.
+        Errors are relative to the position in the header of the file; there are none if the receiver moves.
         """
         raw, fixes, good = self.observations, self.fixes, self.fixes.valid
         figures: dict[str, Any] = {"epochs": len(fixes), "fixes": int(good.sum())}
+        if raw.lost:
+            figures["epochs_left_out"] = raw.lost
         if not good.any():
             return figures
         figures["satellites_median"] = float(np.median(fixes.satellites[good]))
         figures["hdop_median"] = float(np.median(self.dop.h[good]))
         figures["vdop_median"] = float(np.median(self.dop.v[good]))
-        if raw.approximate_e is not None and raw.approximate_e.any():
+        if raw.approximate_e is not None and raw.approximate_e.any() and not self.moving:
             error = self.errors()[good]
             horizontal, vertical = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
             for name, values in (("horizontal", horizontal), ("vertical", vertical)):
@@ -156,7 +181,52 @@ def solve_rinex(
         )
     solution = receiver.solve_fixes(seen, processing)
     dop = least_squares.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
-    return RinexFixes(raw, solution, dop)
+    solved = RinexFixes(raw, solution, dop)
+    notes = [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris")]
+    if not solved.fixes.valid.any():
+        notes.append(f"no fix: {_explain_no_fix(seen, processing)}")
+    elif solved.moving and raw.approximate_e is not None:
+        notes.append("the receiver moves: its fixes are not compared with the position in the header")
+    return replace(solved, notes=tuple(notes))
+
+
+def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:
+    """Return a line for each part of a file that is left out, and one that counts those not listed."""
+    more = file.lost - len(file.reasons)
+    lines = [f"{part} left out: {reason}" for reason in file.reasons]
+    return [*lines, f"{part} left out: {more} more"] if more else lines
+
+
+def _explain_no_fix(seen: GnssObservations, processing: receiver.Processing) -> str:
+    """Return why no epoch has a fix: the first condition that leaves too few satellites."""
+
+    def count_most(rows: ArrayLike) -> int:
+        total = np.concatenate([[0], np.cumsum(rows)])
+        return int((total[seen.epoch_start[1:]] - total[seen.epoch_start[:-1]]).max())
+
+    rows = np.isfinite(seen.pseudorange).any(axis=1)
+    chosen = rows & np.isfinite(seen.sat_clock)
+    wanted: BoolArray = np.full(len(seen), True)
+    if processing.systems in ("gps", "glonass"):
+        wanted = seen.system == (GPS if processing.systems == "gps" else GLONASS)
+    ranges = receiver.correct_pseudoranges(seen, processing)
+    free = processing.ionosphere == "free"
+    carriers = "two carriers (--ionosphere klobuchar needs one)" if free else "the first carrier"
+    needed = 3 + len(np.unique(seen.system[rows & wanted])) if (rows & wanted).any() else 4
+    for kept, condition in (
+        (rows, "a pseudorange"),
+        (rows & wanted, f"a pseudorange of --systems {processing.systems}"),
+        (chosen & wanted, "a healthy ephemeris of the hour"),
+        (chosen & wanted & np.isfinite(ranges), f"a pseudorange on {carriers}"),
+    ):
+        if (most := count_most(kept)) < needed:
+            return f"no epoch has {needed} satellites with {condition}; the most are {most}"
+    low = receiver.solve_fixes(seen, replace(processing, mask=-np.pi / 2))
+    most = count_most(low.used & (-low.los_n[:, 2] > np.sin(processing.mask)))
+    if low.fixes.valid.any() and most < needed:
+        mask = f"{np.rad2deg(processing.mask):g} deg"
+        return f"no epoch has {needed} satellites above the mask, {mask}; the most are {most}"
+    return "the measurements of no epoch agree with one position"
 
 
 def _format_days(nav: NavigationFile) -> str:

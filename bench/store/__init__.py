@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
-from bench.store.folders import check_folder, make_folder
+from bench.store.folders import check_file, check_folder, make_folder
 from bench.store.provenance import hash_spec, provenance
 from bench.store.results import (
     RECORDING,
@@ -31,6 +31,7 @@ __all__ = [
     "add_solution",
     "cached_summary",
     "cached_truth",
+    "check_file",
     "check_folder",
     "hash_spec",
     "join_pieces",

@@ -41,6 +41,16 @@ def check_folder(folder: Path, *, force: bool, replaceable: bool | None = None) 
         raise ConfigError(f"{folder}: no folder can be made in {above}: {error.strerror}") from None
 
 
+def check_file(path: Path) -> None:
+    """Raise ConfigError if a file cannot be written under a path; call it before the work."""
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigError(f"{path}: cannot be written: permission denied")
+
+
 @contextlib.contextmanager
 def make_folder(folder: Path, *, force: bool = False) -> Iterator[Path]:
     """Provide a temporary folder beside the wanted one; it gets the name if everything succeeds.

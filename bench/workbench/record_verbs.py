@@ -73,6 +73,8 @@ def solve_fixes(
 
     ``options`` are those of `bench.api.solve_rinex`; ``datum`` is that of the positions in ``out``.
     """
+    if out is not None:
+        store.check_file(out)
     solved = api.solve_rinex(observations, navigation, **options)
     figures = solved.figures()
     table = Table("", "")
@@ -80,6 +82,8 @@ def solve_fixes(
         table.add_row(name, f"{value:.3f}" if isinstance(value, float) else str(value))
     console.print(f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs")
     console.print(table)
+    for note in solved.notes:
+        console.print(note, soft_wrap=True)
     if out is not None:
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")

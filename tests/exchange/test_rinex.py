@@ -7,6 +7,7 @@ CDDIS (via RTKLIB), in tests/data/gnss.
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -320,7 +321,6 @@ OBSERVATIONS = {
     "version": (broken(OBS_3, 1, "3.05", "4.00"), "line 1: version 4 must be 2 or 3"),
     "kind": (NAV_2, "line 1: is a navigation file, not an observation file"),
     "binary": (OBS_3[:200] + "\0" + OBS_3[200:], "has a zero byte"),
-    "long": (OBS_3 + "G" * 5000, "line 16: is longer than 4096 characters"),
     "header": (first_lines(OBS_3, 5), "line 5: the file ends before END OF HEADER"),
     "types": (broken(OBS_3, 4, "G    4", "G    5"), "lists 4 of 5 observables"),
     "too many types": (
@@ -328,22 +328,26 @@ OBSERVATIONS = {
         "line 4: lists 4 observables where 3 are announced",
     ),
     "no epoch": (first_lines(OBS_3, 7), "file: has no epoch"),
+    "scale": (OBS_3.replace("MARKER NAME", "SYS / SCALE FACTOR"), "line 2: observations with a scale factor"),
+    "only epoch": (first_lines(OBS_3, 10), "has no epoch that can be read; line 10: the file ends before"),
+}
+
+EPOCHS = {
+    "long": (OBS_3 + "G" * 5000 + "\n", "line 16: is longer than 4096 characters"),
     "value": (
         broken(OBS_3, 9, "20947300.931", "2O947300.931"),
         "line 9: an observation must be a number; got '2O947300.931'",
     ),
-    "satellite": (broken(OBS_3, 9, "G05", "Gxx"), "line 9: the satellite must be a whole number; got 'xx'"),
-    "cut": (first_lines(OBS_3, 10), "line 10: the file ends before satellite 3 of 3 of the epoch"),
+    "satellite": (broken(OBS_3, 9, "G05", "Gxx"), "line 9: the number of a satellite must be a whole number"),
+    "cut": (first_lines(OBS_3, 14), "line 14: the file ends before satellite 1 of 1 of the epoch"),
     "too few": (broken(OBS_3, 8, "0  3", "0  4"), "line 12: the epoch above has 3 of 4 satellites"),
+    "too many": (broken(OBS_3, 8, "0  3", "0  2"), "line 11: the epoch has more lines than its satellites"),
     "count": (broken(OBS_3, 8, "0  3", "0999"), "line 8: 999 satellites in one epoch are outside 0 to 200"),
     "date": (broken(OBS_3, 8, "2020 06 25", "2020 06 35"), "line 8: 2020-6-35 is not a date"),
     "hour": (broken(OBS_3, 8, "25 00 00", "25 25 00"), "line 8: 25:0:0 is not a time of day"),
-    "back": (
-        broken(OBS_3, 14, "00 01 00.0010000", "00 00 00.0000000"),
-        "line 14: the epoch is 0 s after the one above it",
-    ),
-    "no marker": (broken(OBS_3, 8, ">", "!"), "line 8: an epoch must begin with '>'"),
-    "scale": (OBS_3.replace("MARKER NAME", "SYS / SCALE FACTOR"), "line 2: observations with a scale factor"),
+    "no marker": (broken(OBS_3, 8, ">", "!"), "line 8: an epoch must begin here; got"),
+    "zero byte": (broken(OBS_3, 9, "G05", "G\0005"), "line 9: has a zero byte"),
+    "superscript": (broken(OBS_3, 9, "G05", "G0\xb2"), "line 9: the number of a satellite must be"),
 }
 
 
@@ -356,6 +360,143 @@ def test_a_broken_observation_file_gets_one_line(tmp_path, case):
     assert said in caught.value.messages[0]
     assert caught.value.messages[0].startswith("file: ")
     assert "\n" not in caught.value.messages[0]
+
+
+@pytest.mark.parametrize("case", EPOCHS)
+def test_a_broken_epoch_is_left_out_and_reported_with_its_line(tmp_path, case):
+    text, said = EPOCHS[case]
+    raw = observations.read_observations(written(tmp_path, text))
+    assert raw.lost == len(raw.reasons) == 1
+    assert raw.reasons[0].startswith(f"file: {said}")
+    assert len(raw.t) == 1
+    assert raw.epoch_start.tolist() == [0, len(raw.sat)]
+    first = case in ("cut", "long")  # else the second one is left
+    assert (raw.t.tolist(), len(raw.sat)) == (([0.0], 2) if first else ([60.001], 1))
+
+
+def minutes(*epochs):
+    """Return a file with an epoch at each minute."""
+    head, body = (
+        OBS_3[: OBS_3.index("> 2020")],
+        "> 2020 06 25 00 {:02d} 00.0000000  0  1\nG{:02d}  20947301.931\n",
+    )
+    return head + "".join(body.format(m, k + 1) for k, m in enumerate(epochs))
+
+
+@pytest.mark.parametrize(
+    ("epochs", "kept"),
+    [
+        ((0, 1, 1, 2), (0, 1, 3)),  # twice: the first
+        ((0, 1, 2, 0, 3), (0, 1, 2, 4)),
+        ((0, 50, 1, 2, 3), (0, 2, 3, 4)),  # one far ahead: not all that follow
+        ((50, 0, 1, 2), (1, 2, 3)),
+    ],
+)
+def test_only_the_epochs_whose_time_does_not_fit_are_lost(tmp_path, epochs, kept):
+    raw = observations.read_observations(written(tmp_path, minutes(*epochs)))
+    assert raw.t.tolist() == [60.0 * (epochs[k] - epochs[kept[0]]) for k in kept]
+    assert raw.sat.tolist() == [k + 1 for k in kept]
+    (lost,) = set(range(len(epochs))) - set(kept)
+    assert raw.reasons == (
+        f"file: line {8 + 2 * lost}: the time of the epoch does not fit between those around it",
+    )
+
+
+def cut_japan(edit):
+    """Return the first ten epochs of a real file, edited by a function of (line number from 0, line)."""
+    lines = gnss_file(JAPAN[0]).read_text(encoding="latin-1").splitlines()[: 17 + 10 * 9]
+    return "".join(f"{edit(k, line)}\n" for k, line in enumerate(lines))
+
+
+def test_a_real_file_with_broken_epochs_keeps_the_others(tmp_path):
+    """RINEX 2 has no mark at an epoch: the next one is found by its form."""
+    whole = observations.read_observations(written(tmp_path, cut_japan(lambda k, line: line)))
+    text = cut_japan(lambda k, line: "gone" if k == 30 else line).replace("gone\n", "")
+    text = broken(broken(text, 20, "24361933", "24361x33"), 35, "8G 3", "9G 3")
+    raw = observations.read_observations(written(tmp_path, text))
+    assert raw.lost == 3
+    assert [int(reason.split("line ")[1].split(":")[0]) for reason in raw.reasons] == [20, 35, 44]
+    assert raw.t.tolist() == whole.t[3:].tolist()
+    assert_allclose(raw.pseudorange, whole.pseudorange[24:])
+
+
+def test_the_code_is_chosen_for_each_satellite_and_epoch(tmp_path):
+    """P2 is in the header, but only satellites 3 and 7 have it; the others have C2."""
+
+    def edit(k, line):
+        if k == 11:
+            return line.replace("L2    P2", "P2    C2")
+        if k < 17 or line.startswith(" 05"):
+            return line
+        has = (k - 17) % 9 in (1, 2)
+        return line[:32] + line[48:64].ljust(16) if has else line[:32] + 16 * " " + line[48:]
+
+    path = written(tmp_path, cut_japan(edit))
+    expected = observations.read_observations(written(tmp_path, cut_japan(lambda k, line: line), "whole"))
+    assert_allclose(observations.read_observations(path).pseudorange, expected.pseudorange)
+    assert bench.solve_rinex(path, gnss_file(JAPAN[1]), ionosphere="free").figures()["fixes"] == 10
+
+
+@pytest.mark.parametrize(
+    ("edit", "options", "why"),
+    [
+        (lambda k, line: line[:48], {"ionosphere": "free"}, "on two carriers"),
+        (
+            lambda k, line: line,
+            {"mask_deg": 60.0},
+            "no epoch has 4 satellites above the mask, 60 deg; the most are 1",
+        ),
+        (lambda k, line: line, {"systems": "glonass"}, "of --systems glonass; the most are 0"),
+        (
+            lambda k, line: line if k < 4 else "",
+            {},
+            "no epoch has 4 satellites with a pseudorange; the most are 3",
+        ),
+        (lambda k, line: line.replace("2", "9"), {}, "the measurements of no epoch agree with one position"),
+    ],
+)
+def test_no_fix_has_a_reason(tmp_path, edit, options, why):
+    """``edit`` gets the number of the satellite in its epoch and its line."""
+
+    def change(k, line):
+        return line if k < 17 or line.startswith(" 05") else edit((k - 17) % 9, line)
+
+    solved = bench.solve_rinex(written(tmp_path, cut_japan(change)), gnss_file(JAPAN[1]), **options)
+    assert solved.figures()["fixes"] == 0
+    assert why in solved.notes[-1]
+
+
+def test_a_receiver_that_moves_is_not_compared_with_the_header(tmp_path):
+    """By the event "antenna starts to move"; by fixes 15 m apart every 30 s; by their speed."""
+    rest = cut_japan(lambda k, line: line)
+    solved = bench.solve_rinex(written(tmp_path, rest), gnss_file(JAPAN[1]))
+    assert (solved.moving, solved.notes) == (False, ())
+    assert "horizontal_median_m" in solved.figures()
+    fixes = solved.fixes
+    event = f"{28 * ' '}2  1\n{'A CAR':60}COMMENT\n"
+    told = rest.replace(" 05  4  2  0  0 30", event + " 05  4  2  0  0 30")
+    lla = fixes.lla + np.outer(np.arange(10), [15.0 / 6.4e6, 0.0, 0.0])
+    still = solved.solution
+    for found in (
+        bench.solve_rinex(written(tmp_path, told), gnss_file(JAPAN[1])),
+        replace(solved, solution=still._replace(fixes=replace(fixes, lla=lla))),
+        replace(solved, solution=still._replace(fixes=replace(fixes, vel_n=np.ones((10, 3))))),
+    ):
+        assert found.moving
+        assert found.figures()["fixes"] == 10
+        assert "horizontal_median_m" not in found.figures()
+    found = bench.solve_rinex(written(tmp_path, told), gnss_file(JAPAN[1]))
+    assert found.notes == ("the receiver moves: its fixes are not compared with the position in the header",)
+
+
+def test_a_place_that_cannot_be_written_is_found_before_the_work(tmp_path, capsys):
+    there = tmp_path / "none" / "fixes.csv"
+    assert main(["fixes", "no.obs", "no.nav", "-o", str(there)]) == 2
+    assert capsys.readouterr().err == f"error: {there}: there is no folder {there.parent}\n"
+    assert main(["fixes", "no.obs", "no.nav", "-o", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
+    assert main(["allan", "stim300", "-o", str(tmp_path / "none" / "a.png")]) == 2
+    assert "there is no folder" in capsys.readouterr().err
 
 
 NAVIGATION = {
@@ -409,6 +550,18 @@ def test_a_broken_almanac_gets_one_line(tmp_path, case):
         almanac.read_yuma(written(tmp_path, text), 0.0)
     assert len(caught.value.messages) == 1
     assert said in caught.value.messages[0]
+
+
+def test_a_broken_record_of_a_navigation_file_is_left_out(tmp_path):
+    bad = broken(NAV_2, 5, "0.135910103563D-02", "0.13591O103563D-02")
+    nav = ephemerides.read_navigation(
+        written(tmp_path, bad + first_lines(NAV_2, 10).split("HEADER\n")[1].replace(" 1 12", " 2 12"))
+    )
+    assert nav.kepler.sat.tolist() == [2]
+    assert (nav.lost, nav.reasons) == (
+        1,
+        ("file: line 5: a value must be a number; got '0.13591O103563D-02' in columns 23-41",),
+    )
 
 
 def test_what_is_no_file_gets_one_line(tmp_path):

@@ -1,7 +1,11 @@
-"""Read RINEX navigation files: the broadcast ephemerides of GPS and GLONASS."""
+"""Read RINEX navigation files: the broadcast ephemerides of GPS and GLONASS.
+
+A damaged record is left out and reported with its line number.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +18,9 @@ from bench.exchange.rinex.lines import Lines, check_version, leap_seconds, open_
 from bench.signals.orbits import GLONASS as STATE
 from bench.signals.orbits import KEPLER, WEEK, GlonassSets, KeplerSets
 
+_HEADS = {2: re.compile(r" ?\d"), 3: re.compile(r"[A-Z][ \d]\d")}
+"""Version -> how the first line of a record begins."""
+
 
 @dataclass(frozen=True, slots=True)
 class NavigationFile:
@@ -23,6 +30,8 @@ class NavigationFile:
     kepler: KeplerSets
     glonass: GlonassSets
     klobuchar: FloatArray | None  # (8,) alpha, beta
+    lost: int = 0  # number of records that are left out because they are damaged
+    reasons: tuple[str, ...] = ()  # why the first of them are, with line numbers
 
 
 def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
@@ -38,7 +47,7 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
     Raises
     ------
     ConfigError
-        If the file is malformed, truncated or empty: one line with file and line number.
+        If the header is malformed or no record can be read: one line with file and line number.
     """
     shown = path.name if shown is None else shown
     with open_lines(path, shown) as lines:
@@ -46,17 +55,23 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
         alpha, beta, leap = _read_header(lines)
         kepler: list[list[float]] = []
         glonass: list[list[float]] = []
-        while (line := lines.read_line()) is not None:
-            if not line.strip():
-                continue
-            system = line[0] if version == 3 else ("R" if kind[0] == "G" else "G")
-            record = _read_record(lines, line, version, system)
-            if record is not None and system == "G":
-                kepler.append(_convert_kepler(lines, record))
-            elif record is not None:
-                glonass.append(_convert_glonass(lines, record, leap))
+        while True:
+            try:
+                if (line := lines.read_line()) is None:
+                    break
+                if not line.strip():
+                    continue
+                system = line[0] if version == 3 else ("R" if kind[0] == "G" else "G")
+                record = _read_record(lines, line, version, system)
+                if record is not None and system == "G":
+                    kepler.append(_convert_kepler(lines, record))
+                elif record is not None:
+                    glonass.append(_convert_glonass(lines, record, leap))
+            except ConfigError as error:
+                lines.report(error)
+                lines.skip_to(_HEADS[version])
     if not kepler and not glonass:
-        raise ConfigError(f"{shown}: has no GPS or GLONASS ephemeris in it")
+        raise lines.describe_nothing("GPS or GLONASS ephemeris")
     k = np.array(kepler, float).reshape(-1, 2 + len(KEPLER))
     g = np.array(glonass, float).reshape(-1, 3 + len(STATE))
     return NavigationFile(
@@ -66,6 +81,8 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
             g[:, 0].astype(np.int64), g[:, 1] == 0, g[:, 2].astype(np.int64), np.ascontiguousarray(g[:, 3:])
         ),
         klobuchar=np.array(alpha + beta) if alpha is not None and beta is not None else None,
+        lost=lines.lost,
+        reasons=tuple(lines.reasons),
     )
 
 
@@ -207,4 +224,6 @@ def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:
             *(np.concatenate([getattr(f.glonass, n) for f in files]) for n in GlonassSets.__slots__)
         ),
         klobuchar=next((f.klobuchar for f in files if f.klobuchar is not None), None),
+        lost=sum(file.lost for file in files),
+        reasons=tuple(reason for file in files for reason in file.reasons),
     )

@@ -15,6 +15,7 @@ from bench.errors import ConfigError
 from bench.signals.orbits import DAY
 
 LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
+_MOST_REASONS = 20
 _EPOCH = date(1980, 1, 6)
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
 
@@ -35,7 +36,10 @@ class Lines:
         self._file, self.shown = file, shown
         self._again: str | None = None
         self.number = 0
-        self.size = 0
+        self.lost = 0
+        """Number of parts of the file that are left out."""
+        self.reasons: list[str] = []
+        """Why the first of them are left out."""
 
     def read_line(self) -> str | None:
         """Return the next line without its end, None at the end of the file."""
@@ -47,8 +51,9 @@ class Lines:
         if not line:
             return None
         self.number += 1
-        self.size += len(line)
         if len(line) > LONGEST:
+            while line and not line.endswith("\n"):
+                line = self._file.readline(LONGEST)
             raise self.error(f"is longer than {LONGEST} characters: not a RINEX file")
         if "\0" in line:
             raise self.error("has a zero byte: not a text file (unpack compressed files first)")
@@ -65,6 +70,31 @@ class Lines:
         """Put the last line back, so that it is read again."""
         self._again = line
         self.number -= 1
+
+    def skip_to(self, head: re.Pattern[str]) -> None:
+        """Skip the lines before the next one that matches, or to the end of the file."""
+        while True:
+            try:
+                line = self.read_line()
+            except ConfigError:
+                continue
+            if line is not None and head.match(line):
+                self.put_back(line)
+            if line is None or head.match(line):
+                return
+
+    def report(self, error: ConfigError) -> None:
+        """Count a part of the file that is left out, and keep why."""
+        self.lost += 1
+        if len(self.reasons) < _MOST_REASONS:
+            self.reasons.append(error.messages[0])
+
+    def describe_nothing(self, part: str) -> ConfigError:
+        """Return the error for a file without any whole part, such as an epoch."""
+        if not self.reasons:
+            return ConfigError(f"{self.shown}: has no {part} in it")
+        reason = self.reasons[0].removeprefix(f"{self.shown}: ")
+        return ConfigError(f"{self.shown}: has no {part} that can be read; {reason}")
 
     def error(self, message: str, number: int | None = None) -> ConfigError:
         """Return a ConfigError that names a line, by default the current one."""
