@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from math import radians
 from pathlib import Path
@@ -306,9 +305,9 @@ def export_run(
     # "." and ".." are not usable as a name
     beside = folder.resolve() if folder.name in ("", "..") else folder
     out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
-    exports.check_export_folder(out, force=force)
+    store.check_folder(out, force=force, kind=store.EXPORT)
     outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
-    with store.make_folder(out, force=force) as partial:
+    with store.make_folder(out, force=force, kind=store.EXPORT) as partial:
         exports.write(partial, kind, outgoing, folder.resolve().name)
     return out
 
@@ -374,8 +373,7 @@ def score_solution(
     score = scoring.score(Path(solution), folder, label, t_0, longest)
     if out is not None:
         with store.make_folder(Path(out), force=force) as partial:
-            without = shutil.ignore_patterns(store.RECORDING)
-            shutil.copytree(folder, partial, dirs_exist_ok=True, ignore=without)
+            store.copy_results(folder, partial)
             store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
     return score
 

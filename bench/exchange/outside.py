@@ -15,7 +15,6 @@ import signal
 import stat
 import string
 import subprocess
-import tempfile
 import threading
 import time
 from dataclasses import replace
@@ -33,6 +32,7 @@ from bench.exchange.exports.column_files import write as write_tables
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
+from bench.scratch import make_scratch
 from bench.specs import EstimatorChoice
 from bench.store import make_start_document
 
@@ -102,17 +102,17 @@ class CommandEstimator:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Run the program; return its solution at ``sensors.output_t``, or NaN and an event "failed"."""
-        with tempfile.TemporaryDirectory(prefix="bench-outside-", ignore_cleanup_errors=True) as scratch:
-            folder = Path(scratch) / "sensors"
+        with make_scratch() as scratch:
+            folder = scratch / "sensors"
             folder.mkdir()
             document = make_start_document(sensors, initial)
             out = ExportData(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
             write_tables(folder, out, "csv")
             np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
-            solution = Path(scratch) / "solution.csv"
+            solution = scratch / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]
-            ended, stderr, status = self._run_program(arguments, Path(scratch), solution)
+            ended, stderr, status = self._run_program(arguments, scratch, solution)
             events: list[EventRow] = [(0.0, 0.0, PROGRAM, ended)]
             if stderr:
                 events.append((0.0, 0.0, STDERR, stderr))

@@ -42,8 +42,6 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
     if not _LABEL.fullmatch(label):
         raise ConfigError(f"--label {label!r} must be a name of letters, digits, '-', '_' and '.'")
-    if not (folder / store.RESULT).is_file():
-        raise ConfigError(f"{folder}: not a results folder, there is no {store.RESULT} in it")
     for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")

@@ -22,7 +22,7 @@ from typing import IO
 
 from bench.data import Trajectory
 from bench.errors import FlightError
-from bench.flight.executive import SCRATCH
+from bench.scratch import make_scratch
 from bench.specs import FlightSpec, ScriptSpec
 
 PATIENCE = 60.0
@@ -65,8 +65,8 @@ def fly_in_child(
     FlightError
         What the child raised, or that it ended or went silent.
     """
-    with tempfile.TemporaryDirectory(prefix=SCRATCH) as scratch:
-        answer_file, trouble = Path(scratch) / "answer", Path(scratch) / "trouble"
+    with make_scratch() as scratch:
+        answer_file, trouble = scratch / "answer", scratch / "trouble"
         command = [sys.executable, "-c", _START.format(path=sys.path)]
         with (
             trouble.open("wb") as stderr,

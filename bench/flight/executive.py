@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import re
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,12 +23,10 @@ from bench.flight.model_files import (
     read_xml,
     write_xml,
 )
+from bench.scratch import PREFIX, make_scratch
 from bench.specs import AircraftSpec, ScriptSpec, stream
 
-SCRATCH = "bench-flight-"
-"""What the names of folders begin with that are deleted again."""
-
-_SCRATCH_PATH = re.compile(rf"[^\s\"'<>]*/{SCRATCH}[^/\s]*/")
+_SCRATCH_PATH = re.compile(rf"[^\s\"'<>]*/{re.escape(PREFIX)}[^/\s]*/")
 _PROPERTY = re.compile(r"[A-Za-z0-9_/.\[\]-]+")
 _THROTTLE = "guidance/throttle-cmd-norm"
 _CONTROLS = ("system", "autopilot", "flight_control")
@@ -57,8 +54,7 @@ def load_aircraft(aircraft: AircraftSpec, dt: float) -> Any:
             find_property(fdm, name).set_double_value(value)
         return bool(fdm.run_ic())  # a property that does not exist shows only here
 
-    with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
-        scratch = Path(folder)
+    with make_scratch() as scratch:
         copy = scratch / "aircraft" / aircraft.name
         model = copy_aircraft(aircraft.name, aircraft.folder, copy)
         if not aircraft.guided:
@@ -85,8 +81,7 @@ def load_script(spec: ScriptSpec, dt: float) -> Any:
         When it is missing, unsafe or JSBSim cannot read it.
     """
     what = f"script {spec.name}"
-    with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
-        scratch = Path(folder)
+    with make_scratch() as scratch:
         copy = scratch / "scripts" / "script.xml"
         script = copy_script(spec.path, copy)
         if spec.duration is None and not script.length <= LONGEST_SCRIPT:

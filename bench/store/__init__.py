@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
-from bench.store.folders import check_file, check_folder, make_folder
+from bench.store.folders import EXPORT, check_file, check_folder, make_folder
 from bench.store.provenance import hash_spec, provenance
 from bench.store.results import (
     RECORDING,
     RESULT,
     TRUTH,
     add_solution,
+    copy_results,
     list_solutions,
     load,
     load_observations,
     load_sensors,
     load_solution,
     load_truth,
+    read_summary,
     save,
     to_json,
     write_json,
@@ -24,6 +26,7 @@ from bench.store.start import START, load_start, make_start_document, read_assum
 from bench.store.truth_cache import cached_summary, cached_truth, join_pieces, truth_key, truth_pieces
 
 __all__ = [
+    "EXPORT",
     "RECORDING",
     "RESULT",
     "START",
@@ -33,6 +36,7 @@ __all__ = [
     "cached_truth",
     "check_file",
     "check_folder",
+    "copy_results",
     "hash_spec",
     "join_pieces",
     "list_solutions",
@@ -47,6 +51,7 @@ __all__ = [
     "provenance",
     "read_assumed_specs",
     "read_initial_state",
+    "read_summary",
     "save",
     "to_arrow",
     "to_json",

@@ -1,42 +1,56 @@
-"""Folders for results: an existing one is replaced only on request, and only if bench wrote it."""
+"""Folders that bench writes: they bear its mark, and only such a folder is replaced, on request."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import bench
 from bench.errors import ConfigError
-from bench.store.results import RESULT
+from bench.scratch import make_scratch, set_aside
+
+MARK = ".bench.json"
+"""File that marks a folder as written by bench: version, kind, and the names of all files written."""
+
+RESULTS, EXPORT = "results folder", "export"
+"""Kinds of folders."""
+
+_LONGEST = "x" * 150  # no file in a folder has a longer name [characters]
 
 
-def check_folder(folder: Path, *, force: bool, replaceable: bool | None = None) -> None:
-    """Raise ConfigError if results cannot be written to a folder; call it before anything is flown.
+def check_folder(folder: Path, *, force: bool, kind: str = RESULTS) -> None:
+    """Raise ConfigError if a folder of this kind cannot be written; call it before anything is flown.
 
-    ``replaceable`` says whether the present content may be replaced; None: if it is a results folder.
+    With ``force``, a folder of the same kind may be replaced if every file in it was written by bench.
     """
+    here = Path.cwd()
     try:
-        folder.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except OSError as error:  # a name too long, a folder above that may not be searched
-        raise ConfigError(f"{folder}: no folder can be made there: {error.strerror}") from None
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            (folder / _LONGEST).stat()
+        whole = folder.resolve()
+    except (OSError, RuntimeError) as error:  # a name too long, a folder that may not be searched, a loop
+        reason = getattr(error, "strerror", None) or "a symbolic link leads to itself"
+        raise ConfigError(f"{folder}: no folder can be made there: {reason}") from None
+    if folder.is_symlink():
+        raise ConfigError(f"{folder}: a symbolic link; name the folder itself")
+    if whole == here or whole in here.parents:
+        raise ConfigError(f"{folder}: the present folder is not replaced, nor one that contains it")
     if folder.is_dir():
-        empty = not any(folder.iterdir())
-        if not force and not empty:
-            what = "results folder" if replaceable is None else "folder"
-            raise ConfigError(f"{folder}: the {what} exists; --force replaces it, -o names another")
-        if replaceable is False and not empty:
-            raise ConfigError(f"{folder}: not replaced, it is not an export")
-        if replaceable is None and not empty and not (folder / RESULT).is_file():
-            raise ConfigError(f"{folder}: not replaced, it is not a results folder (no {RESULT} in it)")
-    elif folder.exists() or folder.is_symlink():
-        raise ConfigError(f"{folder}: a file is there; a results folder needs a name that is free")
+        if os.path.ismount(folder):
+            raise ConfigError(f"{folder}: a mount point cannot be replaced; name a folder in it")
+        if any(folder.iterdir()):
+            _check_own(folder, kind)
+            if not force:
+                raise ConfigError(f"{folder}: the {kind} exists; --force replaces it, -o names another")
+    elif folder.exists():
+        raise ConfigError(f"{folder}: a file is there; a {kind} needs a name that is free")
     above = next(place for place in folder.absolute().parents if place.exists())
     try:
-        tempfile.TemporaryDirectory(dir=above).cleanup()
+        with make_scratch(above):
+            pass
     except OSError as error:
         raise ConfigError(f"{folder}: no folder can be made in {above}: {error.strerror}") from None
 
@@ -51,37 +65,61 @@ def check_file(path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written: permission denied")
 
 
-@contextlib.contextmanager
-def make_folder(folder: Path, *, force: bool = False) -> Iterator[Path]:
-    """Provide a temporary folder beside the wanted one; it gets the name if everything succeeds.
+def _check_own(folder: Path, kind: str) -> None:
+    """Raise ConfigError unless a folder is of this kind and bench wrote every file in it."""
+    refused = f"{folder}: not replaced"
+    try:
+        mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        written, found = {*mark["files"], MARK}, mark["kind"]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        raise ConfigError(f"{refused}, bench did not write it (no {MARK} of bench in it)") from None
+    if found != kind:
+        raise ConfigError(f"{refused}, it is no {kind}")
+    foreign = [name for name in _list_names(folder) if name not in written]
+    if foreign:
+        raise ConfigError(f"{refused}, bench did not write {foreign[0]} in it; move it away or use -o")
 
-    After an exception, Ctrl-C included, it is removed, and what was under the name is still there.
+
+def _list_names(folder: Path) -> list[str]:
+    """Return everything in a folder and its folders, relative to it."""
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+@contextlib.contextmanager
+def make_folder(folder: Path, *, force: bool = False, kind: str = RESULTS) -> Iterator[Path]:
+    """Provide a temporary folder beside the wanted one; marked, it gets the name if everything succeeds.
+
+    After an exception, Ctrl-C included, it is removed, and what was under the name is still there; after
+    ``kill -9`` the next run does the same.
 
     Raises
     ------
     ConfigError
-        If another run made the folder meanwhile; with ``force`` it is replaced.
+        If the folder was made or changed meanwhile and must not be replaced.
     OSError
         If the folder cannot be written.
     """
+    missing = [place for place in folder.absolute().parents if not place.exists()]
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(
-            prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
-        ) as scratch:
-            partial, old = Path(scratch) / "new", Path(scratch) / "old"
+        with make_scratch(folder.parent) as scratch:
+            partial = scratch / "new"
             partial.mkdir()
             yield partial
+            mark = {"bench": bench.__version__, "kind": kind, "files": _list_names(partial)}
+            (partial / MARK).write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
             if folder.exists():
-                if not force and any(folder.iterdir()):
-                    raise ConfigError(f"{folder}: the results folder was made by another run; not replaced")
-                folder.rename(old)
-            try:
-                partial.rename(folder)
-            except BaseException:
-                if old.exists():
-                    old.rename(folder)
-                raise
-    except OSError as error:
-        what = os.strerror(error.errno) if error.errno else str(error)
-        raise OSError(error.errno, f"{what}; nothing was written", str(folder)) from error
+                if any(folder.iterdir()):
+                    _check_own(folder, kind)
+                    if not force:
+                        raise ConfigError(f"{folder}: the {kind} was made by another run; not replaced")
+                set_aside(scratch, folder)
+            partial.rename(folder)
+    except BaseException as error:
+        for place in missing:
+            with contextlib.suppress(OSError):  # it was not made, or holds something else
+                place.rmdir()
+        if isinstance(error, OSError):
+            what = os.strerror(error.errno) if error.errno else str(error)
+            raise OSError(error.errno, f"{what}; nothing was written", str(folder)) from error
+        raise

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+import bench
 from bench.data import (
     AirData,
     Controls,
@@ -34,6 +36,9 @@ from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
+
+FORMAT = 1
+"""Number of the layout of a results folder; a change that an older bench cannot read raises it."""
 
 RESULT = "result.json"
 RECORDING = "flight.rrd"
@@ -75,7 +80,7 @@ def save(folder: Path, result: RunResult) -> None:
     for label, errors in result.errors.items():
         parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
     summary = {name: getattr(result, name) for name in _SUMMARY}
-    write_json(folder / RESULT, {**summary, **result.more})
+    write_json(folder / RESULT, {"format": FORMAT, **summary, **result.more})
 
 
 _SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
@@ -110,11 +115,29 @@ def add_solution(
     OSError
         If the file cannot be written.
     """
-    summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    summary = read_summary(folder)
     _save_solution(folder, label, solution)
     parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
     summary["metrics"][label] = metrics
-    write_json(folder / RESULT, summary)
+    write_json(folder / RESULT, {"format": FORMAT, **summary})
+
+
+def copy_results(folder: Path, to: Path) -> None:
+    """Copy the files of a results folder into another folder, without its recording and without other files.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read or written.
+    """
+    for path in folder.iterdir():
+        if path.is_file() and any(path.match(pattern) for pattern in _FILES):
+            shutil.copy2(path, to / path.name)
+
+
+_TABLES = ("truth", "sensors", "solution", "events", "innovations", "errors")
+_FILES = (RESULT, START, TRUTH, *(f"{kind}-*.parquet" for kind in _TABLES))
+"""Names of the files of a results folder besides its recording."""
 
 
 def _save_solution(folder: Path, label: str, solution: NavSolution) -> None:
@@ -140,11 +163,11 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
 
     Raises
     ------
-    FileNotFoundError
-        If the folder is not a results folder.
+    ConfigError
+        If the folder is not a results folder of bench, or is one of a newer bench.
     """
     folder = Path(folder)
-    summary = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    summary = read_summary(folder)
     return RunResult(
         **{name: summary.pop(name) for name in _SUMMARY},
         errors={label: _load_errors(path) for label, path in _find_files(folder, "errors")},
@@ -152,6 +175,36 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
         more=summary,
         records=FolderRecords(folder),
     )
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Read ``result.json`` of a results folder, without the number of its format.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is not a results folder of bench, or is one of a newer bench.
+    """
+    path = folder / RESULT
+    try:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        layout = summary.pop("format", 1)
+        missing = [name for name in _SUMMARY if name not in summary]
+        written_by = summary.get("provenance", {}).get("versions", {}).get("bench", "?")
+    except OSError as error:
+        absent = isinstance(error, FileNotFoundError | NotADirectoryError)
+        what = f"there is no {RESULT} in it" if absent else f"{RESULT}: {error.strerror}"
+        raise ConfigError(f"{folder}: not a results folder, {what}; 'bench run' writes one") from None
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise ConfigError(f"{path}: not written by bench, or damaged") from None
+    if not isinstance(layout, int) or layout > FORMAT:
+        raise ConfigError(
+            f"{folder}: written by bench {written_by} in format {layout}; this is bench {bench.__version__}, "
+            f"which reads formats up to {FORMAT}"
+        )
+    if missing:
+        raise ConfigError(f"{path}: not written by bench, it has no {missing[0]!r}")
+    return summary
 
 
 class FolderRecords(Mapping[str, Any]):

@@ -110,7 +110,7 @@ def measure_allan(
 def export_run(folder: Path, *, console: Console, **options: Any) -> None:
     """Export a run and print the names of the files; options as for `bench.api.export_run`."""
     out = api.export_run(folder, **options)
-    names = sorted(path.name for path in out.iterdir())
+    names = sorted(path.name for path in out.glob("[!.]*"))
     console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
 
 

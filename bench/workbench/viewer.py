@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.errors import ConfigError, ViewerError
-from bench.store import RECORDING, RESULT
+from bench.store import RECORDING, RESULT, read_summary
 from bench.workbench.flight_verbs import RUNS
 
 _LOCAL = "127.0.0.1"
@@ -70,6 +70,7 @@ def find_recording(folder: Path | None) -> Path:
         if not results:
             raise ConfigError(f"{RUNS}: no recording in any folder; 'bench run figure-eight' makes one")
         folder = max(results, key=lambda path: path.stat().st_mtime).parent
+    read_summary(folder)
     recording = folder / RECORDING
     if not recording.is_file():
         raise ConfigError(f"{folder}: no {RECORDING} in it; 'bench run' without --no-rrd writes one")

@@ -230,9 +230,9 @@ WRONG = [
         ["run", "short.toml", "-o", "a" * 300],
         f"error: {'a' * 300}: no folder can be made there: File name too long",
     ),
-    (["run", "short.toml", "-o", ".", "--force"], "error: .: not replaced, it is not a results folder"),
+    (["run", "short.toml", "-o", ".", "--force"], "error: .: the present folder is not replaced"),
     (["view"], "error: runs: no recording in any folder; 'bench run figure-eight' makes one"),
-    (["view", "x"], "error: x: no flight.rrd in it"),
+    (["view", "x"], "error: x: not a results folder, there is no result.json"),
     (["check", "--baselines", "x"], "error: x: no baseline"),
 ]
 
@@ -488,11 +488,16 @@ def test_a_terminated_run_ends_like_an_interrupted_one(here):
 # --- the viewer ---------------------------------------------------------------------------------------
 
 
+def write_summary(folder: Path) -> None:
+    names = ("profile", "seed", "run", "metrics", "provenance")
+    (folder / "result.json").write_text(json.dumps({key: {} for key in names}))
+
+
 def test_view_takes_the_newest_recording(here):
     for age, name in enumerate(("b", "c", "a")):
         folder = here / "runs" / name
         folder.mkdir(parents=True)
-        (folder / "result.json").touch()
+        write_summary(folder)
         os.utime(folder / "result.json", (1e9 - age, 1e9 - age))
         if name != "b":
             (folder / "flight.rrd").touch()
@@ -518,6 +523,7 @@ def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):
 
 def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
     (here / "runs/a").mkdir(parents=True)
+    write_summary(here / "runs/a")
     (here / "runs/a/flight.rrd").touch()
     monkeypatch.setattr(viewer, "_find_viewer", lambda: Path("/bin/false"))
     status, _, err = say(capsys, "view", "runs/a", "--web")

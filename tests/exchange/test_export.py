@@ -77,7 +77,7 @@ def test_tables_hold_every_bit_of_the_records(run, export, kind):
 
 def test_truth_and_solutions_go_out_only_when_asked_for(export):
     names = {path.name for path in export("csv").iterdir()}
-    assert names == {"README.md", "start.json", "imu.csv", "gnss.csv", "baro.csv"}
+    assert names == {".bench.json", "README.md", "start.json", "imu.csv", "gnss.csv", "baro.csv"}
 
 
 def test_matlab_structures(run, export):
@@ -421,15 +421,15 @@ def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_pat
     capsys.readouterr()
     assert (
         complaint(capsys, *to, "-o", out)
-        == f"error: {out}: the folder exists; --force replaces it, -o names another\n"
+        == f"error: {out}: the export exists; --force replaces it, -o names another\n"
     )
     assert main([*to, "-o", out, "--force"]) == 0
     capsys.readouterr()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "README.md").write_text("# Mine\n")
     err = complaint(capsys, *to, "-o", str(tmp_path / "mine"), "--force")
-    assert err == f"error: {tmp_path / 'mine'}: not replaced, it is not an export\n"
-    assert "the folder cannot be" not in err
+    where = tmp_path / "mine"
+    assert err == f"error: {where}: not replaced, bench did not write it (no .bench.json of bench in it)\n"
     err = complaint(capsys, *to, "-o", str(run[0]), "--force")
     assert "not replaced" in err
     assert store.load(run[0]).seed == 4

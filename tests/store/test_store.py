@@ -8,6 +8,7 @@ import errno
 import json
 import math
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -260,25 +261,150 @@ def test_a_failure_leaves_nothing_behind(tmp_path, failure):
     assert list(tmp_path.iterdir()) == []
 
 
+def fill(folder: Path, name: str, *, force: bool = False, kind: str = "results folder") -> None:
+    with store.make_folder(folder, force=force, kind=kind) as partial:
+        (partial / name).touch()
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
 def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
     folder = tmp_path / "one"
-    folder.mkdir()
-    (folder / "old").touch()
-    with pytest.raises(BenchError, match="another run"), store.make_folder(folder):
-        pass
-    assert [path.name for path in folder.iterdir()] == ["old"]
+    fill(folder, "old")
+    with pytest.raises(BenchError, match="another run"):
+        fill(folder, "new")
     with pytest.raises(OSError, match="full"), store.make_folder(folder, force=True):
         raise OSError("full")
-    assert [path.name for path in folder.iterdir()] == ["old"]
-    with store.make_folder(folder, force=True) as partial:
-        (partial / "new").touch()
-    assert [path.name for path in folder.iterdir()] == ["new"]
+    assert names(folder) == [".bench.json", "old"]
+    fill(folder, "new", force=True)
+    assert names(folder) == [".bench.json", "new"]
+    assert json.loads((folder / ".bench.json").read_text()) == {
+        "bench": bench.__version__,
+        "kind": "results folder",
+        "files": ["new"],
+    }
     assert list(tmp_path.iterdir()) == [folder]
 
 
-def test_a_folder_without_result_is_not_loaded(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"result\.json"):
-        store.load(tmp_path)
+FOREIGN = {
+    "no mark": (lambda folder: (folder / ".bench.json").unlink(), "bench did not write it (no .bench.json"),
+    "a mark of others": (lambda folder: (folder / ".bench.json").write_text("[1]"), "bench did not write it"),
+    "a file": (lambda folder: (folder / "notes.txt").touch(), "bench did not write notes.txt in it"),
+    "a folder": (lambda folder: (folder / "mine").mkdir(), "bench did not write mine in it"),
+    "a file below": (
+        lambda folder: (folder / "sub" / "b").write_text("b"),
+        "bench did not write sub/b in it",
+    ),
+    "a link": (lambda folder: (folder / "link").symlink_to("result.json"), "bench did not write link in it"),
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_a_folder_that_is_not_all_of_bench_is_never_replaced(tmp_path, what):
+    """A file named result.json makes no results folder; what a user put into one is not deleted with it."""
+    folder = tmp_path / "one"
+    with store.make_folder(folder) as partial:
+        (partial / "result.json").touch()
+        (partial / "sub").mkdir()
+        (partial / "sub" / "a").touch()
+    store.check_folder(folder, force=True)
+    change, reason = FOREIGN[what]
+    change(folder)
+    before = sorted(folder.rglob("*"))
+    for force in (False, True):
+        with pytest.raises(BenchError, match=re.escape(f"{folder}: not replaced, {reason}")):
+            store.check_folder(folder, force=force)
+        with pytest.raises(BenchError, match="not replaced"):
+            fill(folder, "new", force=force)
+    assert sorted(folder.rglob("*")) == before
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_results_and_exports_do_not_replace_each_other(tmp_path):
+    fill(tmp_path / "one", "a", kind="export")
+    with pytest.raises(BenchError, match="not replaced, it is no results folder"):
+        store.check_folder(tmp_path / "one", force=True)
+    store.check_folder(tmp_path / "one", force=True, kind="export")
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_the_flight(tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    (here / "file").touch()
+    (here / "empty").mkdir()
+    (here / "link").symlink_to("empty")
+    (here / "nowhere").symlink_to("absent")
+    (here / "loop").symlink_to("loop")
+    wrong = {
+        ".": "the present folder is not replaced",
+        "..": "the present folder is not replaced, nor one that contains it",
+        "link": "a symbolic link",
+        "nowhere": "a symbolic link",
+        "loop": "Too many levels of symbolic links",
+        "file": "a file is there",
+        "file/a": "no folder can be made in",
+        "/proc": "a mount point",
+        "/proc/a": "no folder can be made in /proc",
+        "x" * 256: "File name too long",
+        "/".join(["x" * 200] * 20): "File name too long",
+    }
+    for name, reason in wrong.items():
+        for force in (False, True):
+            with pytest.raises(BenchError, match=f"{re.escape(name)}: .*{re.escape(reason)}") as caught:
+                store.check_folder(Path(name), force=force)
+            assert "\n" not in str(caught.value)
+    for name in ("empty", "new", "new/er", "x" * 255):
+        store.check_folder(Path(name), force=False)
+        fill(Path(name), "a")
+    assert names(here) == sorted(["file", "empty", "link", "nowhere", "loop", "new", "x" * 255])
+
+
+def test_a_failure_takes_back_the_folders_above(tmp_path):
+    (tmp_path / "a").mkdir()
+    with pytest.raises(KeyboardInterrupt), store.make_folder(tmp_path / "a" / "b" / "c"):
+        raise KeyboardInterrupt
+    assert list((tmp_path / "a").iterdir()) == []
+
+
+def test_only_results_of_a_bench_not_newer_are_read(saved):
+    path = saved / "result.json"
+    text = path.read_text()
+    summary = json.loads(text)
+    assert summary["format"] == 1
+    assert summary["provenance"]["versions"]["bench"] == "0"
+    wrong = {
+        "[]": "not written by bench",
+        "{": "not written by bench",
+        '{"metrics": {}}': "not written by bench",
+        "[" * 100_000: "not written by bench",
+        json.dumps(
+            {**summary, "format": 2}
+        ): f"written by bench 0 in format 2; this is bench {bench.__version__}",
+        json.dumps({key: value for key, value in summary.items() if key != "seed"}): "it has no 'seed'",
+    }
+    for content, reason in wrong.items():
+        path.write_text(content)
+        with pytest.raises(BenchError, match=reason) as caught:
+            store.load(saved)
+        assert "\n" not in str(caught.value)
+    path.unlink()
+    for folder in (saved, saved / "absent", saved / "truth.parquet"):
+        with pytest.raises(BenchError, match=r"not a results folder, .* result\.json"):
+            store.load(folder)
+
+
+def test_a_copy_of_results_holds_only_files_of_bench(saved, tmp_path):
+    (saved / "notes.txt").touch()
+    (saved / "flight.rrd").touch()
+    (tmp_path / "copy").mkdir()
+    store.copy_results(saved, tmp_path / "copy")
+    assert names(tmp_path / "copy") == [
+        name for name in names(saved) if name not in ("notes.txt", "flight.rrd", ".bench.json")
+    ]
+    store.load(tmp_path / "copy")
 
 
 def test_provenance_names_what_can_move_a_number():

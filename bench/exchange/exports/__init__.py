@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from bench.exchange.exports.gather import gather, report_damage
 from bench.exchange.exports.outgoing import FRAMES, ExportData
-from bench.store import check_folder
 
 
 class Format(NamedTuple):
@@ -36,15 +35,7 @@ FORMATS: Mapping[str, Format] = dict(_find_formats())
 """Name of a format -> the format."""
 
 README = "README.md"
-_TITLE = "Export of"
 _WIDTH = 110
-
-
-def check_export_folder(folder: Path, *, force: bool) -> None:
-    """Raise ConfigError if an export cannot be written to a folder; only an earlier export is replaced."""
-    readme = folder / README
-    replaceable = readme.is_file() and readme.read_bytes()[:80].startswith(f"# {_TITLE} ".encode())
-    check_folder(folder, force=force, replaceable=replaceable)
 
 
 def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
@@ -59,7 +50,7 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     """
     description = FORMATS[kind].write(folder, outgoing, kind)
     clock = f"Time t is in seconds since the start of the run; where a date is needed, {outgoing.calendar}."
-    text = _fill_paragraphs(f"# {_TITLE} {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
+    text = _fill_paragraphs(f"# Export of {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")
 
 
@@ -91,7 +82,6 @@ __all__ = [
     "README",
     "ExportData",
     "Format",
-    "check_export_folder",
     "gather",
     "report_damage",
     "write",

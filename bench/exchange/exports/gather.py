@@ -27,13 +27,10 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
 
     Raises
     ------
-    ExportError
+    ConfigError, ExportError
         If the folder is not a results folder, is damaged, or has no such track.
     """
-    if not (folder / store.RESULT).is_file():
-        raise ExportError(
-            f"{folder}: not a results folder, there is no {store.RESULT} in it; 'bench run' writes one"
-        )
+    store.read_summary(folder)
     with report_damage(folder):
         imu, fixes, instruments = store.load_sensors(folder)
         start = store.load_start(folder)

@@ -1,0 +1,108 @@
+"""Temporary folders that are removed even if their process is killed: then by the next run.
+
+A process holds a lock (flock) on each of its folders, which the kernel releases when the process ends. So a
+folder without a lock has lost its process, whatever process has its number now. The name of a folder holds a
+code of the machine, because a lock may not be visible from another one; folders of other machines stay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import secrets
+import shutil
+import sys
+import tempfile
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+if sys.platform != "win32":
+    import fcntl
+
+PREFIX = ".bench-scratch-"
+"""What the names of temporary folders begin with."""
+
+_UNLOCKED = ".bench-unlocked-"  # a folder has this name until its lock is held
+_ASIDE, _NAME = "old", "name"  # a folder that `set_aside` moved, and a file with its name
+
+
+@contextlib.contextmanager
+def make_scratch(place: Path | None = None) -> Iterator[Path]:
+    """Provide a temporary folder in a folder, by default in that of the system for temporary files.
+
+    It is removed at the end. Folders that killed processes left in the same place are removed first.
+    """
+    place = Path(tempfile.gettempdir()) if place is None else place
+    remove_abandoned(place)
+    code = secrets.token_hex(8)
+    unlocked, folder = place / f"{_UNLOCKED}{code}", place / f"{PREFIX}{_identify_machine()}-{code}"
+    lock: int | None = None
+    try:
+        unlocked.mkdir(0o700)
+        lock = lock_folder(unlocked)
+        unlocked.rename(folder)
+        yield folder
+    finally:
+        try:
+            _end(unlocked, folder, lock)
+        except KeyboardInterrupt:  # once more, because it came while this was under way
+            _end(unlocked, folder, lock)
+            raise
+
+
+def set_aside(scratch: Path, folder: Path) -> None:
+    """Move a folder that is beside a temporary one into it.
+
+    When the temporary folder is removed, it is moved back if nothing has its name by then.
+    """
+    (scratch / _NAME).write_text(folder.name, encoding="utf-8")
+    folder.rename(scratch / _ASIDE)
+
+
+def remove_abandoned(place: Path) -> None:
+    """Remove the temporary folders in a folder whose processes were killed on this machine."""
+    with contextlib.suppress(OSError):  # not there, or not readable
+        for folder in place.glob(f"{PREFIX}{_identify_machine()}-*"):
+            lock = lock_folder(folder)
+            if lock is not None:
+                _end(folder, folder, lock)
+
+
+def lock_folder(folder: Path, *, shared: bool = False) -> int | None:
+    """Lock a folder and return an open file descriptor; None if another process has locked it.
+
+    The lock ends when the descriptor is closed. None as well if the file system has no locks.
+    """
+    if sys.platform == "win32":
+        return None
+    descriptor = None
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except OSError:
+        if descriptor is not None:
+            os.close(descriptor)
+        return None
+    return descriptor
+
+
+def _end(unlocked: Path, folder: Path, lock: int | None) -> None:
+    """Move back what was set aside, remove the folder, and release its lock."""
+    aside = folder / _ASIDE
+    if aside.exists():
+        home = folder.parent / (folder / _NAME).read_text(encoding="utf-8")
+        if not home.exists():
+            aside.rename(home)
+    for path in (unlocked, folder):
+        shutil.rmtree(path, ignore_errors=True)
+    if lock is not None:
+        with contextlib.suppress(OSError):  # closed already
+            os.close(lock)
+
+
+def _identify_machine() -> str:
+    """Return a code of this machine: of its name and network address."""
+    return hashlib.sha256(f"{platform.node()} {uuid.getnode():x}".encode()).hexdigest()[:8]
