@@ -7,6 +7,7 @@ them, so an error-free navigator returns it exactly and every error left is one 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bench import rotation
 from bench.data import AirData, Controls, Trajectory, no_events
@@ -54,10 +55,14 @@ def units(imu: ImuSpec = IMU, gnss: GnssSpec | None = GNSS, baro: BaroSpec | Non
     )
 
 
-def weaving(duration: float, rate: float = 200.0, straight_from: float = np.inf) -> Trajectory:
+def weaving(
+    duration: float, rate: float = 200.0, straight_from: float = np.inf, wind_n: ArrayLike | None = None
+) -> Trajectory:
     """Bank swings to 30 deg and back each minute, pitch and thrust swing faster; 47 deg north, 25 m/s.
 
-    From ``straight_from`` on, a whole number of minutes, it flies straight.
+    From ``straight_from`` on, a whole number of minutes, it flies straight. Pitch and thrust turn the
+    velocity away from the nose in time; with a wind [m/s], n, they are left out, and the nose points where
+    the aircraft moves through the air.
     """
     n = round(duration * rate)
     t = np.arange(n + 1) / rate
@@ -67,13 +72,14 @@ def weaving(duration: float, rate: float = 200.0, straight_from: float = np.inf)
     bank = 30 * DEG * np.sin(swing * middle) * moving
     roll_rate = 30 * DEG * swing * np.cos(swing * middle) * moving
     turn_rate = 9.81 / 25.0 * np.tan(bank)
-    pitch_rate = 2 * DEG * np.sin(0.9 * middle) * moving
+    swings = moving * (wind_n is None)
+    pitch_rate = 2 * DEG * np.sin(0.9 * middle) * swings
     w_b = np.column_stack([roll_rate, turn_rate * np.sin(bank) + pitch_rate, turn_rate * np.cos(bank)])
-    along, across = 0.5 * np.cos(0.5 * middle) * moving, 0.1 * np.sin(middle) * moving
+    along, across = 0.5 * np.cos(0.5 * middle) * swings, 0.1 * np.sin(middle) * swings
     f_b = np.column_stack([along, across, -9.81 / np.cos(bank)])
     nav = mechanization.propagate(
         [47 * DEG, 11 * DEG, 800.0],
-        25.0 * np.array([np.cos(0.6), np.sin(0.6), 0.0]),
+        25.0 * np.array([np.cos(0.6), np.sin(0.6), 0.0]) + (0.0 if wind_n is None else np.asarray(wind_n)),
         rotation.from_euler(0.0, 0.0, 0.6),
         np.full(n, 1 / rate),
         w_b / rate,

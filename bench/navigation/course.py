@@ -27,7 +27,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     if fixes is None:
         raise EstimatorError("alignment course needs GNSS fixes; the record has none")
     gnss = assumed(specs, "gnss")
-    rows, span, _ = timeline.imu_rows(sensors.imu, initial.t)
+    rows, span, _ = timeline.imu_rows(sensors.imu, initial.t, specs.imu)
     t = np.concatenate([[initial.t], sensors.imu.t[rows]])
     usable, arrival, _ = timeline.fix_rows(fixes, t[1:], initial.t)
     inside = fixes.t[usable] > initial.t - timeline.TIME_TOLERANCE
@@ -37,7 +37,9 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
         inside &= moving
     usable, arrival = usable[inside], arrival[inside]
     speed = np.hypot(*fixes.vel_n[usable, :2].T) if by_velocity else _speeds(fixes, usable)
-    first, last = _moving(fixes.t[usable], speed, initial.align_for)
+    long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
+    edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
+    first, last = _moving(fixes.t[usable], speed, initial.align_for, edges)
     i, j = usable[first], usable[last]
     ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else _quartet(fixes, usable[first : last + 1])
     samples = [int(np.argmin(np.abs(t - fixes.t[k]))) for k in ends]  # next to them
@@ -114,10 +116,15 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]
 
 
-def _moving(t: FloatArray, speed: FloatArray, length: float) -> tuple[int, int]:
-    """Return the first and last fix of the first stretch of a length [s] that moves throughout."""
-    start = 0
+def _moving(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
+    """Return the first and last fix of the first stretch of a length [s] that moves throughout.
+
+    ``edges`` are where long gaps of the IMU begin and end: no stretch reaches over one.
+    """
+    start, passed = 0, np.searchsorted(edges, t)
     for k in range(len(t)):
+        if passed[k] != passed[start]:
+            start = k
         if speed[k] < LEAST_SPEED:
             start = k + 1
         elif t[k] - t[start] >= length - timeline.TIME_TOLERANCE:

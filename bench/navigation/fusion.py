@@ -37,6 +37,7 @@ from bench.navigation.measurements import (
     unmodelled,
 )
 from bench.navigation.options import FusionOptions, TightOptions, read_options
+from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import Schedule
 from bench.specs import AssumedSpecs
 
@@ -62,7 +63,11 @@ class Fusion:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
-        return self.forward(sensors, initial, keep=False)[0]
+
+        def forward(piece: SensorData, start: InitialState) -> NavSolution:
+            return self.forward(piece, start, keep=False)[0]
+
+        return run_between_gaps(forward, sensors, initial, fixes=self.options.gnss)
 
     def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""

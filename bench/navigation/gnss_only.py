@@ -50,7 +50,9 @@ class GnssOnly:
         Without a given initial state it begins with the first fix.
         """
         fixes, given = sensors.fixes, initial.alignment == "given"
-        track = _Track(self.options, initial) if given else None
+        track = None
+        if given:
+            track = FixTrack(self.options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
         used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[EventRow]()
         r = np.zeros(6)
         if fixes is not None:
@@ -58,16 +60,15 @@ class GnssOnly:
             used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         m = len(sensors.output_t)
         out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
-        arm2 = float(sensors.antenna_b @ sensors.antenna_b) / 3.0  # of an antenna in an unknown direction
-        apart = np.diag([arm2] * 3 + [SWING**2 * arm2] * 3 + [0.0] * 3)
+        apart = np.diag(np.append(unknown_arm(sensors.antenna_b), np.zeros(3)))
         next_fix = 0
         for k, now in enumerate(sensors.output_t):
             while next_fix < len(at) and at[next_fix] <= k:
                 assert fixes is not None
                 row = used[next_fix]
                 if track is None:
-                    track = _Track(
-                        self.options, _first(fixes.lla[row], fixes.vel_n[row], r, float(fixes.t[row]))
+                    track = FixTrack.begin(
+                        self.options, float(fixes.t[row]), fixes.lla[row], fixes.vel_n[row], r
                     )
                     moving = np.isfinite(fixes.vel_n[row]).all()
                     origin = "position and velocity" if moving else "position"
@@ -103,12 +104,10 @@ class GnssOnly:
         return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
 
 
-def _first(lla: FloatArray, vel_n: FloatArray, r: FloatArray, t: float) -> InitialState:
-    """Return a fix as initial state; without a velocity its covariance is wide."""
-    cov = np.diag(np.concatenate([r, np.zeros(3)]))
-    if not np.isfinite(vel_n).all():
-        vel_n, cov[3:6, 3:6] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
-    return InitialState(t, lla, vel_n, np.array([1.0, 0.0, 0.0, 0.0]), cov, "given")
+def unknown_arm(antenna_b: FloatArray) -> FloatArray:
+    """Return the variance (6,) of position and velocity of an antenna about an IMU of unknown attitude."""
+    arm2 = float(antenna_b @ antenna_b) / 3.0
+    return np.array([arm2] * 3 + [SWING**2 * arm2] * 3)
 
 
 def singer(T: float, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
@@ -140,18 +139,42 @@ def singer(T: float, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
     return Phi, Q
 
 
-class _Track:
-    """The filter at the instant of its last fix."""
+class FixTrack:
+    """The filter at the instant of its last fix.
 
-    def __init__(self, options: GnssOnlyOptions, start: InitialState) -> None:
-        self.options, self.t = options, start.t
+    Parameters
+    ----------
+    options : GnssOnlyOptions
+        How it manoeuvres, and the gate.
+    t : float
+        Start [s].
+    lla, vel_n : (3,) arrays
+        Position and velocity there.
+    cov : (6, 6) array
+        Their covariance [m, m/s], n.
+    """
+
+    def __init__(
+        self, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, cov: FloatArray
+    ) -> None:
+        self.options, self.t = options, t
         self.gate = nis_limit(3, options.gate_probability)
-        self.lla, self.vel, self.acc = start.lla, start.vel_n, np.zeros(3)
+        self.lla, self.vel, self.acc = lla, vel_n, np.zeros(3)
         self.P = np.zeros((9, 9))
-        self.P[:6, :6] = start.cov[:6, :6]
+        self.P[:6, :6] = cov
         self.P[6:, 6:] = options.acceleration**2 * np.eye(3)
         self.misses = [0, 0]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+
+    @classmethod
+    def begin(
+        cls, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, r: FloatArray
+    ) -> FixTrack:
+        """Begin with a fix of variance r (6,); without a velocity its covariance is wide."""
+        cov = np.diag(r)
+        if not np.isfinite(vel_n).all():
+            vel_n, cov[3:, 3:] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
+        return cls(options, t, lla, vel_n, cov)
 
     def at(self, t: float) -> tuple[FloatArray, FloatArray]:
         """Return the state (9,) and P (9, 9) carried to an instant [s]."""

@@ -28,7 +28,7 @@ Rows = list[EventRow]
 
 def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
     """Return the state at the end of a standstill, and what was done (`alignment.complete`)."""
-    rows, span, _ = timeline.imu_rows(sensors.imu, initial.t)
+    rows, span, _ = timeline.imu_rows(sensors.imu, initial.t, sensors.specs.imu)
     t = sensors.imu.t[rows]
     stretch = (span / sensors.imu.dt[rows])[:, None]
     end, why = _rest(sensors, initial, t, span, stretch, rows)
@@ -65,7 +65,16 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     bias_cov[6:, :3] = -common_variance(gyro, T) * J[:, 2:] @ C[1:2]
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
     text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
-    if heading_sd < UNKNOWN_HEADING_SD:
+    given_sd = float(np.sqrt(initial.cov[8, 8]))
+    if np.isfinite(initial.q_nb).all() and given_sd < min(heading_sd, UNKNOWN_HEADING_SD):
+        q_nb = rotation.multiply(plumb, rotation.from_euler(roll, pitch, rotation.to_euler(initial.q_nb)[2]))
+        C = rotation.matrix(q_nb)
+        phi_cov[2], phi_cov[:, 2] = 0.0, 0.0
+        phi_cov[2, 2] = given_sd**2
+        bias_cov[6:, 3:] = -common_variance(accel, T) * np.vstack([J[:2, :2], np.zeros(2)]) @ C[:2]
+        bias_cov[8] = 0.0
+        text += f"heading given, sd {np.rad2deg(given_sd):.2g} deg"
+    elif heading_sd < UNKNOWN_HEADING_SD:
         text += f"heading gyrocompassed, sd {np.rad2deg(heading_sd):.2g} deg"
     else:
         phi_cov[2], phi_cov[:, 2] = 0.0, 0.0

@@ -34,7 +34,7 @@ class Schedule:
     """
 
     def __init__(self, sensors: SensorData, start: float, *, compensate: bool) -> None:
-        self.rows, self.span, self.events = timeline.imu_rows(sensors.imu, start)
+        self.rows, self.span, self.events = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
         self.imu_t = sensors.imu.t[self.rows]
         self._imu, self._start, self._compensate = sensors.imu, start, compensate
         self._end = max(start, float(self.imu_t[-1])) if len(self.imu_t) else start

@@ -23,6 +23,7 @@ from bench.navigation.error_state import moved_state, state_difference
 from bench.navigation.forward import Nodes, solution
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
+from bench.navigation.restart import run_between_gaps
 from bench.specs import AssumedSpecs
 
 
@@ -41,6 +42,9 @@ class Smoother:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate each instant from all measurements of the record, earlier and later."""
+        return run_between_gaps(self._run, sensors, initial, fixes=self.options.gnss)
+
+    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         forward, nodes = self.filter.forward(sensors, initial, keep=True)
         state, P = smooth(nodes)
         served = nodes.output >= 0

@@ -2,8 +2,9 @@
 
 A row is used at the first step of the filter at or after its arrival. Rows that are left out are never
 repaired: they become a "timeline" event of the solution. :func:`steps` bridges a gap in the IMU record with
-the rates of the last sample before it (nothing later has arrived) and gives the variance of the unknown
-motion (:func:`bridge_variance`). With :func:`imu_rows` alone the first sample after a gap covers all of it.
+the mean rates just before it (nothing later has arrived) and gives the variance of the unknown motion
+(:func:`bridge_variance`). A filter with fixes does so for gaps of at most :data:`LONGEST_BRIDGE`; after a
+longer one it starts again (`bench.navigation.restart`).
 """
 
 from __future__ import annotations
@@ -15,16 +16,31 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
+from bench.specs import ImuSpec
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
 BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]
+_MOST_ROWS = 4000  # before a gap that are looked at: 2 s of a unit with 2 kHz
 _BRIDGE_STEPS = 20_000  # over one gap at most, so that a wild time tag fills no memory
 
-# Rates over a gap: those of the last sample, and a manoeuvre that forgets itself. Rolling into a 30 deg turn
-# within a few seconds changes rates by 0.1 to 0.2 rad/s and the specific force by 2 to 3 m/s^2 per axis.
+LONGEST_BRIDGE = 1.0  # gap over which the tilt stays small enough for a linear filter [s]
+_HELD = 0.25  # time before a gap whose mean rates are held over it [s]
+_RECENT = 2.0  # time before a gap that shows how much the rates vary [s]
+_BLOCK = 0.1  # means whose spread that is: shorter ones show the noise of the sensors [s]
+
+# Rates over a gap: the mean held, off by what they varied by of late, and a manoeuvre that forgets itself.
+# Rolling into a 30 deg turn within a few seconds changes rates by 0.1 to 0.2 rad/s and the specific force by
+# 2 to 3 m/s^2 per axis.
 _BRIDGE_RATE_SD = 0.15  # [rad/s]
 _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
 _BRIDGE_CORRELATION = 3.0  # [s]
+
+# What an aircraft can do, for a unit whose datasheet has no range.
+_MOST_RATE = 100.0  # [rad/s]
+_MOST_FORCE = 1000.0  # [m/s^2]
+
+_IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
+_UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 
 AidingRecord = GnssFixes | InstrumentData
 
@@ -35,18 +51,20 @@ class Steps:
 
     t: FloatArray  # (K,) end of each step [s]
     span: FloatArray  # (K,) its length [s]
-    row: IntArray  # (K,) IMU row whose rates it takes
+    row: IntArray  # (K,) row of dtheta_b and dvel_b whose rates it takes
     share: FloatArray  # (K,) the step over the length of that row [1]
     unknown: FloatArray  # (K, 2) variance of velocity [m^2/s^2] and attitude [rad^2] that a gap adds
     sample: IntArray  # (K,) IMU sample in use that the step ends at or before
+    dtheta_b: FloatArray  # (N + G, 3) increments of the record [rad], then of one second of each gap
+    dvel_b: FloatArray  # (N + G, 3) the same [m/s]
 
 
-def bridge_variance(elapsed: FloatArray) -> FloatArray:
+def bridge_variance(elapsed: FloatArray, spread: FloatArray) -> FloatArray:
     """Return the variance (K, 2) of velocity and attitude after rates were held for a time (K,) [s].
 
-    The true rates differ from the held ones by a Gauss-Markov process less its value at the start of the gap.
-    This is the variance of its integral: ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for
-    long ones.
+    The true rates differ from the held ones by ``spread`` (K, 2) [m/s^2, rad/s], for all of the time, and by
+    a Gauss-Markov process less its value at the start of the gap. The variance of the integral of the latter
+    is ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for long ones.
     """
     tau = _BRIDGE_CORRELATION
     u = elapsed / tau
@@ -55,8 +73,28 @@ def bridge_variance(elapsed: FloatArray) -> FloatArray:
     short = u < 1e-3  # the difference above is rounding
     integral = np.where(short, 2.0 / 3.0 * u**3, integral)
     sd = np.array([_BRIDGE_FORCE_SD, _BRIDGE_RATE_SD])
-    variance: FloatArray = integral[:, None] * (sd * tau) ** 2
+    variance: FloatArray = integral[:, None] * (sd * tau) ** 2 + (spread * elapsed[:, None]) ** 2
     return variance
+
+
+def _rates_before(imu: ImuData, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean rates (2, 3) to hold over the gap after the last of some rows, and their spread (2,).
+
+    Both of dvel_b [m/s^2] and dtheta_b [rad/s]: the spread is that of block means over the last seconds.
+    """
+    t, dt = imu.t[rows], imu.dt[rows]
+    means, spread = np.zeros((2, 3)), np.zeros(2)
+    held = t > t[-1] - max(_HELD, dt[-1]) + TIME_TOLERANCE
+    recent = t > t[-1] - _RECENT + TIME_TOLERANCE
+    block = np.floor((t[-1] - t[recent] + TIME_TOLERANCE) / max(_BLOCK, float(dt[-1]))).astype(np.int64)
+    length = np.bincount(block, dt[recent])
+    full = length > 0
+    for k, increment in enumerate((imu.dvel_b[rows], imu.dtheta_b[rows])):
+        means[k] = increment[held].sum(axis=0) / dt[held].sum()
+        blocks = np.array([np.bincount(block, column) for column in increment[recent].T]).T
+        rates = blocks[full] / length[full, None]
+        spread[k] = np.sqrt(np.mean(np.var(rates, axis=0)))
+    return means, spread
 
 
 def steps(
@@ -94,7 +132,8 @@ def steps(
         extra = extra[np.diff(extra, prepend=-np.inf) > TIME_TOLERANCE]
         extra = _inside(extra, ends)
     if len(extra) == 0:
-        return Steps(t, span, rows, span / dt, np.zeros((len(t), 2)), np.arange(len(t)))
+        nothing = np.zeros((len(t), 2))
+        return Steps(t, span, rows, span / dt, nothing, np.arange(len(t)), imu.dtheta_b, imu.dvel_b)
     cut_t = np.concatenate([t, extra])
     order = np.argsort(cut_t, kind="stable")
     cut_t = cut_t[order]
@@ -104,12 +143,19 @@ def steps(
     unknown = np.zeros((len(cut_t), 2))
     into = cut_t - ends[sample]  # since the sample before
     bridged = gap[sample] & (into <= span[sample] - dt[sample] + 0.5 * TIME_TOLERANCE)
+    dtheta_b, dvel_b = imu.dtheta_b, imu.dvel_b
     if bridged.any():
-        held = np.maximum(sample[bridged] - 1, 0)  # before the first sample there is only the first
-        row[bridged], share[bridged] = rows[held], cut_span[bridged] / dt[held]
         after, before = into[bridged], into[bridged] - cut_span[bridged]
-        unknown[bridged] = bridge_variance(after) - bridge_variance(np.maximum(before, 0.0))
-    return Steps(cut_t, cut_span, row, share, unknown, sample)
+        gaps, of_gap = np.unique(sample[bridged], return_inverse=True)
+        held, spread = np.zeros((len(gaps), 2, 3)), np.zeros((len(gaps), 2))
+        for g, k in enumerate(gaps.tolist()):
+            # before the first sample there is only the first
+            held[g], spread[g] = _rates_before(imu, rows[max(k - _MOST_ROWS, 0) : max(k, 1)])
+        dvel_b, dtheta_b = np.vstack([dvel_b, held[:, 0]]), np.vstack([dtheta_b, held[:, 1]])
+        row[bridged], share[bridged] = len(imu) + of_gap, cut_span[bridged]
+        spread = spread[of_gap]
+        unknown[bridged] = bridge_variance(after, spread) - bridge_variance(np.maximum(before, 0.0), spread)
+    return Steps(cut_t, cut_span, row, share, unknown, sample, dtheta_b, dvel_b)
 
 
 def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
@@ -122,7 +168,7 @@ def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
     return instants[apart > TIME_TOLERANCE]
 
 
-def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[EventRow]]:
+def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, FloatArray, list[EventRow]]:
     """Return the rows of an IMU record to integrate, the interval each one has to cover, and the events.
 
     Parameters
@@ -132,6 +178,9 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Eve
         left out.
     start : float
         Instant of the initial state [s]; earlier rows are left out.
+    spec : ImuSpec
+        The unit assumed. A row at or beyond the range of a sensor is left out: it says no more than that
+        there was more. Without a range the limit is what no aircraft does.
 
     Returns
     -------
@@ -144,11 +193,30 @@ def imu_rows(imu: ImuData, start: float) -> tuple[IntArray, FloatArray, list[Eve
     sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
     sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
     events = left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
+    for name, increment, limit in (
+        ("gyro", imu.dtheta_b, spec.gyro.range or _MOST_RATE),
+        ("accelerometer", imu.dvel_b, spec.accel.range or _MOST_FORCE),
+    ):
+        most = _IN_RANGE * limit * np.abs(imu.dt)
+        beyond = sound & (np.abs(increment) >= most[:, None]).any(axis=1)
+        events += left_out(
+            "imu", imu.t, beyond, f"{name} at or beyond its range of {limit:.4g} {_UNITS[name]}"
+        )
+        sound &= ~beyond
     later = sound & (imu.t > start + TIME_TOLERANCE)
     events += left_out("imu", imu.t, sound & ~later, "before the start")
     rows = np.flatnonzero(later)
     t = imu.t[rows]
     if len(t):
+        # a row that leaps ahead of those after it, too: it alone has a wild time
+        wild = np.zeros(len(t), np.bool_)
+        wild[:-1] = t[:-1] > t[1:] + TIME_TOLERANCE
+        wild &= t > np.append(start, t[:-1]) + LONGEST_BRIDGE
+        wild[:-1] &= t[1:] > np.append(start, t[:-2])
+        out = np.zeros(len(imu.t), np.bool_)
+        out[rows[wild]] = True
+        events += left_out("imu", imu.t, out, "ahead of the rows after it")
+        rows, t = rows[~wild], t[~wild]
         newest = np.concatenate([[start], np.maximum.accumulate(t)[:-1]])
         ordered = t > newest + TIME_TOLERANCE
         out = np.zeros(len(imu.t), np.bool_)

@@ -30,6 +30,7 @@ from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import UnscentedOptions, read_options
+from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import OUTPUT, Schedule
 from bench.specs import AssumedSpecs
 
@@ -71,6 +72,9 @@ class Unscented:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
+        return run_between_gaps(self._run, sensors, initial, fixes=self.options.gnss)
+
+    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, aligned = alignment.complete(sensors, initial)
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
@@ -81,7 +85,7 @@ class Unscented:
         steps, entries, _ = schedule.order()
         values, variance = schedule.table()
         share = steps.share[:, None]
-        dtheta, dvel = sensors.imu.dtheta_b[steps.row] * share, sensors.imu.dvel_b[steps.row] * share
+        dtheta, dvel = steps.dtheta_b[steps.row] * share, steps.dvel_b[steps.row] * share
         todo: dict[int, list[list[int]]] = {}
         for step, *what in entries.tolist():
             todo.setdefault(step, []).append(what)

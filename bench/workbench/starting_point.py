@@ -38,7 +38,7 @@ class StartingPoint:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and biases at ``sensors.output_t``."""
         initial, aligned = alignment.complete(sensors, initial)
-        rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        rows, span, events = timeline.imu_rows(sensors.imu, initial.t, sensors.specs.imu)
         events += aligned
         t = sensors.imu.t[rows]
         stretch = (span / sensors.imu.dt[rows])[:, None]  # bridges missing rows

@@ -1,7 +1,7 @@
 """Each option of the compiled filters does what it says, and has an effect.
 
 Late fixes, noise other than the datasheet's, standstill, an antenna that is elsewhere, the source's integrity
-tests, airspeed, magnetometer; and gaps in the IMU record.
+tests, airspeed and magnetometer.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from bench import earth, rotation, sensors
-from bench.data import GnssFixes, ImuData, Trajectory
+from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
-from bench.navigation import integrity, standstill, timeline
+from bench.navigation import integrity, standstill
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.measurements import airspeed_variance
 from bench.signals.magnetic import field_n
@@ -329,71 +329,6 @@ def test_a_magnetometer_gives_the_heading():
     assert np.mean(squares) < 26.1 / 8  # chi-square of 8, 99.9 %
     with pytest.raises(ValueError, match="names no mag unit"):
         Loose(magnetometer=True).run(replace(data, specs=drawn.data.specs), drawn.initial)
-
-
-# --- gaps in the IMU record -----------------------------------------------------------------------------
-
-
-def with_gap(data, start, end):
-    """IMU rows in (start, end] lost."""
-    imu = data.imu
-    keep = (imu.t <= start + 1e-6) | (imu.t > end + 1e-6)
-    return replace(data, imu=ImuData(*(getattr(imu, f.name)[keep] for f in fields(ImuData))))
-
-
-def test_a_gap_of_5_s_is_told_served_and_soon_over(truth):
-    """From 40 to 45 s, out of a turn: P grows, fixes inside are used in time, the gate is not locked out."""
-    shares = []
-    for run in range(RUNS):
-        drawn = sensors.sense(truth, units(), 14, run)
-        sound = Loose(covariance_hz=20.0).run(drawn.data, drawn.initial)
-        solution = Loose(covariance_hz=20.0).run(with_gap(drawn.data, 40.0, 45.0), drawn.initial)
-        assert [text for *_, text in solution.events.select("timeline")] == ["imu: gap of 5 s"]
-        inside = (solution.t > 40.05) & (solution.t < 44.95)
-        assert np.isfinite(solution.lla[inside]).all()
-        series = judge.error_series(truth, solution)
-        assert np.linalg.norm(series.pos_n[inside], axis=1).max() < 60.0
-        used = solution.innovations.t[of(solution, "gnss_position")]
-        assert {41.0, 42.0, 43.0, 44.0, 45.0} <= set(np.round(used, 6))
-        rows = (solution.innovations.t > 47.0) & of(solution, "gnss_position")
-        assert solution.innovations.accepted[rows].all()
-        k = int(np.searchsorted(solution.t, 45.0))
-        growth = np.sqrt(np.diagonal(solution.cov[k]) / np.diagonal(sound.cov[k]))
-        assert (growth[3:] > 1.5).all()
-        shares.append(series.nees[(series.t > 44.9) & (series.t < 46.0)].mean())
-        assert np.linalg.norm(series.pos_n[series.t > 60.0], axis=1).max() < 15.0
-    assert np.median(shares) < 30.0
-
-
-def test_nothing_after_a_gap_is_known_inside_it(truth):
-    """Other increments after the gap leave every answer inside it as it was."""
-    drawn = sensors.sense(truth, units(), 14, 0)
-    data = with_gap(drawn.data, 40.0, 45.0)
-    dvel = data.imu.dvel_b.copy()
-    dvel[data.imu.t > 45.0] += 0.01
-    changed = replace(data, imu=with_columns(data.imu, dvel_b=dvel))
-    one, other = (Loose().run(d, drawn.initial) for d in (data, changed))
-    inside = one.t <= 45.0 + 1e-6
-    assert_array_equal(one.lla[inside], other.lla[inside])
-    assert not np.array_equal(one.lla[~inside], other.lla[~inside])
-
-
-def test_what_a_gap_adds_is_the_integral_of_a_wandering_rate():
-    """Monte Carlo of a Gauss-Markov rate less its value at the start: 4000 draws, 99.9 % of chi-square."""
-    rng = np.random.default_rng(3)
-    tau, sd, dt, n = timeline._BRIDGE_CORRELATION, timeline._BRIDGE_RATE_SD, 0.02, 400
-    x = sd * rng.normal(size=4000)
-    start, total, got = x.copy(), np.zeros(4000), []
-    for k in range(n):
-        old = x
-        x = np.exp(-dt / tau) * x + sd * np.sqrt(-np.expm1(-2 * dt / tau)) * rng.normal(size=4000)
-        total += 0.5 * dt * (old + x - 2 * start)
-        if (k + 1) % 100 == 0:
-            got.append(total.var())
-    wanted = timeline.bridge_variance(dt * np.arange(100, n + 1, 100))[:, 1]
-    assert_allclose(got, wanted, rtol=3.3 * np.sqrt(2 / 4000) + 0.01)
-    small = timeline.bridge_variance(np.array([2.9e-3, 3.1e-3]))[:, 1] / np.array([2.9e-3, 3.1e-3]) ** 3
-    assert_allclose(small, 2 / 3 * sd**2 / tau, rtol=2e-3)
 
 
 def test_each_aiding_names_the_record_it_needs():

@@ -34,6 +34,7 @@ from bench.navigation.classic.navigator import FRD_OF_FUR
 from bench.navigation.error_state import StateLayout
 from bench.navigation.measurements import BARO, FIXES, unmodelled
 from bench.navigation.options import ClassicOptions, read_options
+from bench.navigation.restart import run_between_gaps
 from bench.specs import AssumedSpecs
 
 
@@ -59,10 +60,15 @@ class Classic22:
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+        return run_between_gaps(self._run, sensors, initial, fixes=True)
+
+    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, aligned = alignment.complete(sensors, initial)
-        rows, span, events = timeline.imu_rows(sensors.imu, initial.t)
+        rows, span, events = timeline.imu_rows(sensors.imu, initial.t, sensors.specs.imu)
         events += aligned
-        t = sensors.imu.t[rows]
+        nowhere = np.empty(0)
+        steps = timeline.steps(sensors.imu, rows, span, initial.t, nowhere, nowhere)
+        t = steps.t
         arrived: dict[int, list[tuple[int | None, int | None]]] = {}
         fixes, baro = sensors.fixes, sensors.baro
         if fixes is not None:
@@ -80,9 +86,9 @@ class Classic22:
                 else:
                     waiting.append((None, row))
 
-        scale = (span / sensors.imu.dt[rows])[:, None]
-        dtheta = (sensors.imu.dtheta_b[rows] * scale @ FRD_OF_FUR).tolist()
-        dvel = (sensors.imu.dvel_b[rows] * scale @ FRD_OF_FUR).tolist()
+        share = steps.share[:, None]
+        dtheta = (steps.dtheta_b[steps.row] * share @ FRD_OF_FUR).tolist()
+        dvel = (steps.dvel_b[steps.row] * share @ FRD_OF_FUR).tolist()
         interval = (1.0 - 1e-6) / self.options.covariance_hz
         wanted = sensors.output_t
         served = wanted >= initial.t - timeline.TIME_TOLERANCE
@@ -95,8 +101,8 @@ class Classic22:
 
         flight = FilterLoop(self.options, sensors, initial)
         answers = [flight.answer()] * outputs.get(-1, 0)
-        for k, (now, dt) in enumerate(zip(t.tolist(), span.tolist(), strict=True)):
-            flight.advance(dt, dtheta[k], dvel[k])
+        for k, (now, dt) in enumerate(zip(t.tolist(), steps.span.tolist(), strict=True)):
+            flight.advance(dt, dtheta[k], dvel[k], steps.unknown[k])
             if k in arrived or k in outputs or flight.elapsed >= interval:
                 flight.predict()
             for fix_row, baro_row in arrived.get(k, ()):

@@ -80,7 +80,7 @@ class FilterLoop:
         self.kf.P = P
         self.scale = (east, north)  # of the reduced Markov states
 
-        self.elapsed = 0.0  # since the last prediction [s]
+        self.elapsed, self.lost = 0.0, np.zeros(2)  # time and what a gap adds since the last prediction
         self.B_sum, self.dv_sum = np.zeros((3, 3)), np.zeros(3)
         self.start = self.nav
         self.w_b = np.zeros(3)
@@ -96,8 +96,12 @@ class FilterLoop:
 
     # -- the navigator
 
-    def advance(self, dt: float, dtheta: list[float], dvel: list[float]) -> None:
-        """One IMU sample: increments less the calibration (A-5.4.11), then the mechanization."""
+    def advance(self, dt: float, dtheta: list[float], dvel: list[float], unknown: FloatArray) -> None:
+        """One IMU sample: increments less the calibration (A-5.4.11), then the mechanization.
+
+        ``unknown`` (2,) is the variance of velocity and attitude that a gap adds.
+        """
+        self.lost += unknown
         (e0, e1, e2), (d0, d1, d2) = self.eps.tolist(), self.da.tolist()
         dth = (dtheta[0] - e0 * dt, dtheta[1] - e1 * dt, dtheta[2] - e2 * dt)
         dv = (dvel[0] - d0 * dt, dvel[1] - d1 * dt, dvel[2] - d2 * dt)
@@ -127,10 +131,12 @@ class FilterLoop:
         Phi[16, 16] *= scale[0] / self.scale[0]
         Phi[17, 17] *= scale[1] / self.scale[1]
         self.kf.predict(F=Phi, Q=Q)
+        self.kf.P[range(3, 9), range(3, 9)] += np.repeat(self.lost, 3)
         self.scale = scale
         covariance_floor(self.kf.P, self.floor)
         self.elapsed = 0.0
         self.B_sum, self.dv_sum, self.start = np.zeros((3, 3)), np.zeros(3), self.nav
+        self.lost = np.zeros(2)
 
     # -- the measurements
 

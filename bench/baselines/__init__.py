@@ -1,1 +1,0 @@
-"""Accuracy regression: every metric of every noise draw, before and after a change of the code."""
