@@ -67,6 +67,8 @@ def print_metrics(
     for label, values in measured.items():
         for begun, end, text in solutions[label].events.select("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
+        for begun, end, text in solutions[label].events.select("restart"):
+            remarks.setdefault(f"{begun:g} to {end:g} s: {text}", []).append(label)
         if not values["converged"]:
             failed = solutions[label].events.select(FAILED)
             text = values["reason"] if failed else f"diverged: {values['reason']}"
