@@ -23,7 +23,7 @@ BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right t
 _MOST_ROWS = 4000  # before a gap that are looked at: 2 s of a unit with 2 kHz
 _BRIDGE_STEPS = 20_000  # over one gap at most, so that a wild time tag fills no memory
 
-LONGEST_BRIDGE = 1.0  # gap over which the tilt stays small enough for a linear filter [s]
+LONGEST_BRIDGE = 0.5  # gap over which the tilt stays small enough for a linear filter [s]
 _HELD = 0.25  # time before a gap whose mean rates are held over it [s]
 _RECENT = 2.0  # time before a gap that shows how much the rates vary [s]
 _BLOCK = 0.1  # means whose spread that is: shorter ones show the noise of the sensors [s]
