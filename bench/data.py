@@ -321,17 +321,9 @@ class Innovations(Record):
         cls, sensor: tuple[str, ...], rows: list[tuple[float, int, int, float, float, float, bool]]
     ) -> Innovations:
         """Make a table from rows (t, code, component, z, S, nis, accepted)."""
-        table = np.array(rows, float).reshape(-1, 7)
-        return cls(
-            t=table[:, 0],
-            sensor=sensor,
-            code=table[:, 1].astype(np.int64),
-            component=table[:, 2].astype(np.int64),
-            z=table[:, 3],
-            S=table[:, 4],
-            nis=table[:, 5],
-            accepted=table[:, 6].astype(np.bool_),
-        )
+        t, code, component, z, S, nis, accepted = np.array(rows, float).reshape(-1, 7).T
+        codes, components = code.astype(np.int64), component.astype(np.int64)
+        return cls(t, sensor, codes, components, z, S, nis, accepted.astype(np.bool_))
 
 
 def no_innovations() -> Innovations:

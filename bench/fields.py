@@ -43,10 +43,11 @@ class Figure:
     reciprocal: bool = False  # the file gives a length or a time, the spec holds its inverse
     reported: bool = False  # the instrument reports it and a filter divides by it: it must be above 0
     default: float | None = None  # in SI; None: required
+    stem: str = ""  # beginning of its key; empty: the name of the field
 
     def key(self, name: str) -> str:
         """Return the key in the file of the field ``name``."""
-        return f"{name}_{self.unit}" if self.unit else name
+        return f"{self.stem or name}_{self.unit}" if self.unit else self.stem or name
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +117,14 @@ def figure(
     default: Any = MISSING,
     reciprocal: bool = False,
     reported: bool = False,
+    stem: str = "",
 ) -> Any:
     """Declare a figure of a spec: the unit at the end of its key, and its limits in that unit.
 
     ``default`` is in SI. No real instrument has a figure above 1e6 in any of these units.
     """
-    declaration = Figure(unit, low, high, reciprocal, reported, None if default is MISSING else default)
+    fallback = None if default is MISSING else default
+    declaration = Figure(unit, low, high, reciprocal, reported, fallback, stem)
     return field(default=default, metadata={"figure": declaration})
 
 

@@ -42,20 +42,26 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 # --- the flight ---------------------------------------------------------------------------------------
 
 
+SECONDS = (0.1, 86400)  # shortest and longest duration in a profile [s]
+ALTITUDES = (-500, 20000)  # lowest and highest ellipsoidal altitude [m]
+SPEEDS = (1, 400)  # lowest and highest true airspeed [m/s]
+BANKS = (1, 80)  # smallest and largest bank of a turn [deg]
+CLIMBS = (0.1, 100)  # smallest and largest vertical speed, up or down [m/s]
 MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fighter": "jet"}
 """Class of aircraft -> simple shape in the recording."""
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class RunwaySpec:
-    """Figures for take-off and landing of an aircraft."""
+    """Figures for take-off and landing of an aircraft; heights are of its centre of gravity."""
 
-    height: float  # of the centre of gravity above the ground at rest [m]
-    rotate_speed: float  # true airspeed at which the nose is raised [m/s]
-    take_off_pitch: float  # [rad]
-    approach_speed: float  # true airspeed on the glide path [m/s]
-    flare_height: float  # of the centre of gravity above the ground where the flare begins [m]
-    touch_down_sink: float  # sink rate that the flare aims at [m/s]
+    height: float = figure("m", 0.01, 20)  # above the ground at rest [m]
+    rotate_speed: float = figure("mps", 1, 200, stem="rotate")  # airspeed at which the nose is raised [m/s]
+    take_off_pitch: float = figure("deg", 0.5, 25)  # [rad]
+    approach_speed: float = figure("mps", 1, 200, stem="approach")  # airspeed on the glide path [m/s]
+    flare_height: float = figure("m", 3.5, 100, stem="flare")  # above the ground where the flare begins [m]
+    # sink rate that the flare aims at [m/s]
+    touch_down_sink: float = figure("mps", 0.05, 3, stem="touch_down")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +73,7 @@ class ForeignSpec:
     guided: bool = False  # its model already contains the guidance system of the bench
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class AircraftSpec:
     """An aircraft: its JSBSim model and the figures that guidance and sensors need.
 
@@ -78,11 +84,11 @@ class AircraftSpec:
     folder: Path  # holds <name>.xml
     systems: Path  # holds guidance.xml
     gains: Mapping[str, float]  # properties of the guidance system, by their name below ``guidance/``
-    min_speed: float  # slowest and fastest true airspeed guidance is tuned for [m/s]
-    max_speed: float
-    max_bank: float  # [rad]
-    max_climb: float  # largest climb rate a leg may ask for [m/s]
-    max_descent: float  # largest descent rate a leg may ask for, positive [m/s]
+    min_speed: float = figure("mps", *SPEEDS)  # slowest and fastest true airspeed guidance is tuned for [m/s]
+    max_speed: float = figure("mps", *SPEEDS)
+    max_bank: float = figure("deg", *BANKS)  # [rad]
+    max_climb: float = figure("mps", *CLIMBS)  # largest climb rate a leg may ask for [m/s]
+    max_descent: float = figure("mps", *CLIMBS)  # largest descent rate a leg may ask for, positive [m/s]
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
     foreign: ForeignSpec | None = None  # how to fly it if it was not made for the bench
@@ -98,14 +104,14 @@ class AircraftSpec:
         return self.foreign is None or self.foreign.guided
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class Runway:
     """Threshold and heading of a runway; all ground is at the height of the runway."""
 
-    lat: float  # [rad]
-    lon: float  # [rad]
-    alt: float  # ellipsoidal [m]
-    heading: float  # [rad]
+    lat: float = figure("deg", -90, 90)  # [rad]
+    lon: float = figure("deg", -180, 180)  # [rad]
+    alt: float = figure("m", *ALTITUDES)  # ellipsoidal [m]
+    heading: float = figure("deg", 0, 360)  # [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,24 +158,24 @@ class Leg:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class WindLayer:
     """Wind at one altitude; components are linear between altitudes and constant beyond them."""
 
-    alt: float  # ellipsoidal [m]
-    wind_from: float  # direction the wind blows from [rad]
-    speed: float  # [m/s]
+    alt: float = figure("m", *ALTITUDES)  # ellipsoidal [m]
+    wind_from: float = figure("deg", 0, 360, stem="from")  # direction the wind blows from [rad]
+    speed: float = figure("mps", 0, 100)  # [m/s]
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class Gust:
     """A discrete gust with a 1 - cosine rise and fall."""
 
-    start: float  # [s]
-    rise: float  # [s]
-    hold: float  # [s]
-    fall: float  # [s]
     air_n: tuple[float, float, float]  # velocity added to the air mass at the peak [m/s], n
+    start: float = figure("s", 0, 86400)  # [s]
+    rise: float = figure("s", *SECONDS, default=1.0)  # [s]
+    hold: float = figure("s", 0, 600, default=0.0)  # [s]
+    fall: float = figure("s", *SECONDS, default=1.0)  # [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +259,7 @@ Flight = FlightSpec | ScriptSpec | TableSpec
 
 
 _ANGLES, _SHARES = ("mrad", "deg", "arcsec", "percent"), ("ppm", "percent")
+_NOISE = ("deg_sqrt_h", "deg_s_sqrt_hz"), ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_hz")
 _DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
 
 
@@ -261,13 +268,7 @@ class TriadSpec:
     """Three gyros (unit rad) or three accelerometers (unit m/s). 0 switches an error off."""
 
     # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
-    random_walk: float = triad_figure(
-        ("deg_sqrt_h", "deg_s_sqrt_hz"),
-        ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_hz"),
-        key="noise",
-        sought="noise",
-        default=0.0,
-    )
+    random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0)
     # minimum of the Allan deviation, white noise excluded [unit/s]
     bias_instability: float = triad_figure(_DRIFT, _ACCELERATION, sought="bias instability", default=0.0)
     bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)  # [s]
@@ -377,7 +378,7 @@ class ImuSpec:
         return shaken or max(self.gyro.temperature_sd, self.accel.temperature_sd) > 0
 
 
-@dataclass(frozen=True, slots=True)
+@declared
 class SkySpec:
     """Measurement-level GNSS: constellations, reception, errors of the ranges. 0 switches an error off."""
 
@@ -388,35 +389,37 @@ class SkySpec:
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
     systems: str  # used by the receiver: "gps", "glonass", "both", "auto"
     bands: int  # 1, or 2: the ionosphere-free combination
-    elevation_mask: float  # lowest elevation used [rad]
-    antenna_mask: float  # lowest elevation received, from the plane of the antenna [rad]
-    cn0_zenith: float  # along the axis of the antenna, up in the body [dB-Hz]
-    cn0_horizon: float  # in the plane of the antenna [dB-Hz]
-    cn0_threshold: float  # lowest C/N0 that is tracked [dB-Hz]
-    second_band_loss: float  # of C/N0 against the first band [dB]
-    reacquisition: float  # from signal back to measurements back [s]
-    dll_bandwidth: float  # [Hz]
-    dll_spacing: float  # early to late [chip]
-    fll_bandwidth: float  # [Hz]
-    integration: float  # before detection [s]
-    gps_space_sd: float  # ephemeris and satellite clock, along the range [m]
-    glonass_space_sd: float  # [m]
-    space_correlation: float  # [s]
-    ionosphere_sd: float  # vertical residual of the broadcast model [m]
-    ionosphere_correlation: float  # [s]
-    troposphere_sd: float  # vertical residual of the model [m]
-    troposphere_correlation: float  # [s]
-    multipath_zenith_sd: float  # [m]
-    multipath_horizon_sd: float  # added at the horizon, falls to 1/e over 10 deg [m]
-    multipath_correlation: float  # [s]
-    clock_offset_sd: float  # of the receiver at the start [m]
-    clock_drift_sd: float  # [m/s]
-    glonass_offset_sd: float  # GLONASS against GPS time in the receiver [m]
-    clock_h_0: float  # white frequency noise, one-sided power-law coefficient [s]
-    clock_h_m1: float  # flicker of frequency [1]
-    clock_h_m2: float  # random walk of frequency [1/s]
-    clock_g: float  # g-sensitivity: fractional frequency per specific force along body down [s^2/m]
-    false_alarm: float  # probability of the residual test of one epoch [1]
+    elevation_mask: float = figure("deg", 3, 60)  # lowest elevation used [rad]
+    antenna_mask: float = figure("deg", -90, 60)  # lowest elevation received, from the antenna's plane [rad]
+    cn0_zenith: float = figure("dbhz", 0, 70)  # along the axis of the antenna, up in the body [dB-Hz]
+    cn0_horizon: float = figure("dbhz", 0, 70)  # in the plane of the antenna [dB-Hz]
+    cn0_threshold: float = figure("dbhz", 0, 70)  # lowest C/N0 that is tracked [dB-Hz]
+    second_band_loss: float = figure("db", default=0.0)  # of C/N0 against the first band [dB]
+    reacquisition: float = figure("s", default=0.0)  # from signal back to measurements back [s]
+    dll_bandwidth: float = figure("hz", default=0.0)  # [Hz]
+    dll_spacing: float = figure("chip", 0.01, 1, default=1.0)  # early to late [chip]
+    fll_bandwidth: float = figure("hz", default=0.0)  # [Hz]
+    integration: float = figure("s", 1e-3, 1, default=0.02)  # before detection [s]
+    gps_space_sd: float = figure("m", default=0.0)  # ephemeris and satellite clock, along the range [m]
+    glonass_space_sd: float = figure("m", default=0.0)  # [m]
+    space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
+    ionosphere_sd: float = figure("m", default=0.0)  # vertical residual of the broadcast model [m]
+    ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
+    troposphere_sd: float = figure("m", default=0.0)  # vertical residual of the model [m]
+    troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
+    multipath_zenith_sd: float = figure("m", default=0.0)  # [m]
+    multipath_horizon_sd: float = figure("m", default=0.0)  # added at the horizon, 1/e of it at 10 deg [m]
+    multipath_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
+    clock_offset_sd: float = figure("m", default=0.0)  # of the receiver at the start [m]
+    clock_drift_sd: float = figure("mps", default=0.0)  # [m/s]
+    glonass_offset_sd: float = figure("m", default=0.0)  # GLONASS against GPS time in the receiver [m]
+    # white frequency noise, one-sided power-law coefficient [s]
+    clock_h_0: float = figure("s", default=0.0)
+    clock_h_m1: float = figure(default=0.0)  # flicker of frequency [1]
+    clock_h_m2: float = figure("hz", default=0.0)  # random walk of frequency [1/s]
+    # g-sensitivity: fractional frequency per specific force along body down [s^2/m]; in the file, per g
+    clock_g: float = figure("ppb", -1e6, 1e6, default=0.0)
+    false_alarm: float = figure("", 0, 0.5, default=1e-3)  # probability of the residual test of an epoch [1]
 
 
 @declared
@@ -435,9 +438,8 @@ class GnssSpec:
     pos_decay_distance: float = figure("km", default=0.0, reciprocal=True)
     # inverse decorrelation time lambda_st [1/s]
     pos_decay_time: float = figure("s", default=0.0, reciprocal=True)
-    vel_decay_time: float = figure(
-        "s", default=0.0, reciprocal=True
-    )  # inverse decorrelation time lambda_V [1/s]
+    # inverse decorrelation time lambda_V [1/s]
+    vel_decay_time: float = figure("s", default=0.0, reciprocal=True)
     latency: float = figure("s", default=0.0)  # from validity to arrival [s]
     # jump at an epoch where the satellites in use change, for that epoch only [m]
     pos_h_jump_sd: float = figure("m", default=0.0)

@@ -145,16 +145,5 @@ def from_si(key: str, value: float) -> float:
     return (value - unit.offset) / unit.factor
 
 
-def si_fields(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the values of a table to SI; the keys lose their units.
-
-    Examples
-    --------
-    >>> si_fields({"rate_hz": 5.0, "reach_km": 2.0, "label": "x"})
-    {'rate': 5.0, 'reach': 2000.0, 'label': 'x'}
-    """
-    return {split_unit(key)[0]: to_si(key, value) for key, value in table.items()}
-
-
 def _find_ending(name: str) -> str:
     return next((ending for ending in ENDINGS if name.endswith(ending)), "")

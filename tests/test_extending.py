@@ -92,17 +92,9 @@ FAULT = Toy(
     inserted={
         "bench/config/fault_tables.py": [
             (
-                "FAULTS: tuple[type[",
-                '''class ZeroedTable(_FaultTable):
-    """The output is 0."""
-
-    kind: Literal["zeroed"]
-    sensor: Noisy
-
-
-''',
+                '    _make_table("dropped"',
+                '    _make_table("zeroed", "The output is 0.", sensor=Noisy),\n',
             ),
-            ("    DroppedTable,\n", "    ZeroedTable,\n"),
         ],
         "bench/sensors/faults.py": [
             (
@@ -176,7 +168,7 @@ STATE = Toy(
 
 """,
             ),
-            ("        ODOMETER_SCALE,\n", "        SHEAR,\n"),
+            ("ODOMETER_SCALE)\n", "SHEAR, "),
         ],
         "bench/navigation/options.py": [
             (

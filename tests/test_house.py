@@ -17,7 +17,6 @@ MOST_LINES = 450
 
 LONG_FILES = {
     "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
-    "signals/receiver.py": "from observations to fixes",
     "specs.py": "all that a profile asks for, in SI",
 }
 

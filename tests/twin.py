@@ -337,9 +337,11 @@ def use_satellite(aiding, o, row, state, lever, w_b, sky):
     if seen is None:
         return
     (distance, rate, el, az), H = seen
-    ionosphere = delays.klobuchar(lla[0], lla[1], el, az, o.t[row] + o.gps_t0, o.klobuchar)
-    distance += ionosphere.item() * (GPS_L1 / o.frequency[row, 0]) ** 2
-    distance += delays.troposphere(el, lla[0], lla[2]).item()
+    ionosphere = delays.klobuchar_kernel(
+        lla[0], lla[1], el, np.sin(az), np.cos(az), o.t[row] + o.gps_t0, o.klobuchar
+    )
+    distance += ionosphere * (GPS_L1 / o.frequency[row, 0]) ** 2
+    distance += delays.zenith_troposphere(lla[0], lla[2]).item() * delays.mapping_kernel(np.sin(el))
     H[0, n - 3], H[1, n - 2] = 1.0, 1.0
     if o.system[row] == 1:
         H[0, n - 1] = 1.0

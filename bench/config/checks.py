@@ -59,8 +59,7 @@ def check_outages(table: ExperimentTable) -> list[str]:
 def check_alignment(table: ExperimentTable) -> list[str]:
     """Check that an alignment has what it needs, and ends before the evaluation begins."""
     asked = table.alignment
-    wrong = []
-    kind = f"kind = '{asked.kind}'"
+    wrong, kind = [], f"kind = '{asked.kind}'"
     if asked.kind == "given" and asked.duration_s is not None:
         wrong.append(f"[alignment] duration_s is for kind = 'level' or 'course'; {kind} takes no time")
     if asked.kind != "course" and asked.drift_deg is not None:
@@ -79,21 +78,14 @@ def check_alignment(table: ExperimentTable) -> list[str]:
 def choose_alignment_time(table: ExperimentTable) -> float:
     """Return the duration of an alignment [s]; default 60 s at rest, 10 s on the move."""
     if table.alignment.duration_s is not None:
-        return float(table.alignment.duration_s)
+        return table.alignment.duration_s
     return 10.0 if table.alignment.kind == "course" else 60.0
 
 
 def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: bool) -> list[str]:
     """Check that each setting of a sensor has an effect, and that the truth has the data a sensor needs.
 
-    Parameters
-    ----------
-    table : ExperimentTable
-        The profile.
-    sensors : mapping
-        Kind of sensor -> its spec, or None if there is none on board.
-    has_air : bool
-        Whether the truth has air data.
+    ``sensors`` maps each kind to its spec, or to None if there is none on board.
     """
     wrong = [
         f"[sensors.assumed] {kind} = {name!r} has no effect: there is no {kind} in [sensors]"

@@ -16,6 +16,7 @@ from bench.config.tables import ROWS, Table, between, check_table, collect_error
 from bench.errors import ConfigError
 from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
+from bench.sensors.imu_terms import check_imu
 from bench.specs import GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import split_unit, to_si
 
@@ -60,10 +61,6 @@ class ImuSheet(Sheet):
     layout: LayoutTable = LayoutTable()
 
 
-_JUMPS = [name for name in figures_of(GnssSpec) if "_jump_" in name]
-"""Figures of the jumps of a position-level receiver when the satellites in use change."""
-
-
 class GnssSheet(Sheet):
     """A GNSS receiver: the errors of its fixes and, with [sky], of its measurements."""
 
@@ -93,39 +90,20 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
             for key in keys:
                 values[field] = to_si(key, figures[key])
         triads[name] = TriadSpec(**values)
-        if triads[name].nonlinearity_sd > 0 and triads[name].range <= 0:
-            unit = "range_deg_s" if name == "gyro" else "range_g"
-            wrong.append(f"[{name}] nonlinearity_sd needs {unit} above 0: it is relative to the range")
-        if triads[name].bias_instability > 0 and triads[name].bias_correlation <= 0:
-            wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
-    vibration = VibrationSpec(**convert_figures(VibrationSpec, sheet.vibration))
-    wrong += _check_vibration(vibration)
-    if wrong:
-        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
-    return ImuSpec(
+    spec = ImuSpec(
         path.stem,
         triads["gyro"],
         triads["accel"],
         thermal=ThermalSpec(**convert_figures(ThermalSpec, sheet.thermal)),
-        vibration=vibration,
+        vibration=VibrationSpec(**convert_figures(VibrationSpec, sheet.vibration)),
         accel_cone=to_si("accel_cone_deg", sheet.layout.accel_cone_deg),
         accel_arms=arms if any(map(any, arms)) else (),
     )
-
-
-def _check_vibration(shaking: VibrationSpec) -> list[str]:
-    """Return one line for each kind of vibration that lacks a figure it needs."""
-    wrong = []
-    engine = shaking.engine_gyro or shaking.engine_accel
-    if engine and not (shaking.engine_reference > 0 and shaking.engine_order > 0):
-        wrong.append("[vibration] engine shaking needs engine_reference_rpm and engine_order above 0")
-    if shaking.gust_gyro or shaking.gust_accel:
-        if shaking.mode_frequency <= 0:
-            wrong.append("[vibration] shaking by gusts needs mode_frequency_hz above 0 Hz")
-        if not 0 < shaking.mode_damping < 1:
-            wrong.append("[vibration] shaking by gusts needs mode_damping above 0 and below 1")
-    return wrong
+    wrong += check_imu(spec)
+    if wrong:
+        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
+    return spec
 
 
 def read_gnss(path: Path, shown: str) -> GnssSpec:
@@ -140,7 +118,7 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
             wrong.append(f"[gnss] pos_h_{kind}_sd_m needs pos_decay_distance_km or pos_decay_time_s")
         if getattr(spec, f"vel_{kind}_sd") and not spec.vel_decay_time:
             wrong.append(f"[gnss] vel_{kind}_sd_mps needs vel_decay_time_s")
-    if sheet.sky is not None and any(getattr(spec, name) for name in _JUMPS):
+    if sheet.sky is not None and spec.jumps:
         wrong.append("[gnss] [sky] makes the jumps; leave out the *_jump_* figures")
     if sheet.sky is not None:
         with collect_errors(wrong):

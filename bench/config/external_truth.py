@@ -6,15 +6,11 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.config.profile_tables import (
-    ExperimentTable,
-    ScriptTable,
-    TrajectoryTable,
-)
+from bench.config.profile_tables import ExperimentTable, ScriptTable, TrajectoryTable
 from bench.errors import ConfigError, FlightError
 from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
 from bench.specs import Flight, ScriptSpec, TableSpec
-from bench.wording import suggest
+from bench.wording import quantity, suggest
 
 _TABLES = (".csv", ".parquet")
 
@@ -56,16 +52,15 @@ def place_antenna(table: ExperimentTable) -> tuple[float, float, float]:
     """Return the GNSS antenna relative to the IMU, for external truth [m], b."""
     assert isinstance(table, ScriptTable | TrajectoryTable)
     place = table.antenna
-    return (float(place.forward_m), float(place.right_m), float(place.down_m))
+    return (place.forward_m, place.right_m, place.down_m)
 
 
 def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     assert isinstance(table, ScriptTable)
     name = table.script
     if table.duration_s is not None and table.duration_s > LONGEST_SCRIPT:
-        raise ConfigError(
-            f"duration_s = {table.duration_s:g} s is above the {LONGEST_SCRIPT:g} s of a script"
-        )
+        what = quantity("duration_s", table.duration_s)
+        raise ConfigError(f"{what} is above the {LONGEST_SCRIPT:g} s of a script")
     if name.endswith(".xml"):
         path = (beside / name).resolve()
         if not path.is_file():
@@ -74,9 +69,8 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         root = find_jsbsim_root(table.jsbsim_root, beside)
         known = sorted(path.stem for path in root.glob("scripts/*.xml"))
         if name not in known:
-            raise ConfigError(
-                f"script = {name!r} is not in {root / 'scripts'}{suggest(name, known, 'scripts')}"
-            )
+            hint = suggest(name, known, "scripts")
+            raise ConfigError(f"script = {name!r} is not in {root / 'scripts'}{hint}")
         path = root / "scripts" / f"{name}.xml"
     try:
         aircraft = script_facts(path).aircraft
@@ -91,16 +85,15 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         searched = ", ".join(str(place) for place in roots)
         raise ConfigError(f"script = {name!r} flies {aircraft!r}, which is not found\n  searched: {searched}")
     if not (holding[0] / "engine").is_dir():
-        raise ConfigError(
-            f"{holding[0]} has no folder engine; a JSBSim root has aircraft, engine and systems"
-        )
+        rest = "a JSBSim root has aircraft, engine and systems"
+        raise ConfigError(f"{holding[0]} has no folder engine; {rest}")
     return ScriptSpec(
         name=path.stem,
         path=path,
         root=holding[0],
         aircraft=aircraft,
         rate=float(table.rate_hz),
-        duration=None if table.duration_s is None else float(table.duration_s),
+        duration=table.duration_s,
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
         category=table.category,
     )
@@ -113,8 +106,8 @@ def _read_trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
         raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(_TABLES)}")
     if not path.is_file():
         raise ConfigError(f"trajectory = {table.trajectory!r}: no such file beside the profile")
-    duration = None if table.duration_s is None else float(table.duration_s)
-    return TableSpec(name=path.stem, path=path.resolve(), rate=float(table.rate_hz), duration=duration)
+    rate, duration = float(table.rate_hz), table.duration_s
+    return TableSpec(name=path.stem, path=path.resolve(), rate=rate, duration=duration)
 
 
 EXTERNAL: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, Path], Flight]]] = {

@@ -57,23 +57,18 @@ Metres = Annotated[float, between(-1e7, 1e7)]
 Speed = Annotated[float, between(-1e4, 1e4)]
 Share = Annotated[float, between(0.001, 1)]
 Times = Annotated[float, between(0.01, 1e4)]
-Three = Annotated[tuple[Metres, Metres, Metres], ROWS]
-ThreeSpeeds = Annotated[tuple[Speed, Speed, Speed], ROWS]
-_DegH = Annotated[float, between(-1e6, 1e6)]
-_Mg = Annotated[float, between(-1e5, 1e5)]
 Axes = Annotated[tuple[Literal["x", "y", "z"], ...], ROWS, Field(min_length=1)]
 
-if TYPE_CHECKING:
-    Timed = str
-    Counted = str
-    Noisy = str
-else:
-    Timed = Literal[("gnss", *INSTRUMENTS)]
-    """Sensors whose records have a time of arrival."""
-    Counted = Literal[("gnss", *INSTRUMENTS, "imu")]
-    """Sensors that output samples."""
-    Noisy = Literal[("gnss", *INSTRUMENTS, "gyro", "accel")]
-    """Sensors with their own noise."""
+Timed: Any = Literal[("gnss", *INSTRUMENTS)]
+"""Sensors whose records have a time of arrival."""
+Counted: Any = Literal[("gnss", *INSTRUMENTS, "imu")]
+"""Sensors that output samples."""
+Noisy: Any = Literal[("gnss", *INSTRUMENTS, "gyro", "accel")]
+"""Sensors with their own noise."""
+
+
+def _three(number: Any) -> Any:
+    return Annotated[tuple[number, number, number], ROWS]
 
 
 class _FaultTable(Table):
@@ -81,138 +76,73 @@ class _FaultTable(Table):
     duration_s: Annotated[float, between(0.005, 86400)]
 
 
-class SatellitesLostTable(_FaultTable):
-    """Named satellites are not received."""
-
-    kind: Literal["satellites-lost"]
-    satellites: Satellites
-
-
-class JammingTable(_FaultTable):
-    """C/N0 of all satellites is lowered: noise grows, and signals below the threshold are lost."""
-
-    kind: Literal["jamming"]
-    cn0_loss_db: Annotated[float, between(0.1, 60)]
-
-
-class SpoofingTable(_FaultTable):
-    """The position that the receiver computes is moved: north, east, down.
-
-    If the false signals are coherent, code and Doppler agree and the velocity follows the ramp.
-    """
-
-    kind: Literal["spoofing"]
-    step_m: Three = (0.0, 0.0, 0.0)
-    ramp_mps: ThreeSpeeds = (0.0, 0.0, 0.0)
-    coherent: bool = True
-
-
-class PseudorangeTable(_FaultTable):
-    """The pseudoranges of named satellites are off, their Doppler is not."""
-
-    kind: Literal["pseudorange"]
-    satellites: Satellites
-    step_m: Metres = 0.0
-    ramp_mps: Speed = 0.0
-
-
-class SatelliteClockTable(_FaultTable):
-    """The clocks of named satellites drift: pseudoranges and Doppler are off."""
-
-    kind: Literal["satellite-clock"]
-    satellites: Satellites
-    ramp_mps: Speed
-
-
-class ReceiverClockTable(_FaultTable):
-    """The receiver clock jumps."""
-
-    kind: Literal["receiver-clock"]
-    step_m: Metres
+def _make_table(kind: str, words: str, **keys: Any) -> type[_FaultTable]:
+    """Return the type of the tables of one kind; a key is its type, or its type and its default."""
+    rows: dict[str, Any] = {name: key if isinstance(key, tuple) else (key, ...) for name, key in keys.items()}
+    rows["kind"] = (Literal[kind], ...)
+    return create_model(f"{kind} table", __base__=_FaultTable, __doc__=words, **rows)
 
 
 _STEPPED = {f"{name}-step": row for name, row in INSTRUMENTS.items() if row.step}
-_INSTRUMENT_STEPS: tuple[type[_FaultTable], ...] = tuple(
-    create_model(
-        f"{row.record.__name__}StepTable",
-        __base__=_FaultTable,
-        __doc__=f"The output of the {row.title} jumps.",
-        kind=(Literal[kind], ...),
-        **{f"step_{row.step}": (Metres, ...)},  # type: ignore[call-overload]
-    )
-    for kind, row in _STEPPED.items()
-)
-
-
-class GyroStepTable(_FaultTable):
-    """The biases of the gyros jump: x, y, z."""
-
-    kind: Literal["gyro-step"]
-    step_deg_h: Annotated[tuple[_DegH, _DegH, _DegH], ROWS]
-
-
-class AccelStepTable(_FaultTable):
-    """The biases of the accelerometers jump: x, y, z."""
-
-    kind: Literal["accel-step"]
-    step_mg: Annotated[tuple[_Mg, _Mg, _Mg], ROWS]
-
-
-class FrozenTable(_FaultTable):
-    """The output keeps its last value; its times go on."""
-
-    kind: Literal["frozen"]
-    sensor: Noisy
-    axes: Axes | None = None  # of gyro or accel; all if left out
-
-
-class NoiseBurstTable(_FaultTable):
-    """White noise grows by a factor."""
-
-    kind: Literal["noise-burst"]
-    sensor: Noisy
-    times: Times
-
-
-class LatencyTable(_FaultTable):
-    """Measurements arrive later."""
-
-    kind: Literal["latency"]
-    sensor: Timed
-    added_s: Annotated[float, between(0.001, 600)]
-
-
-class DroppedTable(_FaultTable):
-    """Samples are lost at random."""
-
-    kind: Literal["dropped"]
-    sensor: Counted
-    share: Share = 1.0
-
-
-class RepeatedTable(_FaultTable):
-    """Samples are repeated at random."""
-
-    kind: Literal["repeated"]
-    sensor: Counted
-    share: Share = 1.0
-
+_ZERO = (0.0, 0.0, 0.0)
 
 FAULTS: tuple[type[_FaultTable], ...] = (
-    SatellitesLostTable,
-    JammingTable,
-    SpoofingTable,
-    PseudorangeTable,
-    SatelliteClockTable,
-    ReceiverClockTable,
-    *_INSTRUMENT_STEPS,
-    GyroStepTable,
-    AccelStepTable,
-    FrozenTable,
-    NoiseBurstTable,
-    LatencyTable,
-    DroppedTable,
-    RepeatedTable,
+    _make_table("satellites-lost", "Named satellites are not received.", satellites=Satellites),
+    _make_table(
+        "jamming",
+        "C/N0 of all satellites is lowered: noise grows, and signals below the threshold are lost.",
+        cn0_loss_db=Annotated[float, between(0.1, 60)],
+    ),
+    _make_table(
+        "spoofing",
+        """The position that the receiver computes is moved: north, east, down.
+
+        If the false signals are coherent, code and Doppler agree and the velocity follows the ramp.
+        """,
+        step_m=(_three(Metres), _ZERO),
+        ramp_mps=(_three(Speed), _ZERO),
+        coherent=(bool, True),
+    ),
+    _make_table(
+        "pseudorange",
+        "The pseudoranges of named satellites are off, their Doppler is not.",
+        satellites=Satellites,
+        step_m=(Metres, 0.0),
+        ramp_mps=(Speed, 0.0),
+    ),
+    _make_table(
+        "satellite-clock",
+        "The clocks of named satellites drift: pseudoranges and Doppler are off.",
+        satellites=Satellites,
+        ramp_mps=Speed,
+    ),
+    _make_table("receiver-clock", "The receiver clock jumps.", step_m=Metres),
+    *(
+        _make_table(kind, f"The output of the {row.title} jumps.", **{f"step_{row.step}": Metres})
+        for kind, row in _STEPPED.items()
+    ),
+    _make_table(
+        "gyro-step",
+        "The biases of the gyros jump: x, y, z.",
+        step_deg_h=_three(Annotated[float, between(-1e6, 1e6)]),
+    ),
+    _make_table(
+        "accel-step",
+        "The biases of the accelerometers jump: x, y, z.",
+        step_mg=_three(Annotated[float, between(-1e5, 1e5)]),
+    ),
+    _make_table(
+        "frozen",
+        "The output, or some axes of gyro or accel, keeps its last value; its times go on.",
+        sensor=Noisy,
+        axes=(Axes | None, None),
+    ),
+    _make_table("noise-burst", "White noise grows by a factor.", sensor=Noisy, times=Times),
+    _make_table(
+        "latency", "Measurements arrive later.", sensor=Timed, added_s=Annotated[float, between(0.001, 600)]
+    ),
+    _make_table("dropped", "Samples are lost at random.", sensor=Counted, share=(Share, 1.0)),
+    _make_table("repeated", "Samples are repeated at random.", sensor=Counted, share=(Share, 1.0)),
 )
 if TYPE_CHECKING:
     FaultTable = Any
@@ -295,14 +225,8 @@ def check_faults(
 ) -> list[str]:
     """Return one line for each fault that is impossible on this aircraft, ends too late, or overlaps another.
 
-    Parameters
-    ----------
-    tables : sequence
-        The fault tables of a profile.
-    on_board : mapping
-        Kind of sensor -> its spec, or None if there is none on board.
-    length : float or None
-        Duration of the flight [s]; None if it is not known before the flight.
+    ``on_board`` maps each kind of sensor to its spec or None; ``length`` is the duration of the flight [s],
+    None if it is not known before the flight.
     """
     problems = []
     for number, table in enumerate(tables, 1):
@@ -329,14 +253,14 @@ def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
     steps = [key for key in (*_STEPS, "ramp_mps") if hasattr(table, key)]
     if steps and not any(any(_to_si(key, getattr(table, key))) for key in steps):
         return [f"{' and '.join(steps)}: all are 0; give at least one another value"]
-    if isinstance(table, FrozenTable) and table.axes is not None and sensor not in ("gyro", "accel"):
+    if table.kind == "frozen" and table.axes is not None and sensor not in ("gyro", "accel"):
         return [f"axes are for sensor = 'gyro' or 'accel'; the {sensor} freezes as a whole"]
     if isinstance(unit, GnssSpec) and table.kind in _NEEDS_SKY and unit.sky is None:
         return [
             f"gnss = {unit.name!r} is a position-level receiver without {_NEEDS_SKY[table.kind]}; "
             "choose one with [sky], such as 'sky-l1'"
         ]
-    if isinstance(table, NoiseBurstTable) and not _has_noise(unit, sensor):
+    if table.kind == "noise-burst" and not _has_noise(unit, sensor):
         return [f"{unit.name!r} has no white noise in its {sensor} to multiply"]
     names = getattr(table, "satellites", ())
     if names and isinstance(unit, GnssSpec) and unit.sky is not None:

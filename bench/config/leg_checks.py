@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import replace
 
 from bench.config.profile_tables import ProfileTable
+from bench.config.sheet import convert_figures
 from bench.flight.legs.keys import check_leg
 from bench.flight.legs.runway import TakeOff
 from bench.specs import AircraftSpec, Leg, LegStart, Runway
@@ -34,8 +34,7 @@ def make_runway(table: ProfileTable) -> Runway | None:
     row = table.runway or (table.start if table.start.on_ground else None)
     if row is None:
         return None
-    lat, lon, heading = (math.radians(value) for value in (row.lat_deg, row.lon_deg, row.heading_deg))
-    return Runway(lat, lon, float(row.alt_m), heading)
+    return Runway(**convert_figures(Runway, row))
 
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

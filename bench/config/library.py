@@ -14,6 +14,7 @@ from pydantic import Field
 from bench.config import external_truth
 from bench.config.datasheets import SENSORS, list_missing_figures
 from bench.config.profile_tables import Altitude, Category, Speed
+from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
@@ -30,14 +31,6 @@ JSBSIM = "jsbsim:"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
-class _Limits(Table):
-    min_speed_mps: Annotated[float, between(1, 400)]
-    max_speed_mps: Annotated[float, between(1, 400)]
-    max_bank_deg: Annotated[float, between(1, 80)]
-    max_climb_mps: Annotated[float, between(0.1, 100)]
-    max_descent_mps: Annotated[float, between(0.1, 100)]
-
-
 class _Position(Table):
     """A position on board relative to the centre of gravity."""
 
@@ -47,15 +40,6 @@ class _Position(Table):
 
 
 _AT_CG = _Position(forward_m=0.0, right_m=0.0, down_m=0.0)
-
-
-class _Runway(Table):
-    height_m: Annotated[float, between(0.01, 20)]
-    rotate_mps: Annotated[float, between(1, 200)]
-    take_off_pitch_deg: Annotated[float, between(0.5, 25)]
-    approach_mps: Annotated[float, between(1, 200)]
-    flare_m: Annotated[float, between(3.5, 100)]
-    touch_down_mps: Annotated[float, between(0.05, 3)]
 
 
 class _Trim(Table):
@@ -70,12 +54,12 @@ class _AircraftTable(Table):
     category: Category = Field(alias="class")
     source: str = ""
     assumed: Annotated[tuple[str, ...], ROWS] = ()
-    limits: _Limits
+    limits: make_table_type(AircraftSpec)  # type: ignore[valid-type]
     trim: Annotated[tuple[_Trim, ...], ROWS] = ()
     imu: _Position = _AT_CG
     antenna: _Position
     static_port: _Position = _AT_CG
-    runway: _Runway | None = None
+    runway: make_table_type(RunwaySpec) | None = None  # type: ignore[valid-type]
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     guidance: dict[str, float] = Field(default_factory=dict)
 
@@ -207,18 +191,14 @@ def _make_aircraft(
         folder=folder.absolute(),  # it is read in a process that works elsewhere
         systems=with_guidance.absolute(),
         gains=table.guidance,
-        min_speed=limits.min_speed_mps,
-        max_speed=limits.max_speed_mps,
-        max_bank=math.radians(limits.max_bank_deg),
-        max_climb=limits.max_climb_mps,
-        max_descent=limits.max_descent_mps,
+        **convert_figures(AircraftSpec, limits),
         antenna_b=_from_imu(table.antenna, imu),
         category=table.category,
         foreign=foreign,
         imu_b=_from_imu(imu, _AT_CG),
         static_port_b=_from_imu(table.static_port, imu),
         trims=tuple((float(row.alt_m), float(row.speed_mps)) for row in table.trim),
-        runway=_make_runway(table.runway) if table.runway else None,
+        runway=RunwaySpec(**convert_figures(RunwaySpec, table.runway)) if table.runway else None,
         configuration=table.configuration,
     )
 
@@ -226,17 +206,6 @@ def _make_aircraft(
 def _from_imu(place: _Position, imu: _Position) -> tuple[float, float, float]:
     """Return a position on board relative to the IMU [m], b."""
     return (place.forward_m - imu.forward_m, place.right_m - imu.right_m, place.down_m - imu.down_m)
-
-
-def _make_runway(table: _Runway) -> RunwaySpec:
-    return RunwaySpec(
-        height=table.height_m,
-        rotate_speed=table.rotate_mps,
-        take_off_pitch=math.radians(table.take_off_pitch_deg),
-        approach_speed=table.approach_mps,
-        flare_height=table.flare_m,
-        touch_down_sink=table.touch_down_mps,
-    )
 
 
 def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:

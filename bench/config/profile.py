@@ -29,6 +29,7 @@ from bench.config.profile_tables import (
     TrajectoryTable,
     make_profile_table,
 )
+from bench.config.sheet import convert_figures
 from bench.config.tables import check_table, collect_errors, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
@@ -42,6 +43,7 @@ from bench.specs import (
     FlightSpec,
     Gust,
     Profile,
+    Runway,
     SensorsSpec,
     WindLayer,
 )
@@ -97,10 +99,9 @@ def load_profile(
     external = external_truth.EXTERNAL.get(truth_keys[0]) if truth_keys else None
     aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if external is None else None
     units = document.get("sensors")
-    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
     if units is None and external is not None:
         units = external[0].model_fields["sensors"].default.model_dump()
-        on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
+    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
     assumed_names = units.get("assumed") if isinstance(units, Mapping) else None
     assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong)
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
@@ -212,9 +213,8 @@ def choose_estimators(
         if twice:
             raise ConfigError(f"{shown}: two of the requested estimators have the label {twice[0]!r}")
         if not choices:
-            raise ConfigError(
-                f"{shown}: no estimator is requested; leave the list out to run those of the profile"
-            )
+            hint = "leave the list out to run those of the profile"
+            raise ConfigError(f"{shown}: no estimator is requested; {hint}")
     if not allow_commands and (wrong := checks.check_commands(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return choices
@@ -256,31 +256,22 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
     return FlightSpec(
         aircraft=aircraft,
         rate=float(table.rate_hz),
-        lat=math.radians(start.lat_deg),
-        lon=math.radians(start.lon_deg),
-        alt=float(start.alt_m),
-        heading=math.radians(start.heading_deg),
+        **convert_figures(Runway, start),
         speed=leg_checks.choose_first_speed(table, aircraft),
         wind_from=math.radians(wind.from_deg),
         wind_speed=float(wind.speed_mps),
         severity=SEVERITY.get(wind.turbulence, wind.turbulence),
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
         legs=leg_checks.build_legs(table),
-        duration=None if table.duration_s is None else float(table.duration_s),
+        duration=table.duration_s,
         on_ground=start.on_ground,
         runway=leg_checks.make_runway(table),
         wind_layers=tuple(
-            WindLayer(float(row.alt_m), math.radians(row.from_deg), float(row.speed_mps))
+            WindLayer(**convert_figures(WindLayer, row))
             for row in sorted(wind.layers, key=lambda row: row.alt_m)
         ),
         gusts=tuple(
-            Gust(
-                start=float(row.start_s),
-                rise=float(row.rise_s),
-                hold=float(row.hold_s),
-                fall=float(row.fall_s),
-                air_n=(float(row.north_mps), float(row.east_mps), -float(row.up_mps)),
-            )
+            Gust(air_n=(row.north_mps, row.east_mps, -row.up_mps), **convert_figures(Gust, row))
             for row in sorted(table.gust, key=lambda row: row.start_s)
         ),
         turbulence_model=wind.turbulence_model,
@@ -294,7 +285,6 @@ def _make_sensors(
     assumed: Mapping[str, Any],
 ) -> SensorsSpec:
     initial = table.initial_error_sd
-    outages = sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)
     return SensorsSpec(
         **on_board,
         assumed=AssumedSpecs(**assumed),
@@ -303,7 +293,7 @@ def _make_sensors(
         static_port_b=_place_static_port(aircraft),
         **_find_ground(table, aircraft),
         antenna_b=external_truth.place_antenna(table) if aircraft is None else aircraft.antenna_b,
-        gnss_outages=tuple((float(start), float(end)) for start, end in outages),
+        gnss_outages=tuple(sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)),
         initial_pos_sd=initial.pos_m,
         initial_vel_sd=initial.vel_mps,
         initial_tilt_sd=math.radians(initial.tilt_deg),

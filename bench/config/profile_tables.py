@@ -14,15 +14,15 @@ from pydantic_core import PydanticCustomError
 
 from bench.config.fault_tables import FaultTable
 from bench.config.leg_tables import DeclaredTable, build_leg_type
+from bench.config.sheet import make_table_type
 from bench.config.tables import ROWS, Table, between
 from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import Leg
+from bench.specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
 
-Seconds = Annotated[float, between(0.1, 86400)]
-Altitude = Annotated[float, between(-500, 20000)]
-Heading = Annotated[float, between(0, 360)]
-Speed = Annotated[float, between(1, 400)]
+Seconds = Annotated[float, between(*SECONDS)]
+Altitude = Annotated[float, between(*ALTITUDES)]
+Speed = Annotated[float, between(*SPEEDS)]
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
 """Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
 
@@ -39,28 +39,18 @@ def _check_turbulence(value: object) -> object:
 def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
     """Refuse values that an option cannot have: dates, NaN and infinity."""
 
-    def check(item: object) -> None:
-        if isinstance(item, Mapping):
-            for inner in item.values():
-                check(inner)
-        elif isinstance(item, list):
-            for inner in item:
-                check(inner)
+    items: list[object] = [value]
+    while items:
+        item = items.pop()
+        if isinstance(item, Mapping | list):
+            items += item.values() if isinstance(item, Mapping) else item
         elif not isinstance(item, (bool, int, str)) and not (isinstance(item, float) and math.isfinite(item)):
             raise PydanticCustomError("message", "must hold only finite numbers, texts, true or false")
-
-    check(value)
     return value
 
 
-Metres3 = Annotated[
-    tuple[
-        Annotated[float, between(1e-3, 1e4)],
-        Annotated[float, between(1e-3, 1e4)],
-        Annotated[float, between(1e-3, 1e4)],
-    ],
-    ROWS,
-]
+_Sd = Annotated[float, between(1e-3, 1e4)]
+_Sd3 = Annotated[tuple[_Sd, _Sd, _Sd], ROWS]
 Seed = Annotated[int, between(0, 2**53)]
 Category = Literal["uav", "light", "transport", "fighter"]
 """Class of an aircraft."""
@@ -68,10 +58,8 @@ Category = Literal["uav", "light", "transport", "fighter"]
 
 def _check_year(value: date) -> date:
     if not FIRST_YEAR <= value.year < LAST_YEAR:
-        wanted = (
-            f"must be from {FIRST_YEAR:g}-01-01 to {LAST_YEAR - 1:g}-12-31: the magnetic field is known then"
-        )
-        raise PydanticCustomError("message", wanted)
+        days = f"{FIRST_YEAR:g}-01-01 to {LAST_YEAR - 1:g}-12-31"
+        raise PydanticCustomError("message", f"must be from {days}: the magnetic field is known then")
     return value
 
 
@@ -86,26 +74,17 @@ def _parse_date(value: object) -> object:
 Date = Annotated[date, BeforeValidator(_parse_date), AfterValidator(_check_year)]
 
 
-class StartTable(Table):
+RunwayTable = make_table_type(Runway)
+
+
+class StartTable(RunwayTable):  # type: ignore[misc, valid-type]
     """Start of the flight: position with ellipsoidal height, heading, true airspeed.
 
     On the ground the aircraft stands at the threshold of a runway, along its heading, and has no airspeed.
     """
 
-    lat_deg: Annotated[float, between(-90, 90)]
-    lon_deg: Annotated[float, between(-180, 180)]
-    alt_m: Altitude
-    heading_deg: Heading
     speed_mps: Speed | None = None
     on_ground: bool = False
-
-
-class LayerTable(Table):
-    """The wind at an altitude."""
-
-    alt_m: Altitude
-    from_deg: Heading
-    speed_mps: Annotated[float, between(0, 100)]
 
 
 class WindTable(Table):
@@ -113,30 +92,17 @@ class WindTable(Table):
 
     from_deg: Annotated[float, between(0, 360)] = 0.0
     speed_mps: Annotated[float, between(0, 40)] = 0.0
-    layers: Annotated[tuple[LayerTable, ...], ROWS] = ()
+    layers: Annotated[tuple[make_table_type(WindLayer), ...], ROWS] = ()  # type: ignore[valid-type]
     turbulence: Annotated[Any, AfterValidator(_check_turbulence)] = "none"
     turbulence_model: Literal["milspec", "tustin"] = "milspec"
 
 
-class GustTable(Table):
+class GustTable(make_table_type(Gust)):  # type: ignore[misc]
     """A 1 - cosine gust: air velocity at its peak, and how long it rises, holds and falls."""
 
-    start_s: Annotated[float, between(0, 86400)]
     north_mps: Annotated[float, between(-40, 40)] = 0.0
     east_mps: Annotated[float, between(-40, 40)] = 0.0
     up_mps: Annotated[float, between(-40, 40)] = 0.0
-    rise_s: Seconds = 1.0
-    hold_s: Annotated[float, between(0, 600)] = 0.0
-    fall_s: Seconds = 1.0
-
-
-class RunwayTable(Table):
-    """The threshold and the direction of the runway; the ground is flat at its height."""
-
-    lat_deg: Annotated[float, between(-90, 90)]
-    lon_deg: Annotated[float, between(-180, 180)]
-    alt_m: Altitude
-    heading_deg: Heading
 
 
 _AIDING: dict[str, Any] = dict.fromkeys(("gnss", *INSTRUMENTS), (str | None, None))
@@ -170,8 +136,8 @@ class OutageTable(Table):
 class InitialErrorSdTable(Table):
     """Standard deviations of the initial errors; position and velocity are north, east, down."""
 
-    pos_m: Metres3 = (3.0, 3.0, 5.0)
-    vel_mps: Metres3 = (0.2, 0.2, 0.2)
+    pos_m: _Sd3 = (3.0, 3.0, 5.0)
+    vel_mps: _Sd3 = (0.2, 0.2, 0.2)
     tilt_deg: Annotated[float, between(1e-4, 30)] = 0.5
     heading_deg: Annotated[float, between(1e-4, 180)] = 2.0
 
@@ -234,7 +200,7 @@ class ProfileTable(ExperimentTable):
     jsbsim_root: str | None = None
     turbulence_seed: Seed | None = None
     start: StartTable
-    runway: RunwayTable | None = None
+    runway: RunwayTable | None = None  # type: ignore[valid-type]
     wind: WindTable = WindTable()
     gust: Annotated[tuple[GustTable, ...], ROWS] = ()
     leg: tuple[DeclaredTable, ...]

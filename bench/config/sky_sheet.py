@@ -5,67 +5,42 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from bench.config.tables import ROWS, Table, between, collect_errors
+from bench.config.sheet import convert_figures, make_table_type
+from bench.config.tables import ROWS, collect_errors
 from bench.errors import ConfigError
 from bench.specs import SkySpec
-from bench.units import STANDARD_GRAVITY, si_fields
+from bench.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
 
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)
-_GPS_STALE, _GLONASS_STALE = (
-    4 * 3600.0,
-    1800.0,
-)  # largest distance of an ephemeris from the start of a flight [s]
+_GPS_STALE, _GLONASS_STALE = 4 * 3600.0, 1800.0  # longest time from an ephemeris to the start of a flight [s]
+_PROCESSES = {
+    "gps_space": "space",
+    "glonass_space": "space",
+    "ionosphere": "ionosphere",
+    "troposphere": "troposphere",
+    "multipath_zenith": "multipath",
+    "multipath_horizon": "multipath",
+}
+"""Beginning of the key of a standard deviation -> that of the correlation time it needs."""
 
-Figure = Annotated[float, between(0, 1e6)]
-Strength = Annotated[float, between(0, 70)]
-Positive = Annotated[float, between(1e-6, 1e9)]
-Eight = Annotated[tuple[float, float, float, float, float, float, float, float], ROWS]
+_Eight = Annotated[tuple[float, float, float, float, float, float, float, float], ROWS]
 
 
-class SkyTable(Table):
+class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
     """Satellites, antenna, receiver, and measurement errors; an error that is left out is off."""
 
     start: datetime  # GPS time of the first instant of the flight
     almanac: str | None = None  # YUMA file, GPS only
     navigation: Annotated[tuple[str, ...], ROWS] = ()  # RINEX files
-    klobuchar: Eight | None = None  # default: from the navigation file; zero for nominal satellites
+    klobuchar: _Eight | None = None  # default: from the navigation file; zero for nominal satellites
     systems: Literal["gps", "glonass", "both", "auto"] = "both"
     bands: Literal[1, 2] = 1
-    elevation_mask_deg: Annotated[float, between(3, 60)]
-    antenna_mask_deg: Annotated[float, between(-90, 60)]
-    cn0_zenith_dbhz: Strength
-    cn0_horizon_dbhz: Strength
-    cn0_threshold_dbhz: Strength
-    second_band_loss_db: Figure = 0.0
-    reacquisition_s: Figure = 0.0
-    dll_bandwidth_hz: Figure = 0.0
-    dll_spacing_chip: Annotated[float, between(0.01, 1)] = 1.0
-    fll_bandwidth_hz: Figure = 0.0
-    integration_s: Annotated[float, between(1e-3, 1)] = 0.02
-    gps_space_sd_m: Figure = 0.0
-    glonass_space_sd_m: Figure = 0.0
-    space_correlation_s: Positive | None = None
-    ionosphere_sd_m: Figure = 0.0
-    ionosphere_correlation_s: Positive | None = None
-    troposphere_sd_m: Figure = 0.0
-    troposphere_correlation_s: Positive | None = None
-    multipath_zenith_sd_m: Figure = 0.0
-    multipath_horizon_sd_m: Figure = 0.0
-    multipath_correlation_s: Positive | None = None
-    clock_offset_sd_m: Figure = 0.0
-    clock_drift_sd_mps: Figure = 0.0
-    glonass_offset_sd_m: Figure = 0.0
-    clock_h_0_s: Figure = 0.0
-    clock_h_m1: Figure = 0.0
-    clock_h_m2_hz: Figure = 0.0
-    clock_g_ppb: float = 0.0  # per g along down
-    false_alarm: Annotated[float, between(0, 0.5)] = 1e-3
 
 
 def read_sky(table: SkyTable, beside: Path) -> SkySpec:
@@ -83,18 +58,12 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     ConfigError
         One message for each problem in the table or its files, without the name of the datasheet.
     """
-    wrong: list[str] = []
-    processes = {
-        "gps_space_sd_m": "space_correlation_s",
-        "glonass_space_sd_m": "space_correlation_s",
-        "ionosphere_sd_m": "ionosphere_correlation_s",
-        "troposphere_sd_m": "troposphere_correlation_s",
-        "multipath_zenith_sd_m": "multipath_correlation_s",
-        "multipath_horizon_sd_m": "multipath_correlation_s",
-    }
-    for sd, correlation in processes.items():
-        if getattr(table, sd) > 0 and getattr(table, correlation) is None:
-            wrong.append(f"[sky] {sd} needs {correlation}")
+    figures = convert_figures(SkySpec, table)
+    wrong = [
+        f"[sky] {process}_sd_m needs {correlation}_correlation_s"
+        for process, correlation in _PROCESSES.items()
+        if figures[f"{process}_sd"] > 0 and not figures[f"{correlation}_correlation"]
+    ]
     if table.start.tzinfo is not None:
         wrong.append(f"[sky] start = {table.start} must have no time zone: it is GPS time")
     if table.almanac is not None and table.navigation:
@@ -110,12 +79,11 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     if wrong:
         raise ConfigError(*wrong)
     klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
-    converted = ("start", "almanac", "navigation", "klobuchar")
-    figures: dict[str, Any] = si_fields({key: value for key, value in table if key not in converted})
-    figures = {name: 0.0 if value is None else value for name, value in figures.items()}
     figures["clock_g"] /= STANDARD_GRAVITY  # the file gives it per g
     return SkySpec(
         **figures,
+        systems=table.systems,
+        bands=table.bands,
         day=table.start.date(),
         gps_t0=of_day,
         gps=gps,

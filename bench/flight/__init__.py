@@ -17,25 +17,9 @@ __all__ = ["Summary", "fly", "fly_pieces", "summarise"]
 
 
 def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
-    """Fly a plan or a script; the same spec gives the same bits in any process.
+    """Fly a plan or a script and return the whole truth, as `bench.flight.recorder.fly_pieces` makes it.
 
-    Parameters
-    ----------
-    spec : FlightSpec or ScriptSpec
-        What is flown; its rate is a multiple of 20 Hz.
-    progress : callable, optional
-        Called with the time flown so far [s].
-
-    Returns
-    -------
-    Trajectory
-        Truth at spec.rate from t = 0, legs as events of kind "leg". What was not made for the bench
-        flies in a process of its own and has a sanity report, events of kind "sanity".
-
-    Raises
-    ------
-    FlightError
-        When it cannot be loaded, trimmed, or flown as planned.
+    A script and an aircraft that was not made for the bench fly in a process of their own.
     """
     (whole,) = fly_pieces(spec, progress, math.inf)
     return whole
@@ -46,10 +30,7 @@ def fly_pieces(
     progress: Callable[[float], None] | None = None,
     seconds: float = recorder.PIECE,
 ) -> Iterator[Trajectory]:
-    """Fly and yield the truth in pieces of so many seconds, as `bench.flight.recorder.fly_pieces` says.
-
-    Parameters and errors as for :func:`fly`.
-    """
+    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds."""
     if isinstance(spec, ScriptSpec):
         return fly_in_child(spec, f"script {spec.name}", progress, seconds)
     if spec.aircraft.foreign is not None:

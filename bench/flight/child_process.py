@@ -49,14 +49,10 @@ def fly_in_child(
 
     Parameters
     ----------
-    spec : FlightSpec or ScriptSpec
-        What is flown; it is pickled.
+    spec, progress, seconds
+        As for `bench.flight.recorder.fly_pieces`.
     what : str
         How messages call it: "aircraft c310".
-    progress : callable, optional
-        Called with the time flown so far [s].
-    seconds : float
-        Length of a piece [s].
     patience : float, optional
         Longest silence of the child [s].
 

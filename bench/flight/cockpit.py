@@ -10,15 +10,14 @@ from bench.earth import matrix_en, to_ecef
 from bench.errors import FlightError
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
-from bench.flight.shaping import GUIDANCE_RATE, smoothstep
+from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
 from bench.flight.trimming import INTEGRATORS, ON_WHEELS
 from bench.specs import FlightSpec
 
 SURFACES = ("aileron", "elevator", "rudder")
 
-_SPEED_CHANGE = (
-    0.5  # fastest change of an airspeed set-point [m/s^2], below what full power gives each aircraft
-)
+# fastest change of an airspeed set-point [m/s^2], below what full power gives each aircraft
+_SPEED_CHANGE = 0.5
 
 
 class Cockpit:
@@ -160,6 +159,14 @@ class Cockpit:
     def speed_settled(self) -> bool:
         """Whether no airspeed change is on its way."""
         return self._plan is None
+
+    def wait_until(self, reached: Callable[[], bool], patience: float, what: str) -> Steps:
+        """Fly on until a state is reached; raise FlightError when it is not within a time [s]."""
+        for _ in ticks(patience):
+            if reached():
+                return
+            yield
+        raise FlightError(f"{what} within {patience:g} s: {self.state()}")
 
     def plane_here(self) -> Plane:
         """Return the plane that is level at the present position."""

@@ -15,14 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from bench.errors import FlightError
-from bench.flight.model_files import (
-    LONGEST_SCRIPT,
-    NAME,
-    copy_aircraft,
-    copy_script,
-    read_xml,
-    write_xml,
-)
+from bench.flight.model_files import LONGEST_SCRIPT, NAME, copy_aircraft, copy_script, read_xml, write_xml
 from bench.scratch import PREFIX, make_scratch
 from bench.specs import AircraftSpec, ScriptSpec, stream
 

@@ -194,14 +194,8 @@ class StateLog:
 
     def _motion_of_centre(self, states: FloatArray) -> Motion:
         """Return the motion JSBSim reports of states (K, 12) or more columns."""
-        return from_states(
-            self.dt,
-            epa=states[:, 11],
-            pos_i=FT * states[:, 0:3],
-            vel_i=FT * states[:, 3:6],
-            euler=states[:, 6:9],
-            lat_lon=states[:, 9:11],
-        )
+        pos_i, vel_i = FT * states[:, 0:3], FT * states[:, 3:6]
+        return from_states(self.dt, states[:, 11], pos_i, vel_i, states[:, 6:9], states[:, 9:11])
 
     def _motion_of_imu(self, states: FloatArray, before: int) -> Motion:
         """Return the motion of the IMU of states that begin so many steps before the stretch.

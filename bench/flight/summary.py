@@ -82,9 +82,7 @@ class Summary:
             "bank_max_rad": most["bank"],
             "pitch_min_rad": least["pitch"],
             "pitch_max_rad": most["pitch"],
-            "roll_rate_max_rad_s": most["roll_rate"],
-            "pitch_rate_max_rad_s": most["pitch_rate"],
-            "yaw_rate_max_rad_s": most["yaw_rate"],
+            **{f"{axis}_rate_max_rad_s": most[f"{axis}_rate"] for axis in ("roll", "pitch", "yaw")},
             "legs": self._legs,
             "sanity": self._sanity,
         }

@@ -28,21 +28,13 @@ _ACTUATORS = 200  # steps for actuators to arrive: 0.5 s at 400 Hz
 _ROUNDS = 20  # of JSBSim's search for the steady state of the engines
 _HISTORY = 5  # past derivatives the integrators of JSBSim keep
 _SETTLE = 10.0  # for the lags of guidance to arrive, against corners of 2 rad/s and more [s]
-INTEGRATORS = {  # AB2, AB2, local linearization, AB4: five times finer than the default
-    "rate/rotational": 3,
-    "rate/translational": 3,
-    "position/rotational": 8,
-    "position/translational": 4,
-}
 ON_WHEELS = {"rate/rotational": 1, "rate/translational": 1}
 """Euler for the rates on the ground: JSBSim's friction expects it; wheels creep and shiver with others."""
+# AB2 for the rates, local linearization, AB4: five times finer than the default
+INTEGRATORS = dict.fromkeys(ON_WHEELS, 3) | {"position/rotational": 8, "position/translational": 4}
 _ACCELERATIONS = (
-    ("accelerations/udot-ft_sec2", FT),
-    ("accelerations/vdot-ft_sec2", FT),
-    ("accelerations/wdot-ft_sec2", FT),
-    ("accelerations/pdot-rad_sec2", 1.0),
-    ("accelerations/qdot-rad_sec2", 1.0),
-    ("accelerations/rdot-rad_sec2", 1.0),
+    *((f"accelerations/{axis}dot-ft_sec2", FT) for axis in "uvw"),
+    *((f"accelerations/{axis}dot-rad_sec2", 1.0) for axis in "pqr"),
 )
 
 

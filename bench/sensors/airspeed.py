@@ -10,9 +10,9 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import AirspeedData, AirspeedSpec
 from bench.sensors.processes import apply_lag
-from bench.sensors.timing import find_epoch_rows
+from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
-from bench.specs import SensorsSpec, stream
+from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:
@@ -24,20 +24,14 @@ def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tup
 def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:
     """Simulate an airspeed sensor; return its record and its slowly varying error.
 
-    Parameters
-    ----------
-    truth : Trajectory
-        With the air of the flight at 20 Hz, interpolated linearly.
-    spec : AirspeedSpec
-        The sensor. Static pressure and temperature are assumed to be known exactly; the scale factor covers
-        their errors and a static port error in proportion to the dynamic pressure.
-    seed, run : int
-        Select the draw of the errors.
+    The parameters are those of `Sampler`, with the air of the flight at 20 Hz, interpolated linearly. Static
+    pressure and temperature are assumed to be known exactly; the scale factor covers their errors and a
+    static port error in proportion to the dynamic pressure.
 
     Returns
     -------
     airspeed : AirspeedData
-        At t = 1/rate, 2/rate, ... A pressure below 0 reads 0 m/s. A sample below ``min_speed`` or clipped at
+        A pressure below 0 reads 0 m/s. A sample below ``min_speed`` or clipped at
         the range is not valid. ``sd`` is the noise at the measured speed; it grows as the speed falls.
     bias : (M,) array
         Error at these times without noise, rounding and clipping [m/s].
@@ -49,8 +43,8 @@ def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple
     """
     if not len(truth.air.t):
         raise ValueError("airspeed: the truth has no air data")
-    rows = find_epoch_rows("airspeed", truth.t, spec.rate)
-    t, around = truth.t[rows], truth.air
+    samples = Sampler("airspeed", truth, spec, seed, run)
+    t, around = samples.t, truth.air
     pressure, temperature, true = (
         np.interp(t, around.t, column)
         for column in (around.pressure, around.temperature, around.airspeed_true)
@@ -58,27 +52,20 @@ def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple
     true_impact = air.impact_pressure(around.airspeed_true, around.pressure, around.temperature)
     exact = np.interp(t, around.t, apply_lag(around.t, true_impact, true_impact[0], spec.lag))
 
-    def draw(name: str, sd: float, count: int) -> FloatArray:
-        if sd <= 0:
-            return np.zeros(count)
-        noise: FloatArray = sd * stream(seed, run, f"airspeed.{name}").standard_normal(count)
-        return noise
-
-    zero = exact + draw("pressure_bias", spec.pressure_bias_sd, 1)
-    scale = 1.0 + draw("scale_factor", spec.scale_factor_sd, 1)
-    offset = draw("bias", spec.bias_sd, 1)
+    zero = exact + samples.draw("pressure_bias", spec.pressure_bias_sd)
+    scale = 1.0 + samples.draw("scale_factor", spec.scale_factor_sd)
+    offset = samples.draw("bias", spec.bias_sd)
 
     def compute_speed(impact: FloatArray) -> FloatArray:
         return scale * air.true_airspeed(np.maximum(impact, 0.0), pressure, temperature) + offset
 
-    impact = zero + draw("pressure_white", spec.pressure_white_sd, len(t))
-    if spec.quantization > 0:
-        impact = spec.quantization * np.rint(impact / spec.quantization)
+    impact = zero + samples.draw("pressure_white", spec.pressure_white_sd, len(t))
+    impact = round_to(impact, spec.quantization)
     clipped = np.zeros(len(t), bool)
     if spec.range > 0:
         clipped = np.abs(impact) > spec.range
         impact = np.clip(impact, -spec.range, spec.range)
-    measured = compute_speed(impact) + draw("white", spec.white_sd, len(t))
+    measured = compute_speed(impact) + samples.draw("white", spec.white_sd, len(t))
     record = AirspeedData(
         t=t,
         t_arrival=t + spec.latency,

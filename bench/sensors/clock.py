@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Trajectory
-from bench.signals import allan
+from bench.sensors.processes import fit_flat_deviation
 from bench.signals.orbits import C
 from bench.specs import SkySpec, stream
 
-_STAGES = np.array([0.05, 0.55, 6.05, 66.55, 732.05, 8052.55])  # correlation times of flicker [s]
-_FLAT = (0.1, 1e4)  # averaging times over which the Allan deviation of their sum is flat [s]
-
-
-@lru_cache(maxsize=1)
-def _fit_stage_sd() -> FloatArray:
-    """Fit the sds of the stages so that their sum has an Allan deviation of 1 (least squares)."""
-    tau = np.geomspace(*_FLAT, 161)
-    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in _STAGES])
-    sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0])
-    return sd
+_STAGES = (0.05, 0.55, 6.05, 66.55, 732.05, 8052.55)  # correlation times of flicker [s]
+_FLAT = (0.1, 1e4, 161)  # averaging times over which the Allan deviation of their sum is flat [s]
 
 
 @kernel
@@ -93,7 +82,8 @@ def simulate_receiver_clock(
         level = C * float(np.sqrt(2.0 * np.log(2.0) * sky.clock_h_m1))
         noise = stream(seed, run, "gnss.sky.clock.flicker").standard_normal((len(t), len(_STAGES), 2))
         flicker = np.zeros((len(t), 2))
-        _flicker_kernel(np.diff(t), _STAGES, level * _fit_stage_sd(), noise, flicker)
+        sd = level * fit_flat_deviation(_STAGES, *_FLAT)
+        _flicker_kernel(np.diff(t), np.array(_STAGES), sd, noise, flicker)
         offset += flicker[:, 0]
         drift += flicker[:, 1]
     if sky.clock_g != 0:

@@ -85,9 +85,8 @@ def evaluate_steps(t: FloatArray, faults: Iterable[Fault], width: int) -> FloatA
 
 def evaluate_rates(t: FloatArray, faults: Iterable[Fault], width: int) -> FloatArray:
     """Return the sum of ramp rates of faults (M, width) at t, per second; 0 outside of the faults."""
-    return evaluate_steps(
-        t, (replace(fault, step=fault.ramp, ramp=(0.0,) * len(fault.ramp)) for fault in faults), width
-    )
+    rates = (replace(fault, step=fault.ramp, ramp=(0.0,) * len(fault.ramp)) for fault in faults)
+    return evaluate_steps(t, rates, width)
 
 
 def apply_to_imu(record: ImuData, spec: ImuSpec, faults: Faults, seed: int, run: int) -> ImuData:
@@ -99,26 +98,17 @@ def apply_to_imu(record: ImuData, spec: ImuSpec, faults: Faults, seed: int, run:
     if not any(fault.sensor in ("imu", "gyro", "accel") for fault in faults):
         return record
     valid = record.valid.copy()
-    columns = {}
-    for sensor, name, triad in (("gyro", "dtheta_b", spec.gyro), ("accel", "dvel_b", spec.accel)):
-        columns[name] = _apply_to_triad(
-            record, getattr(record, name), sensor, triad, faults, valid, seed, run
-        )
-    faulty = ImuData(t=record.t, dt=record.dt, valid=valid, **columns)
+    dtheta_b = _apply_to_triad(record, record.dtheta_b, "gyro", spec.gyro, faults, valid, seed, run)
+    dvel_b = _apply_to_triad(record, record.dvel_b, "accel", spec.accel, faults, valid, seed, run)
+    faulty = ImuData(t=record.t, dt=record.dt, valid=valid, dtheta_b=dtheta_b, dvel_b=dvel_b)
     out = find_reported_rows(record.t, faults, "imu", seed, run)
     return ImuData(*(getattr(faulty, f.name)[out.content] for f in fields(ImuData)))
 
 
 def _apply_to_triad(
-    record: ImuData,
-    increment: FloatArray,
-    sensor: str,
-    spec: TriadSpec,
-    faults: Faults,
-    valid: BoolArray,
-    seed: int,
-    run: int,
-) -> FloatArray:
+    record: ImuData, increment: FloatArray, sensor: str, spec: TriadSpec, faults: Faults,
+    valid: BoolArray, seed: int, run: int,
+) -> FloatArray:  # fmt: skip
     """Return the increments (N, 3) of a triad with its faults; clear ``valid`` where a sample is clipped."""
     t, dt = record.t, record.dt[:, None]
     increment = increment.copy()
@@ -148,20 +138,9 @@ def _apply_to_triad(
 def apply_to_instrument(
     record: Any, sensor: str, column: str, lsb: float, faults: Faults, seed: int, run: int
 ) -> Any:
-    """Apply the faults of an instrument to its record.
+    """Apply the faults of an instrument, by its name, to its record; faults of other sensors are ignored.
 
-    Parameters
-    ----------
-    record : InstrumentData
-        The record without faults; returned unchanged if there are none.
-    sensor, column : str
-        Name of the instrument, and the field of its values.
-    lsb : float
-        Resolution of the values; 0: not rounded.
-    faults : sequence of Fault
-        Faults of other sensors are ignored.
-    seed, run : int
-        Select the draw of the noise.
+    ``column`` is the field of the values, ``lsb`` their resolution (0: not rounded).
     """
     values = getattr(record, column)
     wide = values.reshape(len(record), -1)
@@ -182,9 +161,7 @@ def apply_to_instrument(
 def compute_spoofing(t: FloatArray, faults: Faults) -> tuple[FloatArray, FloatArray]:
     """Return the offset (M, 3) [m] and velocity (M, 3) [m/s] of a spoofed position at t, n."""
     spoofing = list(select_faults(faults, "gnss", "spoofing"))
-    return evaluate_steps(t, spoofing, 3), evaluate_rates(
-        t, (fault for fault in spoofing if fault.coherent), 3
-    )
+    return evaluate_steps(t, spoofing, 3), evaluate_rates(t, (f for f in spoofing if f.coherent), 3)
 
 
 def compute_fix_errors(
@@ -254,9 +231,8 @@ def _match_satellites(fault: Fault, system: IntArray, sat: IntArray) -> BoolArra
 def select_output(record: _Record, out: ReportedRows) -> _Record:
     """Return the rows of a record that are put out, with their times of arrival."""
     columns = {f.name: getattr(record, f.name)[out.content] for f in fields(record)}
-    return type(record)(
-        **columns | {"t": record.t[out.tag], "t_arrival": record.t_arrival[out.tag] + out.late}
-    )
+    times = {"t": record.t[out.tag], "t_arrival": record.t_arrival[out.tag] + out.late}
+    return type(record)(**columns | times)
 
 
 def _stream(fault: Fault, part: str, seed: int, run: int) -> np.random.Generator:

@@ -73,8 +73,8 @@ def measure(
     pos_err_n += _draw_markov("gnss.position.markov", t, pos_decay, pos_markov_sd, seed, run)
     vel_err_n = _draw_white("gnss.velocity.white", len(t), vel_white_sd, seed, run)
     vel_err_n += _draw_markov("gnss.velocity.markov", t, vel_decay, vel_markov_sd, seed, run)
-    pos_err_n += _draw_jumps("gnss.position", spec, truth, rows, lla, pos_decay, seed, run)
-    vel_err_n += _draw_jumps("gnss.velocity", spec, truth, rows, lla, vel_decay, seed, run)
+    pos_err_n += _draw_jumps("gnss.position", spec, t, lla, pos_decay, seed, run)
+    vel_err_n += _draw_jumps("gnss.velocity", spec, t, lla, vel_decay, seed, run)
     if scripted:
         pos_added, vel_added = faults.compute_fix_errors(t, spec, scripted, seed, run)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
@@ -136,14 +136,7 @@ def _draw_markov(
 
 
 def _draw_jumps(
-    name: str,
-    spec: GnssSpec,
-    truth: Trajectory,
-    rows: IntArray,
-    lla: FloatArray,
-    rate: FloatArray,
-    seed: int,
-    run: int,
+    name: str, spec: GnssSpec, t: FloatArray, lla: FloatArray, rate: FloatArray, seed: int, run: int
 ) -> FloatArray:
     """Draw the jumps (M, 3) of A-5.2.1 and A-5.2.2, mu = 1: a part for one epoch, a part that decays."""
     if name == "gnss.position":
@@ -151,10 +144,9 @@ def _draw_jumps(
         lasting = np.array([spec.pos_h_jump_markov_sd, spec.pos_h_jump_markov_sd, spec.pos_v_jump_markov_sd])
     else:
         passing, lasting = np.full(3, spec.vel_jump_sd), np.full(3, spec.vel_jump_markov_sd)
-    error = np.zeros((len(rows), 3))
+    error = np.zeros((len(t), 3))
     if not (passing.any() or lasting.any()):
         return error
-    t = truth.t[rows]
     at = np.flatnonzero(find_constellation_changes(t, lla))
     error[at] += _draw_white(f"{name}.jump", len(at), passing, seed, run)
     forgotten = np.concatenate([[0.0], np.cumsum(rate[1:] * np.diff(t))])
@@ -164,17 +156,10 @@ def _draw_jumps(
 
 
 def find_constellation_changes(t: FloatArray, lla: FloatArray) -> BoolArray:
-    """Return a mask (M,) of the epochs at which the satellites in use differ from the epoch before.
+    """Return a mask (M,) of the epochs t (M,) at which the satellites in use differ from the epoch before.
 
     The satellites in use are those of the nominal GPS constellation (A-2.1.2), with t = 0 at midnight GPS
-    time, that are more than 5 deg above the horizon. There are about a hundred changes a day.
-
-    Parameters
-    ----------
-    t : (M,) array
-        Epochs [s].
-    lla : (M, 3) array
-        Of the antenna [rad, rad, m].
+    time, that are more than 5 deg above the horizon at ``lla`` (M, 3). They change a hundred times a day.
     """
     from bench.signals import orbits
 

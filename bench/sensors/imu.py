@@ -35,27 +35,17 @@ class ImuBias(NamedTuple):
 
 @kernel
 def _measure_kernel(
-    t: FloatArray,
-    increment: FloatArray,
-    M: FloatArray,
-    knots: IntArray,
-    bias: FloatArray,
-    white: FloatArray,
-    random_walk: float,
-    lsb: float,
-    motion_errors: FloatArray,
-    limit: float,
-    out: FloatArray,
-    valid: BoolArray,
-) -> None:
+    t: FloatArray, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
+    white: FloatArray, random_walk: float, lsb: float, motion_errors: FloatArray, limit: float,
+    out: FloatArray, valid: BoolArray,
+) -> None:  # fmt: skip
     """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
 
     ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no such errors. The bias is linear
     between knots, so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit``
     (0: no limit) is clipped and its row of ``valid`` cleared.
     """
-    j = 0
-    rest0, rest1, rest2 = 0.0, 0.0, 0.0
+    j, rest = 0, np.zeros(3)
     for k in range(increment.shape[0]):
         while knots[j + 1] <= k:
             j += 1
@@ -63,29 +53,23 @@ def _measure_kernel(
         t0, t1 = t[knots[j]], t[knots[j + 1]]
         s = (0.5 * (t[k] + t[k + 1]) - t0) / (t1 - t0)
         x, y, z = increment[k, 0], increment[k, 1], increment[k, 2]
-        e0 = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + (bias[j, 0] + s * (bias[j + 1, 0] - bias[j, 0])) * dt
-        e1 = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + (bias[j, 1] + s * (bias[j + 1, 1] - bias[j, 1])) * dt
-        e2 = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + (bias[j, 2] + s * (bias[j + 1, 2] - bias[j, 2])) * dt
-        if white.shape[0] > 0:
-            sd = random_walk * np.sqrt(dt)
-            e0 += sd * white[k, 0]
-            e1 += sd * white[k, 1]
-            e2 += sd * white[k, 2]
-        if motion_errors.shape[0] > 0:
-            e0 += motion_errors[k, 0]
-            e1 += motion_errors[k, 1]
-            e2 += motion_errors[k, 2]
-        x, y, z = x + e0, y + e1, z + e2
-        if limit > 0.0:
-            most = limit * dt
-            if abs(x) > most or abs(y) > most or abs(z) > most:
-                x, y, z = min(max(x, -most), most), min(max(y, -most), most), min(max(z, -most), most)
+        sd, most = random_walk * np.sqrt(dt), limit * dt
+        for i in range(3):
+            drift = bias[j, i] + s * (bias[j + 1, i] - bias[j, i])
+            error = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + drift * dt
+            if white.shape[0] > 0:
+                error += sd * white[k, i]
+            if motion_errors.shape[0] > 0:
+                error += motion_errors[k, i]
+            value = increment[k, i] + error
+            if limit > 0.0 and abs(value) > most:
+                value = np.copysign(most, value)
                 valid[k] = False
-        if lsb > 0.0:
-            want0, want1, want2 = x + rest0, y + rest1, z + rest2
-            x, y, z = lsb * np.rint(want0 / lsb), lsb * np.rint(want1 / lsb), lsb * np.rint(want2 / lsb)
-            rest0, rest1, rest2 = want0 - x, want1 - y, want2 - z
-        out[k, 0], out[k, 1], out[k, 2] = x, y, z
+            if lsb > 0.0:
+                wanted = value + rest[i]
+                value = lsb * np.rint(wanted / lsb)
+                rest[i] = wanted - value
+            out[k, i] = value
 
 
 def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuData, ImuBias]:
@@ -112,8 +96,8 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
     ValueError
         If a figure requires another one that is missing, or a model is unknown.
     """
-    imu_terms.check_imu(spec)
-    vibration.check_vibration(spec.vibration)
+    if wrong := imu_terms.check_imu(spec):
+        raise ValueError("; ".join(wrong))
 
     def make_draw(part: str) -> Draw:
         return lambda term: stream(seed, run, f"imu.{part}.{term}")
@@ -137,31 +121,21 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
         biases.append(bias)
     if N is not None and spec.accel_cone > 0:
         back: FloatArray = np.linalg.inv(N).astype(float)
-        measured[1], biases[1] = (
-            imu_terms.rotate_rows(back, measured[1]),
-            imu_terms.rotate_rows(back, biases[1]),
-        )
+        measured[1], biases[1] = (imu_terms.rotate_rows(back, rows) for rows in (measured[1], biases[1]))
     imu = ImuData(t=t[1:], dt=np.diff(t), valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
     return imu, ImuBias(t[slow_rows], biases[0], biases[1])
 
 
 def _measure_triad(
-    t: FloatArray,
-    motion: FloatArray,
-    dvel_b: FloatArray,
-    spec: TriadSpec,
-    slow_rows: IntArray,
-    warmth: FloatArray,
-    draw: Draw,
-    valid: BoolArray,
-) -> tuple[FloatArray, FloatArray]:
+    t: FloatArray, motion: FloatArray, dvel_b: FloatArray, spec: TriadSpec,
+    slow_rows: IntArray, warmth: FloatArray, draw: Draw, valid: BoolArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
     M = np.zeros((3, 3))
     if spec.scale_factor_sd > 0:
         np.fill_diagonal(M, spec.scale_factor_sd * draw("scale_factor").standard_normal(3))
     if spec.misalignment_sd > 0:
-        angles = spec.misalignment_sd * draw("misalignment").standard_normal(6)
-        M[~np.eye(3, dtype=bool)] = angles
+        M[~np.eye(3, dtype=bool)] = spec.misalignment_sd * draw("misalignment").standard_normal(6)
     M += imu_terms.draw_cross_axis(spec, draw)
     knots, bias = _draw_bias(t, spec, slow_rows, warmth, draw)
     increment = imu_terms.apply_response(t, motion, spec)

@@ -22,31 +22,32 @@ Draw = Callable[[str], np.random.Generator]
 """Name of a term -> its own random stream."""
 
 
-def check_imu(spec: ImuSpec) -> None:
-    """Check the figures of an IMU against each other.
-
-    Raises
-    ------
-    ValueError
-        If a figure requires another one that is missing, or is impossible.
-    """
-    for name, triad in (("gyro", spec.gyro), ("accel", spec.accel)):
+def check_imu(spec: ImuSpec) -> list[str]:
+    """Return one line, in the words of a datasheet, for each figure that is impossible or lacks another."""
+    wrong = []
+    for name, triad, limit in (("gyro", spec.gyro, "range_deg_s"), ("accel", spec.accel, "range_g")):
         if triad.nonlinearity_sd > 0 and triad.range <= 0:
-            raise ValueError(f"{name}.nonlinearity_sd needs a range above 0: it is a fraction of it")
+            wrong.append(f"[{name}] nonlinearity_sd needs {limit} above 0: it is relative to the range")
+        if triad.bias_instability > 0 and triad.bias_correlation <= 0:
+            wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
         if triad.dead_zone_kind not in ("subtractive", "hard"):
-            raise ValueError(
-                f"{name}.dead_zone_kind must be 'subtractive' or 'hard'; got {triad.dead_zone_kind!r}"
-            )
+            wrong.append(f"[{name}] dead_zone_kind = {triad.dead_zone_kind!r}: not subtractive or hard")
     if spec.accel.g_sensitivity_sd > 0 or spec.accel.g2_sensitivity_sd > 0:
-        raise ValueError(
-            "accel has no g_sensitivity_sd or g2_sensitivity_sd; quadratic_sd is its square term"
-        )
+        wrong.append("[accel] g_sensitivity_sd and g2_sensitivity_sd are for gyros; give quadratic_sd")
     if spec.accel_arms and np.shape(spec.accel_arms) != (3, 3):
-        raise ValueError(
-            f"accel_arms must be three positions of three metres; got shape {np.shape(spec.accel_arms)}"
-        )
+        wrong.append(f"accel_arms must be three positions of three metres, not {np.shape(spec.accel_arms)}")
     if not 0 <= spec.accel_cone < np.pi / 2:
-        raise ValueError(f"accel_cone must be 0 to below pi / 2 rad; got {spec.accel_cone:g}")
+        wrong.append(f"accel_cone must be 0 to below pi / 2 rad, not {spec.accel_cone:g}")
+    shaken = spec.vibration
+    engine = shaken.engine_gyro > 0 or shaken.engine_accel > 0
+    if engine and not (shaken.engine_reference > 0 and shaken.engine_order > 0):
+        wrong.append("[vibration] engine shaking needs engine_reference_rpm and engine_order above 0")
+    if shaken.gust_gyro > 0 or shaken.gust_accel > 0:
+        if shaken.mode_frequency <= 0:
+            wrong.append("[vibration] shaking by gusts needs mode_frequency_hz above 0 Hz")
+        if not 0 < shaken.mode_damping < 1:
+            wrong.append("[vibration] shaking by gusts needs mode_damping above 0 and below 1")
+    return wrong
 
 
 # --- positions and axes of the sensors ------------------------------------------------------------------
@@ -69,24 +70,19 @@ def cone_axes(half_angle: float) -> FloatArray:
 def resolve_along_axes(
     dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray | None, N: FloatArray
 ) -> FloatArray:
-    """Return the increments of three accelerometers along the rows of N, each at its own position.
+    """Return the increments (K, 3) [m/s] of three accelerometers along the rows of N, each at its own place.
+
+    ``f + dw/dt x r + w x (w x r)`` along each axis (B-0). The rate w is the mean over a sample and its
+    derivative a central difference; the error is of order dt^2.
 
     Parameters
     ----------
-    dtheta_b, dvel_b : (K, 3) array
-        Increments of the IMU's reference point [rad], [m/s].
-    dt : (K,) array
-        Length of the samples [s].
+    dtheta_b, dvel_b, dt : (K, 3), (K, 3), (K,) arrays
+        Increments of the IMU's reference point [rad], [m/s], and length of the samples [s].
     arms : (3, 3) array or None
         Position of each accelerometer [m], b; None: all at the reference point.
     N : (3, 3) array
         Unit vectors of the sensing axes, b.
-
-    Returns
-    -------
-    increment : (K, 3) array
-        Of each accelerometer [m/s]: ``f + dw/dt x r + w x (w x r)`` along its axis (B-0). The rate w is the
-        mean over a sample and its derivative a central difference; the error is of order dt^2.
     """
     out = np.empty_like(dvel_b)
     _along_kernel(dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, out)
@@ -176,15 +172,9 @@ def compute_oscillator_step(w: float, damping: float, interval: float) -> FloatA
 
 @kernel
 def _response_kernel(
-    increment: FloatArray,
-    delay: float,
-    cutoff: float,
-    step: FloatArray,
-    interval: float,
-    width: float,
-    hard: bool,
-    out: FloatArray,
-) -> None:
+    increment: FloatArray, delay: float, cutoff: float, step: FloatArray, interval: float, width: float,
+    hard: bool, out: FloatArray,
+) -> None:  # fmt: skip
     """Delay increments (K, 3) by a number of samples, filter them and apply the dead zone.
 
     The rate is assumed constant within a sample and before the first one, so a fractional delay and the
@@ -238,18 +228,8 @@ def draw_motion_errors(
 ) -> FloatArray:
     """Return the errors that depend on the motion in other ways than M: (K, 3), or no rows if all are off.
 
-    Parameters
-    ----------
-    t : (K + 1,) array
-        Sample instants [s].
-    increment : (K, 3) array
-        Increments at the triad, after its response [unit].
-    dvel_b : (K, 3) array
-        Increments of the specific force at the IMU [m/s].
-    spec : TriadSpec
-        The triad.
-    draw : Draw
-        The streams of the triad.
+    ``increment`` (K, 3) [unit] is that of the triad after its response, between the instants t (K + 1,) [s];
+    ``dvel_b`` (K, 3) [m/s] that of the specific force at the IMU.
 
     Notes
     -----
@@ -257,21 +237,18 @@ def draw_motion_errors(
     straight line is 0 and its largest deviation 1. Quadratic: q x^2. Gyros also: ``G f + H f^2`` (C_a of
     A-5.1.8, and a square term).
     """
-    figures = {
-        "asymmetry": spec.scale_asymmetry_sd,
-        "nonlinearity": spec.nonlinearity_sd,
-        "quadratic": spec.quadratic_sd,
-        "g_sensitivity": spec.g_sensitivity_sd,
-        "g2_sensitivity": spec.g2_sensitivity_sd,
+    terms: dict[str, tuple[float, tuple[int, ...]]] = {
+        "asymmetry": (spec.scale_asymmetry_sd, (3,)),
+        "nonlinearity": (spec.nonlinearity_sd, (3,)),
+        "quadratic": (spec.quadratic_sd, (3,)),
+        "g_sensitivity": (spec.g_sensitivity_sd, (3, 3)),
+        "g2_sensitivity": (spec.g2_sensitivity_sd, (3, 3)),
     }
-    if not any(sd > 0 for sd in figures.values()):
+    if not any(sd > 0 for sd, _ in terms.values()):
         return np.empty((0, 3))
-    a, n, q = (
-        _draw_coefficients(draw, name, figures[name], (3,))
-        for name in ("asymmetry", "nonlinearity", "quadratic")
-    )
-    G, H = (
-        _draw_coefficients(draw, name, figures[name], (3, 3)) for name in ("g_sensitivity", "g2_sensitivity")
+    a, n, q, G, H = (
+        sd * draw(name).standard_normal(shape) if sd > 0 else np.zeros(shape)
+        for name, (sd, shape) in terms.items()
     )
     out = np.empty_like(increment)
     full = spec.range if spec.nonlinearity_sd > 0 else 1.0
@@ -279,24 +256,12 @@ def draw_motion_errors(
     return out
 
 
-def _draw_coefficients(draw: Draw, name: str, sd: float, shape: tuple[int, ...]) -> FloatArray:
-    """Draw the coefficients of one term; 0 without a draw if the term is off."""
-    return sd * draw(name).standard_normal(shape) if sd > 0 else np.zeros(shape)
-
-
 @kernel
 def _motion_errors_kernel(
-    t: FloatArray,
-    increment: FloatArray,
-    dvel_b: FloatArray,
-    asymmetry: FloatArray,
-    nonlinearity: FloatArray,
-    quadratic: FloatArray,
-    G: FloatArray,
-    H: FloatArray,
-    full: float,
-    out: FloatArray,
-) -> None:
+    t: FloatArray, increment: FloatArray, dvel_b: FloatArray,
+    asymmetry: FloatArray, nonlinearity: FloatArray, quadratic: FloatArray, G: FloatArray, H: FloatArray,
+    full: float, out: FloatArray,
+) -> None:  # fmt: skip
     for k in range(increment.shape[0]):
         dt = t[k + 1] - t[k]
         f0, f1, f2 = dvel_b[k, 0], dvel_b[k, 1], dvel_b[k, 2]

@@ -10,37 +10,21 @@ from bench.specs import SensorsSpec, stream
 
 
 def draw_initial_state(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialState:
-    """Draw the initial state of one run: estimate = truth + error, errors as in ``InitialState.cov``.
+    """Draw the state at the first instant of one run: estimate = truth + error, as in ``InitialState.cov``.
 
-    Parameters
-    ----------
-    truth : Trajectory
-        The motion; the state is that of the first instant.
-    spec : SensorsSpec
-        Standard deviations of the initial errors. Its ``alignment`` selects the values that are given; the
-        others are NaN with infinite variance.
-    seed, run : int
-        Select the draw of the error.
+    The ``alignment`` of the spec selects the values that are given; the others are NaN of infinite variance.
     """
-    sd = np.array(
-        [
-            *spec.initial_pos_sd,
-            *spec.initial_vel_sd,
-            spec.initial_tilt_sd,
-            spec.initial_tilt_sd,
-            spec.initial_heading_sd,
-        ]
-    )
+    attitude_sd = (spec.initial_tilt_sd, spec.initial_tilt_sd, spec.initial_heading_sd)
+    sd = np.array([*spec.initial_pos_sd, *spec.initial_vel_sd, *attitude_sd])
     error = sd * stream(seed, run, "initial").standard_normal(9)
+    q_nb = rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
     given = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # first states of the nine
     sd[given:] = np.inf
     return InitialState(
         t=float(truth.t[0]),
         lla=earth.displace(truth.lla[0], error[:3]) if given else np.full(3, np.nan),
         vel_n=truth.vel_n[0] + error[3:6] if given > 3 else np.full(3, np.nan),
-        q_nb=rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
-        if given > 6
-        else np.full(4, np.nan),
+        q_nb=q_nb if given > 6 else np.full(4, np.nan),
         cov=np.diag(sd**2),
         alignment=spec.alignment,
         align_for=spec.align_for,

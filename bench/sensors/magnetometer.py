@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import MagData, MagSpec
-from bench.sensors.timing import find_epoch_rows
+from bench.sensors.sampling import Sampler
 from bench.signals.magnetic import field_n
-from bench.specs import SensorsSpec, stream
+from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[MagData, FloatArray]:
@@ -21,24 +23,20 @@ def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tup
 
 
 def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) -> tuple[MagData, FloatArray]:
-    """Simulate a magnetometer; return its record and its offset.
+    """Simulate a magnetometer at the IMU, along its axes except for ``misalignment_sd``.
 
     Parameters
     ----------
-    truth : Trajectory
-        The motion; the magnetometer is at the IMU, along its axes except for ``misalignment_sd``.
-    spec : MagSpec
-        The magnetometer as mounted.
+    truth, spec, seed, run
+        As for `Sampler`; the magnetometer as mounted.
     date : float
         Decimal year of the flight.
-    seed, run : int
-        Select the draw of the errors.
 
     Returns
     -------
     mag : MagData
-        ``(1 + M) C_bn field_n + hard iron + noise`` at t = 1/rate, 2/rate, ..., rounded to the resolution. A
-        sample with an axis beyond the range is clipped there and not valid.
+        ``(1 + M) C_bn field_n + hard iron + noise``. A sample with an axis beyond the range is clipped there
+        and not valid.
     hard_iron_b : (3,) array
         The offset [T], b.
 
@@ -47,40 +45,22 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) 
     ValueError
         If the rate is above that of the truth, or there is no field model for the date.
     """
-    rows = find_epoch_rows("mag", truth.t, spec.rate)
-    t = truth.t[rows]
+    samples = Sampler("mag", truth, spec, seed, run)
+    rows = samples.rows
     true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
-    distortion, hard_iron_b = _calibration(spec, seed, run)
-    field_b = true_b + true_b @ distortion.T + hard_iron_b
-    if spec.white_sd > 0:
-        field_b += spec.white_sd * stream(seed, run, "mag.white").standard_normal((len(t), 3))
-    if spec.quantization > 0:
-        field_b = spec.quantization * np.rint(field_b / spec.quantization)
-    valid: BoolArray = np.ones(len(t), bool)
+    distortion, hard_iron_b = _draw_calibration(samples, spec)
+    mag: MagData = samples.report(true_b + true_b @ distortion.T + hard_iron_b)
     if spec.range > 0:
-        valid = np.asarray((np.abs(field_b) <= spec.range).all(axis=1))
-        field_b = np.clip(field_b, -spec.range, spec.range)
-    mag = MagData(
-        t=t,
-        t_arrival=t + spec.latency,
-        valid=valid,
-        field_b=field_b,
-        sd=np.full(len(t), spec.white_sd),
-    )
+        within: BoolArray = np.asarray((np.abs(mag.field_b) <= spec.range).all(axis=1))
+        mag = replace(mag, valid=within, field_b=np.clip(mag.field_b, -spec.range, spec.range))
     return mag, hard_iron_b
 
 
-def _calibration(spec: MagSpec, seed: int, run: int) -> tuple[FloatArray, FloatArray]:
+def _draw_calibration(samples: Sampler, spec: MagSpec) -> tuple[FloatArray, FloatArray]:
     """Draw the errors that remain after calibration: matrix of errors (3, 3) [1], offset (3,) [T]."""
-    distortion, hard_iron_b = np.zeros((3, 3)), np.zeros(3)
-    if spec.soft_iron_sd > 0:
-        draws = spec.soft_iron_sd * stream(seed, run, "mag.soft_iron").standard_normal((3, 3))
-        distortion += np.triu(draws) + np.triu(draws, 1).T  # soft iron is symmetric
-    if spec.scale_factor_sd > 0:
-        distortion += np.diag(spec.scale_factor_sd * stream(seed, run, "mag.scale_factor").standard_normal(3))
-    if spec.misalignment_sd > 0:
-        angles = spec.misalignment_sd * stream(seed, run, "mag.misalignment").standard_normal((3, 3))
-        distortion += angles - np.diag(np.diag(angles))
-    if spec.hard_iron_sd > 0:
-        hard_iron_b += spec.hard_iron_sd * stream(seed, run, "mag.hard_iron").standard_normal(3)
-    return distortion, hard_iron_b
+    soft = samples.draw("soft_iron", spec.soft_iron_sd, 3, 3)
+    angles = samples.draw("misalignment", spec.misalignment_sd, 3, 3)
+    distortion = np.triu(soft) + np.triu(soft, 1).T  # soft iron is symmetric
+    distortion += np.diag(samples.draw("scale_factor", spec.scale_factor_sd, 3))
+    distortion += angles - np.diag(np.diag(angles))
+    return distortion, samples.draw("hard_iron", spec.hard_iron_sd, 3)

@@ -30,34 +30,31 @@ def _gauss_markov_kernel(decay: FloatArray, sd: FloatArray, noise: FloatArray, o
 
 
 def simulate_gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) -> FloatArray:
-    """Simulate the sum of first-order Gauss-Markov stages, stationary from the first instant.
+    """Simulate the sum (B, 3) of first-order Gauss-Markov stages, stationary from the first instant.
 
-    Parameters
-    ----------
-    decay : (B - 1, K) array
-        Correlation of each stage between neighbouring instants, ``exp(-dt / correlation)`` [1].
-    sd : (K,) array
-        Standard deviation of each stage.
-    noise : (B, K, 3) array
-        Standard normal numbers.
-
-    Returns
-    -------
-    x : (B, 3) array
-        The process, in the unit of ``sd``; the discretization is exact for any dt.
+    ``decay`` (B - 1, K) is the correlation of each stage between neighbouring instants, ``exp(-dt /
+    correlation)``, ``sd`` (K,) its standard deviation, ``noise`` (B, K, 3) standard normal numbers. The
+    discretization is exact for any dt.
     """
     out = np.zeros((len(noise), 3))
     _gauss_markov_kernel(decay, sd, noise, out)
     return out
 
 
-@lru_cache(maxsize=1)
-def _fit_flicker_sd() -> FloatArray:
-    """Fit the sds of the stages so that their sum has an Allan variance of 1 (least squares)."""
-    tau = np.geomspace(0.1, 10.0, 81)
-    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in _FLICKER_STAGES])
-    variance = np.linalg.lstsq(curves, np.ones(len(tau)), rcond=None)[0]
-    sd: FloatArray = np.sqrt(variance)
+@lru_cache(maxsize=2)
+def fit_flat_deviation(stages: tuple[float, ...], first: float, last: float, count: int) -> FloatArray:
+    """Fit the sds of Gauss-Markov stages so that the Allan deviation of their sum is 1 (least squares).
+
+    Parameters
+    ----------
+    stages : tuple of float
+        Correlation times [s].
+    first, last, count
+        Averaging times of the fit: from first to last [s], at equal ratios.
+    """
+    tau = np.geomspace(first, last, count)
+    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in stages])
+    sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(count), rcond=None)[0])
     return sd
 
 
@@ -86,7 +83,8 @@ def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
             f"bias_instability needs a bias_correlation above 0 s; got {triad.bias_correlation:g} s"
         )
     if triad.bias_model == "flicker":
-        return triad.bias_correlation * np.array(_FLICKER_STAGES), triad.bias_instability * _fit_flicker_sd()
+        sd = fit_flat_deviation(_FLICKER_STAGES, 0.1, 10.0, 81)
+        return triad.bias_correlation * np.array(_FLICKER_STAGES), triad.bias_instability * sd
     if triad.bias_model == "gauss-markov":
         return np.array([triad.bias_correlation]), np.array([triad.instability_sd])
     raise ValueError(f"bias_model must be 'flicker' or 'gauss-markov'; got {triad.bias_model!r}")
@@ -95,17 +93,9 @@ def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
 def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
     """Return the random processes of a triad at rest by name, without those that are off.
 
-    Parameters
-    ----------
-    triad : TriadSpec
-        The triad.
-    step : float
-        Interval between the instants of the simulated biases [s]; 0: continuous biases.
-
-    Notes
-    -----
-    Constant biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature
-    bias, vibration and errors that depend on motion are left out. Quantization acts on the integral.
+    ``step`` is the interval between the instants of the simulated biases [s]; 0: continuous biases. Constant
+    biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature bias,
+    vibration and errors that depend on motion are left out. Quantization acts on the integral.
     """
     terms: dict[str, allan.Covariance] = {}
     if triad.quantization > 0:
@@ -134,18 +124,10 @@ def lag_kernel(t: FloatArray, target: FloatArray, start: float, time: float, out
 
 
 def apply_lag(t: FloatArray, target: FloatArray, start: float, time: float) -> FloatArray:
-    """Apply a first-order lag to a quantity; return it unchanged if the time constant is 0.
+    """Return the first-order lag, with a time constant [s], of a quantity target (B,) at instants t (B,) [s].
 
-    Parameters
-    ----------
-    t : (B,) array
-        Instants [s].
-    target : (B,) array
-        Input of the lag, linear between the instants; the output is exact.
-    start : float
-        Initial output, in the unit of ``target``.
-    time : float
-        Time constant [s].
+    The output begins at ``start`` and is exact for an input that is linear between the instants. A time
+    constant of 0 leaves the input as it is.
     """
     if time <= 0:
         return target

@@ -76,21 +76,13 @@ def _slant_kernel(sin_el: FloatArray, el: FloatArray, obliquity: FloatArray, map
 
 
 def code_sd(cn0: FloatArray, chip: FloatArray, spec: SkySpec) -> FloatArray:
-    """Return the standard deviation of the thermal noise of the code loop [m].
-
-    Parameters
-    ----------
-    cn0 : array
-        [dB-Hz].
-    chip : array
-        Length of a chip [m].
-    spec : SkySpec
-        ``dll_bandwidth``, ``dll_spacing`` d and ``integration`` T.
+    """Return the standard deviation of the thermal noise of the code loop [m] at C/N0 [dB-Hz].
 
     Notes
     -----
     Noncoherent early-minus-late power discriminator, wide front end: Kaplan and Hegarty, Understanding GPS,
-    2nd ed. (2006), eq. 5.23: ``sqrt(B d / (2 C/N0) (1 + 2 / ((2 - d) T C/N0)))`` chips.
+    2nd ed. (2006), eq. 5.23: ``sqrt(B d / (2 C/N0) (1 + 2 / ((2 - d) T C/N0)))`` chips [m], with bandwidth B,
+    spacing d and integration T of the spec.
     """
     ratio = np.exp(_DECIBEL * cn0)
     d = spec.dll_spacing
@@ -125,20 +117,8 @@ def measure(
 ) -> Sky:
     """Simulate the observations and fixes of a receiver, without epochs inside an outage.
 
-    Parameters
-    ----------
-    truth : Trajectory
-        The motion of the IMU.
-    spec : GnssSpec
-        The receiver, with its ``sky``.
-    antenna_b : (3,) tuple
-        Antenna relative to the IMU [m], b; its axis points up, along -z of the body.
-    outages : tuple of (start, end)
-        No observations in [start, end) [s].
-    seed, run : int
-        Select the draw of the errors.
-    scripted : sequence of Fault
-        Scripted faults.
+    The parameters are those of `bench.sensors.gnss.measure`. The axis of the antenna points up, along -z of
+    the body.
 
     Raises
     ------
@@ -304,10 +284,8 @@ def _make_observations(
     for band in range(bands):
         strength[:, band] = cn0 - band * sky.second_band_loss
         pseudorange[:, band] = common + ionosphere * (frequency[:, 0] / frequency[:, band]) ** 2
-        noise, doppler = (
-            code_sd(strength[:, band], chip, sky),
-            doppler_sd(strength[:, band], frequency[:, band], sky),
-        )
+        noise = code_sd(strength[:, band], chip, sky)
+        doppler = doppler_sd(strength[:, band], frequency[:, band], sky)
         if sky.dll_bandwidth > 0:
             pseudorange[:, band] += noise * errors.draw_white(f"code.{band + 1}")
         burst = errors.draw_bursts(scripted, f"code.{band + 1}")

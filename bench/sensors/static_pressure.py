@@ -9,9 +9,8 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
 from bench.sensors.processes import apply_lag
-from bench.sensors.timing import find_epoch_rows
+from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
-from bench.specs import stream
 from bench.units import STANDARD_GRAVITY
 
 _REFERENCE = 298.15  # temperature of the calibration [K]
@@ -29,22 +28,18 @@ def measure(
 
     Parameters
     ----------
-    truth : Trajectory
-        With the air of the flight at 20 Hz, interpolated linearly.
-    spec : BaroSpec
-        The instrument; the reported ``sd`` is its ``white_sd``.
+    truth, spec, seed, run
+        As for `Sampler`, with the air of the flight at 20 Hz, interpolated linearly; the reported ``sd`` is
+        the ``white_sd`` of the spec.
     qnh : float
         Altimeter setting [Pa].
     static_port_b : (3,) tuple
         Static port relative to the centre of gravity, to which the air data belong [m], b.
-    seed, run : int
-        Select the draw of the errors.
 
     Returns
     -------
     baro : BaroData
-        Geopotential height of the standard atmosphere between setting and measured pressure, at
-        t = 1/rate, 2/rate, ...
+        Geopotential height of the standard atmosphere between setting and measured pressure.
     bias : (M,) array
         Altitude without noise and rounding, minus the ellipsoidal height [m]: errors of weather, port and
         lag, and the difference of geopotential and geometric height (16 m at 10 km).
@@ -59,30 +54,18 @@ def measure(
         raise ValueError(f"baro {spec.name!r} has no physical part")
     if not len(truth.air.t):
         raise ValueError("baro: the truth has no air data")
-    rows = find_epoch_rows("baro", truth.t, spec.rate)
-    t = truth.t[rows]
-
-    def draw(name: str, sd: float, count: int = 1) -> FloatArray:
-        if sd <= 0:
-            return np.zeros(count)
-        noise: FloatArray = sd * stream(seed, run, f"baro.{name}").standard_normal(count)
-        return noise
-
-    warmer = unit.isa_deviation + float(draw("isa_deviation", unit.isa_deviation_sd)[0])
+    samples = Sampler("baro", truth, spec, seed, run)
+    t, draw = samples.t, samples.draw
+    warmer = unit.isa_deviation + float(draw("isa_deviation", unit.isa_deviation_sd))
     outside = compute_port_pressure(truth, unit, warmer, static_port_b)
     pressure = np.interp(t, truth.air.t, apply_lag(truth.air.t, outside, outside[0], unit.lag))
     pressure += draw("pressure_bias", unit.pressure_bias_sd)
     warmth = np.interp(t, truth.air.t, truth.air.temperature) + warmer - _REFERENCE
     pressure += draw("temperature", unit.temperature_sd) * warmth
-    sea_level = draw("qnh", unit.qnh_sd) + np.zeros(len(t))
-    if unit.qnh_walk > 0:
-        steps = draw("qnh_walk", 1.0, len(t))
-        sea_level += unit.qnh_walk * np.cumsum(np.sqrt(np.diff(t, prepend=truth.t[0])) * steps)
+    sea_level = draw("qnh", unit.qnh_sd) + samples.draw_walk("qnh_walk", unit.qnh_walk)
     pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # the pressure at all heights changes in proportion
-    bias = air.pressure_altitude(pressure, qnh) - truth.lla[rows, 2]
-    pressure = pressure + draw("pressure_white", unit.pressure_white_sd, len(t))
-    if unit.quantization > 0:
-        pressure = unit.quantization * np.rint(pressure / unit.quantization)
+    bias = air.pressure_altitude(pressure, qnh) - truth.lla[samples.rows, 2]
+    pressure = round_to(pressure + draw("pressure_white", unit.pressure_white_sd, len(t)), unit.quantization)
     baro = BaroData(
         t=t,
         t_arrival=t + spec.latency,
@@ -94,24 +77,13 @@ def measure(
 
 
 def compute_port_pressure(
-    truth: Trajectory,
-    unit: StaticPressureSpec,
-    warmer: float,
-    static_port_b: tuple[float, float, float],
+    truth: Trajectory, unit: StaticPressureSpec, warmer: float, static_port_b: tuple[float, float, float]
 ) -> FloatArray:
     """Return the pressure at the static port (A,) [Pa], at the instants of the air data.
 
-    Parameters
-    ----------
-    truth : Trajectory
-        With the air of the flight.
-    unit : StaticPressureSpec
-        Its position error is proportional to the impact pressure of the air data.
-    warmer : float
-        Temperature added to the air of the flight, from sea level to the port [K]; the pressure at sea level
-        does not change.
-    static_port_b : (3,) tuple
-        Port relative to the point of the air data [m], b.
+    The position error of the unit is in proportion to the impact pressure. ``warmer`` [K] is added to the air
+    of the flight from sea level to the port; the pressure at sea level does not change. ``static_port_b``
+    (3,) [m] is relative to the point of the air data, b.
     """
     around = truth.air
     nearest = np.clip(np.searchsorted(truth.t, around.t - 1e-6), 0, len(truth.t) - 1)

@@ -9,16 +9,7 @@ from bench.units import SAME_INSTANT
 
 
 def find_epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
-    """Return the rows of t nearest to t[0] + k / rate, k = 1, 2, ...
-
-    Parameters
-    ----------
-    name : str
-        Name of the instrument in messages.
-    t : (N,) array
-        Sample instants [s].
-    rate : float
-        Rate of the epochs [Hz].
+    """Return the rows of t (N,) [s] nearest to t[0] + k / rate [Hz], k = 1, 2, ...; ``name`` is for messages.
 
     Raises
     ------
@@ -55,22 +46,10 @@ def find_outage_rows(t: FloatArray, rows: IntArray, outages: tuple[tuple[float, 
 
 
 def select_output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float], ...]) -> FloatArray:
-    """Return the instants of the solutions.
+    """Return the instants of the solutions (M,) [s], increasing.
 
-    Parameters
-    ----------
-    t : (N,) array
-        Sample instants of the truth [s].
-    rate : float
-        Rate of the solutions [Hz].
-    outages : tuple of (start, end)
-        GNSS outages [start, end) [s].
-
-    Returns
-    -------
-    output_t : (M,) array
-        Start and end of the truth, every 1 / rate, and the first and last sample instant of each
-        outage [s], increasing.
+    Of the instants t (N,) of the truth: the first and the last, one every 1 / rate [Hz], and the first and
+    last of each GNSS outage [start, end).
     """
     rows = [0, len(t) - 1]
     for start, end in outages:

@@ -17,24 +17,6 @@ from bench.specs import VibrationSpec
 _WINDOW = 10.0  # a gust is the deviation of the wind from its mean over this time [s]
 
 
-def check_vibration(spec: VibrationSpec) -> None:
-    """Check the figures of the vibration.
-
-    Raises
-    ------
-    ValueError
-        If a figure requires another one that is missing.
-    """
-    if max(spec.engine_gyro, spec.engine_accel) > 0 and not spec.engine_reference > 0:
-        raise ValueError("vibration: engine_gyro and engine_accel need an engine_reference above 0 rad/s")
-    if max(spec.gust_gyro, spec.gust_accel) > 0 and not (
-        spec.mode_frequency > 0 and 0 < spec.mode_damping < 1
-    ):
-        raise ValueError(
-            "vibration: gust_gyro and gust_accel need a mode_frequency above 0 and a mode_damping in (0, 1)"
-        )
-
-
 def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArray, FloatArray]:
     """Add vibration to the true increments; return dtheta_b (K, 3) [rad] and dvel_b (K, 3) [m/s], b.
 
@@ -82,18 +64,10 @@ def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArra
 
 @kernel
 def _shake_kernel(
-    t: FloatArray,
-    true: FloatArray,
-    angle: FloatArray,
-    c: FloatArray,
-    s: FloatArray,
-    cosines: FloatArray,
-    sines: FloatArray,
-    displacement: FloatArray,
-    strength: FloatArray,
-    shape: FloatArray,
-    out: FloatArray,
-) -> None:
+    t: FloatArray, true: FloatArray, angle: FloatArray, c: FloatArray, s: FloatArray,
+    cosines: FloatArray, sines: FloatArray, displacement: FloatArray, strength: FloatArray,
+    shape: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Add vibration by engine angle and displacement of the mode, (K + 1,), to true increments (K, 3).
 
     The integral of a sine of amplitude w^2 and rate w is -w (cos 1 - cos 0).

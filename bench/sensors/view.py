@@ -148,14 +148,11 @@ def compute_view(
 
     Parameters
     ----------
-    truth : Trajectory
-        The motion of the IMU.
-    rows : (M,) array of int
-        Epochs.
+    truth, rows, antenna_b
+        Motion of the IMU; the epochs (M,), rows of it; antenna relative to the IMU (3,) [m], b. The axis of
+        the antenna points up, along -z of the body.
     sky : SkySpec
-        Satellites, masks and antenna.
-    antenna_b : (3,) tuple
-        Antenna relative to the IMU [m], b; its axis points up, along -z of the body.
+        Satellites, masks and reception.
     loss : callable
         Returns the loss of C/N0 [dB], (M, S) or (0, S), of the satellites ``(system, sat)``.
     offset : (M, 3) arrays or None
@@ -174,32 +171,13 @@ def compute_view(
     size = len(t) * S
     epoch, which, received = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.bool_)
     columns = np.empty((size, _COLUMNS))
+    sines = float(np.sin(max(sky.elevation_mask, _GEOMETRIC))), float(np.sin(sky.antenna_mask))
+    since, asleep, travel = np.full(S, np.nan), np.full(S, -np.inf), np.full(S, 0.075)
     count = geometry_kernel(
-        t,
-        pos_e,
-        vel_e,
-        C_en,
-        down_n,
-        track.t_0,
-        track.step,
-        track.coefficients,
-        sky.gps_t0,
-        float(np.sin(max(sky.elevation_mask, _GEOMETRIC))),
-        float(np.sin(sky.antenna_mask)),
-        sky.cn0_zenith,
-        sky.cn0_horizon,
-        sky.cn0_threshold,
-        sky.reacquisition,
-        loss(system, sat),
-        np.full(S, np.nan),
-        np.full(S, -np.inf),
-        np.full(S, 0.075),
-        np.empty(8),
-        epoch,
-        which,
-        received,
-        columns,
-    )
+        t, pos_e, vel_e, C_en, down_n, *track, sky.gps_t0, *sines, sky.cn0_zenith, sky.cn0_horizon,
+        sky.cn0_threshold, sky.reacquisition, loss(system, sat), since, asleep, travel, np.empty(8),
+        epoch, which, received, columns,
+    )  # fmt: skip
     names = ("clock", "clock_rate", "distance", "rate", "cn0", "sin_el")
     return View(
         pos_e=pos_e,

@@ -116,9 +116,8 @@ def measure_deviation(increments: FloatArray, interval: float, spans: Sequence[i
     [0.707]
     """
     columns = increments.reshape(len(increments), -1)
-    columns = columns - columns.mean(
-        axis=0
-    )  # the mean has no second difference; removing it reduces rounding errors
+    # the mean has no second difference; removing it reduces rounding errors
+    columns = columns - columns.mean(axis=0)
     x = np.vstack([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
     variance = []
     for m in spans:

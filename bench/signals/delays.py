@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.compiled import kernel
-from bench.signals.orbits import GPS_EARTH_RATE, C
+from bench.signals.orbits import C
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
 TROPOSPHERE_SCALE = 7500.0  # scale height [m], B-10
@@ -79,7 +79,12 @@ def obliquity_kernel(el: float) -> float:
 def klobuchar_kernel(
     lat: float, lon: float, el: float, sin_az: float, cos_az: float, t: float, model: FloatArray
 ) -> float:
-    """Return the ionospheric delay on GPS L1 [m] at ``t`` [s of the GPS day]; model (8,): alpha, beta 0-3."""
+    """Return the delay of the ionosphere on GPS L1 [m] by the broadcast model (B-10b).
+
+    IS-GPS-200, 20.3.3.5.2.5. Receiver at lat, lon [rad], elevation [rad], sine and cosine of the azimuth, GPS
+    time of day [s], broadcast alpha 0-3 and beta 0-3 (8,) in their semicircle units. On another carrier f
+    multiply by ``(L1 / f)^2``.
+    """
     semi_lat, semi_lon, semi_el = lat / np.pi, lon / np.pi, el / np.pi
     psi = 0.0137 / (semi_el + 0.11) - 0.022
     phi = min(max(semi_lat + psi * cos_az, -0.416), 0.416)
@@ -95,49 +100,6 @@ def klobuchar_kernel(
         x2 = x * x
         night += amplitude * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
     return C * obliquity_kernel(el) * night
-
-
-@kernel
-def _klobuchar_rows_kernel(
-    lat: FloatArray, lon: FloatArray, el: FloatArray, az: FloatArray, t: FloatArray, model: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
-    for k in range(out.shape[0]):
-        out[k] = klobuchar_kernel(lat[k], lon[k], el[k], np.sin(az[k]), np.cos(az[k]), t[k], model)
-
-
-def klobuchar(
-    lat: ArrayLike, lon: ArrayLike, el: ArrayLike, az: ArrayLike, t: ArrayLike, model: ArrayLike
-) -> FloatArray:
-    """Return the delay of the ionosphere on GPS L1 [m] by the broadcast model (B-10b).
-
-    Parameters
-    ----------
-    lat, lon : float or (K,) array
-        Receiver [rad].
-    el, az : float or (K,) array
-        Satellite [rad].
-    t : float or (K,) array
-        GPS time of day [s]; whole days are ignored.
-    model : (8,) array
-        Broadcast alpha 0-3, beta 0-3, in their semicircle units.
-
-    Notes
-    -----
-    IS-GPS-200, 20.3.3.5.2.5. On another carrier f multiply by ``(L1 / f)^2``.
-
-    Examples
-    --------
-    >>> model = [3.82e-8, 1.49e-8, -1.79e-7, 0.0, 1.43e5, 0.0, -3.28e5, 1.13e5]
-    >>> delay = klobuchar(*np.deg2rad([40.0, -100.0, 20.0, 210.0]), 20.75 * 3600, model)
-    >>> print(f"{delay:.3f}")
-    23.784
-    """
-    columns = np.broadcast_arrays(*(np.asarray(c, float) for c in (lat, lon, el, az, t)))
-    out = np.empty(columns[0].size)
-    rows = [c.reshape(-1).copy() for c in columns]
-    _klobuchar_rows_kernel(rows[0], rows[1], rows[2], rows[3], rows[4], np.array(model, float), out)
-    return out.reshape(columns[0].shape)
 
 
 def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen") -> FloatArray:
@@ -167,64 +129,15 @@ def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saa
     h = np.minimum(h, _TOP)
     pressure = 1013.25 * (1 - 2.2557e-5 * h) ** 5.2568  # [hPa], ICAO standard atmosphere
     kelvin = 288.15 - 6.5e-3 * h
-    vapour = (
-        6.108 * _HUMIDITY * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
-    )  # [hPa], saturation Magnus
+    # [hPa], saturation by Magnus
+    vapour = 6.108 * _HUMIDITY * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1 - 0.00266 * np.cos(2 * lat) - 0.28e-6 * h)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
     return np.asarray(dry + wet)
 
 
-def troposphere(
-    el: ArrayLike, lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen"
-) -> FloatArray:
-    """Return the slant delay of the troposphere [m].
-
-    Parameters
-    ----------
-    el : float or (K,) array
-        Elevation [rad], above about 4 deg.
-    lat, alt, model
-        As in :func:`zenith_troposphere`.
-
-    Notes
-    -----
-    Vertical delay times the mapping function of RTCA DO-229D, A.4.2.4:
-    ``1.001 / sqrt(0.002001 + sin^2 el)``.
-
-    Examples
-    --------
-    >>> print(f"{troposphere(np.deg2rad(5.0), 0.8, 0.0):.1f} m")
-    24.4 m
-    """
-    mapping = 1.001 / np.sqrt(0.002001 + np.sin(np.asarray(el, float)) ** 2)
-    delay: FloatArray = zenith_troposphere(lat, alt, model) * mapping
-    return delay
-
-
 def ionosphere_free(range_1: ArrayLike, range_2: ArrayLike, f_1: ArrayLike, f_2: ArrayLike) -> FloatArray:
-    """Return the combination of two carriers that removes the first-order ionosphere (B-11).
-
-    Parameters
-    ----------
-    range_1, range_2 : float or (K,) array
-        Pseudoranges or range rates on carriers ``f_1``, ``f_2`` [Hz].
-    """
+    """Combine ranges or range rates (K,) on two carriers [Hz], without first-order ionosphere (B-11)."""
     gamma = (np.asarray(f_2, float) / np.asarray(f_1, float)) ** 2
     combined: FloatArray = (np.asarray(range_1, float) - gamma * np.asarray(range_2, float)) / (1 - gamma)
     return combined
-
-
-def sagnac(sat_pos_e: ArrayLike, pos_e: ArrayLike) -> FloatArray:
-    """Return the first-order effect of the Earth's rotation during the travel time on a range (...) [m].
-
-    Parameters
-    ----------
-    sat_pos_e : (..., 3) array
-        Satellite [m], Earth-fixed at transmission.
-    pos_e : (..., 3) array
-        Receiver [m], e.
-    """
-    s, r = np.asarray(sat_pos_e, float), np.asarray(pos_e, float)
-    added: FloatArray = GPS_EARTH_RATE / C * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
-    return added

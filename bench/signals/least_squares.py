@@ -91,6 +91,20 @@ def _inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
 
 
 @kernel
+def _count_kernel(a: int, b: int, system: IntArray, used: BoolArray, one_clock: bool) -> tuple[int, int, int]:
+    """Count the used rows from a to b; with 1 or 0 for the clock of GPS (or the only one) and of GLONASS."""
+    count, first, second = 0, 0, 0
+    for k in range(a, b):
+        if used[k]:
+            count += 1
+            if system[k] == 0 or one_clock:
+                first = 1
+            else:
+                second = 1
+    return count, first, second
+
+
+@kernel
 def _normal_kernel(
     a: int, b: int, sat: FloatArray, measured: FloatArray, sd: FloatArray, column: IntArray, used: BoolArray,
     rate: float, x: FloatArray, N: FloatArray, g: FloatArray, design: FloatArray, residual: FloatArray,
@@ -116,13 +130,10 @@ def _normal_kernel(
         N[2, 0] += wz * ex
         N[2, 1] += wz * ey
         N[2, 2] += wz * ez
-        N[c, 0] -= wx
-        N[c, 1] -= wy
-        N[c, 2] -= wz
+        for i, weighted in enumerate((wx, wy, wz)):
+            N[c, i] -= weighted
+            g[i] -= weighted * res
         N[c, c] += w
-        g[0] -= wx * res
-        g[1] -= wy * res
-        g[2] -= wz * res
         g[c] += w * res
     return total
 
@@ -132,7 +143,7 @@ def _position_kernel(
     epoch_start: IntArray, sat: FloatArray, measured: FloatArray, sd: FloatArray, system: IntArray,
     one_clock: bool, rate: float, start: FloatArray, close: float, threshold: FloatArray,
     N: FloatArray, inverse: FloatArray, design: FloatArray, column: IntArray,
-    used: BoolArray, pos: FloatArray, clock: FloatArray, cov: FloatArray, steps: IntArray,
+    pos: FloatArray, clock: FloatArray, cov: FloatArray, steps: IntArray, used: BoolArray,
     residual: FloatArray, chi2: FloatArray, passed: BoolArray,
 ) -> None:  # fmt: skip
     """Solve every epoch; ``used`` marks the rows that may be used and, on return, the rows used.
@@ -149,15 +160,8 @@ def _position_kernel(
         if not np.isnan(start[m, 0]):
             x[:3] = start[m]
         while True:
-            count, first, second = 0, False, False
-            for k in range(a, b):
-                if used[k]:
-                    count += 1
-                    if system[k] == 0 or one_clock:
-                        first = True
-                    else:
-                        second = True
-            n = 3 + (1 if first else 0) + (1 if second else 0)
+            count, first, second = _count_kernel(a, b, system, used, one_clock)
+            n = 3 + first + second
             if count < n:
                 break
             for k in range(a, b):
@@ -279,15 +283,8 @@ def _dop_kernel(
     h = np.zeros(5)
     for m in range(epoch_start.shape[0] - 1):
         N[:] = 0.0
-        count, first, second = 0, False, False
-        for k in range(epoch_start[m], epoch_start[m + 1]):
-            if used[k]:
-                count += 1
-                if system[k] == 0:
-                    first = True
-                else:
-                    second = True
-        n = 3 + (1 if first else 0) + (1 if second else 0)
+        count, first, second = _count_kernel(epoch_start[m], epoch_start[m + 1], system, used, False)
+        n = 3 + first + second
         if count < n:
             continue
         for k in range(epoch_start[m], epoch_start[m + 1]):
@@ -302,16 +299,11 @@ def _dop_kernel(
         if not _inverse_kernel(N, n, inverse):
             continue
         horizontal, vertical = inverse[0, 0] + inverse[1, 1], inverse[2, 2]
-        time = inverse[3, 3]
-        clocks = 0.0
+        position, clocks = horizontal + vertical, 0.0
         for i in range(3, n):
             clocks += inverse[i, i]
-        out[m, 0], out[m, 1], out[m, 2] = (
-            np.sqrt(horizontal),
-            np.sqrt(vertical),
-            np.sqrt(horizontal + vertical),
-        )
-        out[m, 3], out[m, 4] = np.sqrt(time), np.sqrt(horizontal + vertical + clocks)
+        out[m, 0], out[m, 1], out[m, 2] = np.sqrt(horizontal), np.sqrt(vertical), np.sqrt(position)
+        out[m, 3], out[m, 4] = np.sqrt(inverse[3, 3]), np.sqrt(position + clocks)
 
 
 def solve_positions(
@@ -371,30 +363,15 @@ def solve_positions(
         chi2=np.full(M, np.nan),
         passed=np.zeros(M, bool),
     )
+    start = np.full((M, 3), np.nan) if start_e is None else np.ascontiguousarray(start_e, float)
+    bounds, rate = np.empty(0) if threshold is None else threshold, GPS_EARTH_RATE if sagnac else 0.0
+    epochs, systems = (np.ascontiguousarray(a, np.int64) for a in (epoch_start, system))
+    sat, measured, sds = (np.ascontiguousarray(a) for a in (sat_pos_e, pseudorange, sd))
+    N, inverse, design, column = np.empty((5, 5)), np.empty((5, 5)), np.empty((K, 3)), np.empty(K, np.int64)
     _position_kernel(
-        np.ascontiguousarray(epoch_start, np.int64),
-        np.ascontiguousarray(sat_pos_e),
-        np.ascontiguousarray(pseudorange),
-        np.ascontiguousarray(sd),
-        np.ascontiguousarray(system, np.int64),
-        one_clock,
-        GPS_EARTH_RATE if sagnac else 0.0,
-        np.full((M, 3), np.nan) if start_e is None else np.ascontiguousarray(start_e, float),
-        close,
-        np.empty(0) if threshold is None else threshold,
-        np.empty((5, 5)),
-        np.empty((5, 5)),
-        np.empty((K, 3)),
-        np.empty(K, np.int64),
-        fixes.used,
-        fixes.pos_e,
-        fixes.clock,
-        fixes.cov_e,
-        fixes.steps,
-        fixes.residual,
-        fixes.chi2,
-        fixes.passed,
-    )
+        epochs, sat, measured, sds, systems, one_clock, rate, start, close, bounds,
+        N, inverse, design, column, *fixes,
+    )  # fmt: skip
     return fixes
 
 
@@ -426,19 +403,11 @@ def solve_velocities(
     """
     M = len(epoch_start) - 1
     fixes = VelocityFixes(np.full((M, 3), np.nan), np.full(M, np.nan), np.full((M, 3, 3), np.nan))
-    _velocity_kernel(
-        np.ascontiguousarray(epoch_start, np.int64),
-        np.ascontiguousarray(sat_pos_e),
-        np.ascontiguousarray(sat_vel_e),
-        np.ascontiguousarray(range_rate),
-        np.ascontiguousarray(sd),
-        np.ascontiguousarray(used),
-        GPS_EARTH_RATE if sagnac else 0.0,
-        np.ascontiguousarray(pos_e),
-        np.empty((5, 5)),
-        np.empty((5, 5)),
-        *fixes,
-    )
+    columns = (sat_pos_e, sat_vel_e, range_rate, sd, pos_e)
+    sat, sat_vel, measured, sds, pos = (np.ascontiguousarray(a) for a in columns)
+    rate, N, inverse = GPS_EARTH_RATE if sagnac else 0.0, np.empty((5, 5)), np.empty((5, 5))
+    epochs, rows = np.ascontiguousarray(epoch_start, np.int64), np.ascontiguousarray(used)
+    _velocity_kernel(epochs, sat, sat_vel, measured, sds, rows, rate, pos, N, inverse, *fixes)
     return fixes
 
 
@@ -460,15 +429,9 @@ def compute_dop(
     """
     out = np.full((len(epoch_start) - 1, 5), np.nan)
     used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
-    _dop_kernel(
-        np.ascontiguousarray(epoch_start, np.int64),
-        np.ascontiguousarray(los_n),
-        np.ascontiguousarray(system, np.int64),
-        used,
-        np.empty((5, 5)),
-        np.empty((5, 5)),
-        out,
-    )
+    epochs, systems = (np.ascontiguousarray(a, np.int64) for a in (epoch_start, system))
+    N, inverse = np.empty((5, 5)), np.empty((5, 5))
+    _dop_kernel(epochs, np.ascontiguousarray(los_n), systems, used, N, inverse, out)
     return Dop(*out.T)
 
 

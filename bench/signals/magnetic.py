@@ -18,9 +18,8 @@ FIRST_YEAR, LAST_YEAR = 2010.0, 2030.0
 
 _CELL = 5000.0  # edge of a cell of the Earth-fixed grid [m], see `field_n`
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
-_ONE_NUMBER = np.array(
-    [1, 1 << 20, 1 << 40]
-)  # packs the indices of a cell into one number; unique within 2.6 million km
+# packs the indices of a cell into one number; unique within 2.6 million km
+_ONE_NUMBER = np.array([1, 1 << 20, 1 << 40])
 _NANOTESLA = 1e-9  # [T]
 
 
@@ -63,9 +62,8 @@ def field_n(lla: ArrayLike, date: float) -> FloatArray:
     _, first, kind = np.unique(cell @ _ONE_NUMBER, return_index=True, return_inverse=True)
     field_e = np.zeros((len(lla), 3))
     for corner in _CORNERS:
-        values = np.array([_compute_corner(float(date), *map(int, c)) for c in cell[first] + corner]).reshape(
-            -1, 3
-        )
+        found = [_compute_corner(float(date), *map(int, c)) for c in cell[first] + corner]
+        values = np.reshape(found, (-1, 3))
         weight = np.prod(np.where(corner, inside, 1.0 - inside), axis=1)
         field_e += weight[:, None] * values[kind]
     to_n = np.swapaxes(earth.matrix_en(lla[:, 0], lla[:, 1]), -1, -2)

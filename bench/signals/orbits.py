@@ -31,29 +31,10 @@ _G1, _G1_STEP = 1602.0e6, 562.5e3  # GLONASS L1 and its channel spacing [Hz], GL
 _G2, _G2_STEP = 1246.0e6, 437.5e3  # GLONASS L2 [Hz]
 
 KEPLER = (
-    "t_oe",
-    "t_oe_week",
-    "t_oc",
-    "sqrt_a",
-    "e",
-    "i_0",
-    "i_rate",
-    "node_0",
-    "node_rate",
-    "perigee",
-    "mean_anomaly",
-    "delta_n",
-    "c_uc",
-    "c_us",
-    "c_rc",
-    "c_rs",
-    "c_ic",
-    "c_is",
-    "af_0",
-    "af_1",
-    "af_2",
+    "t_oe", "t_oe_week", "t_oc", "sqrt_a", "e", "i_0", "i_rate", "node_0", "node_rate", "perigee",
+    "mean_anomaly", "delta_n", "c_uc", "c_us", "c_rc", "c_rs", "c_ic", "c_is", "af_0", "af_1", "af_2",
     "group_delay",
-)
+)  # fmt: skip
 """Columns of ``KeplerSets.elements``: IS-GPS-200 table 20-III in SI and radians.
 
 ``t_oe`` and ``t_oc`` count from the origin, ``t_oe_week`` from the start of the GPS week; ``group_delay``
@@ -138,15 +119,9 @@ def carrier_frequencies(system: IntArray, channel: IntArray) -> FloatArray:
 
 @kernel
 def _kepler_kernel(
-    elements: FloatArray,
-    rows: IntArray,
-    t: FloatArray,
-    pos: FloatArray,
-    vel: FloatArray,
-    clock: FloatArray,
-    clock_rate: FloatArray,
-    relativity: FloatArray,
-) -> None:
+    elements: FloatArray, rows: IntArray, t: FloatArray,
+    pos: FloatArray, vel: FloatArray, clock: FloatArray, clock_rate: FloatArray, relativity: FloatArray,
+) -> None:  # fmt: skip
     """Fill the states (K, ...) of sets ``rows`` (K,) at ``t`` (K,); IS-GPS-200, tables 20-IV and 30-II."""
     for k in range(t.shape[0]):
         q = elements[rows[k]]
@@ -208,16 +183,9 @@ def _acceleration_kernel(s: FloatArray, sun_moon: FloatArray, out: FloatArray) -
 
 @kernel
 def _glonass_kernel(
-    state: FloatArray,
-    rows: IntArray,
-    t: FloatArray,
-    longest: float,
-    work: FloatArray,
-    pos: FloatArray,
-    vel: FloatArray,
-    clock: FloatArray,
-    clock_rate: FloatArray,
-) -> None:
+    state: FloatArray, rows: IntArray, t: FloatArray, longest: float, work: FloatArray,
+    pos: FloatArray, vel: FloatArray, clock: FloatArray, clock_rate: FloatArray,
+) -> None:  # fmt: skip
     """Integrate sets ``rows`` (K,) to ``t`` (K,) with fourth-order Runge-Kutta; work (6, 6)."""
     s, probe = work[0], work[1]
     for k in range(t.shape[0]):
@@ -271,18 +239,9 @@ def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray
 
 
 def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
-    """Find the healthy set with the nearest reference time for each satellite and instant, or -1.
+    """Return the row (K,) of the healthy set nearest in time for each satellite (K,) and instant t (K,) [s].
 
-    Parameters
-    ----------
-    sets : KeplerSets or GlonassSets
-        Ephemerides in any order.
-    sat : (K,) array of int
-        Satellites.
-    t : (K,) array
-        Instants [s].
-    oldest : float
-        Largest allowed time to the reference time [s].
+    It is -1 if no reference time is within ``oldest`` [s]. The sets may be in any order.
     """
     found = np.full(len(t), -1, np.int64)
     for number in np.unique(sat):
@@ -323,18 +282,10 @@ def find_transmission(
 def make_walker(
     planes: int, per_plane: int, phasing: int, *, semi_axis: float, inclination: float, node_0: float = 0.0
 ) -> KeplerSets:
-    """Make a Walker constellation: evenly spaced circular orbits with perfect clocks, at t = 0.
+    """Make a Walker constellation T/P/F: evenly spaced circular orbits with perfect clocks, at t = 0.
 
-    Parameters
-    ----------
-    planes, per_plane, phasing : int
-        Walker's T/P/F with ``T = planes * per_plane``.
-    semi_axis : float
-        Radius of the orbits [m].
-    inclination : float
-        Inclination of the orbits [rad].
-    node_0 : float
-        Longitude of the first node at t = 0 [rad].
+    ``T = planes * per_plane``, F is the phasing; the angles are in rad, ``semi_axis`` in m, ``node_0`` is the
+    longitude of the first node at t = 0.
     """
     total = planes * per_plane
     elements = np.zeros((total, len(KEPLER)))

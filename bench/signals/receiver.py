@@ -189,17 +189,9 @@ def pseudorange_sd(
 ) -> FloatArray:
     """Return the standard deviation of corrected pseudoranges (K,) [m].
 
-    Parameters
-    ----------
-    el, system, frequency : (K,) arrays
-        Elevation [rad], system, first carrier [Hz].
-    code : (K,) array
-        Noise of the receiver's code measurement [m].
-    budget : ErrorBudget
-        All other errors.
-    ionosphere : str
-        "klobuchar", or "free" for the two-frequency combination, with no ionosphere and three times the
-        noise.
+    Each row (K,) has an elevation [rad], a system, a first carrier [Hz] and the noise of the receiver's code
+    measurement [m]; the budget holds all other errors. The two-frequency combination ("free") has no
+    ionosphere and three times the noise.
     """
     out = np.empty(len(el))
     _pseudorange_sd_kernel(el, system, frequency, code, np.array(budget, float), ionosphere == "free", out)
@@ -244,18 +236,7 @@ def compute_look(
     zenith = zenith_troposphere(lla[:, 0], lla[:, 2], troposphere)
     seen = Look(pos_e, lla, np.empty((K, 3)), np.empty(K), np.empty(K), np.empty(K))
     _look_kernel(epoch_start, sat_pos_e, pos_e, C_en, GPS_EARTH_RATE if sagnac else 0.0, seen.los_n)
-    _atmosphere_kernel(
-        epoch_start,
-        t,
-        lla,
-        zenith,
-        seen.los_n,
-        frequency,
-        klobuchar,
-        seen.el,
-        seen.ionosphere,
-        seen.troposphere,
-    )
+    _atmosphere_kernel(epoch_start, t, lla, zenith, seen.los_n, frequency, klobuchar, *seen[3:])
     return seen
 
 
@@ -406,14 +387,10 @@ def solve_fixes(
     if processing.systems in ("gps", "glonass"):
         wanted = system == (GPS if processing.systems == "gps" else GLONASS)
     for _ in range(2 if near is None else 0):
-        if near is None:
-            rough, use, delayed = None, wanted, ranges
-        else:
-            rough, use, delayed = (
-                near.pos_e,
-                wanted & (near.el > processing.mask),
-                _subtract_delays(ranges, near, processing),
-            )
+        rough, use, delayed = None, wanted, ranges
+        if near is not None:
+            rough, use = near.pos_e, wanted & (near.el > processing.mask)
+            delayed = _subtract_delays(ranges, near, processing)
         pos_e = least_squares.solve_positions(
             start, o.sat_pos_e, delayed, o.sd_pseudorange, system,
             use=use, start_e=rough, close=_ROUGH, one_clock=one_clock, sagnac=sagnac,

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.data import no_air
 from bench.instruments import AirspeedSpec
-from bench.sensors import airspeed
+from bench.sensors import airspeed, sampling
 from bench.signals import air
 from tests.builders import band
 from tests.synthetic import still
@@ -137,7 +137,7 @@ def test_rate_and_latency_and_a_truth_without_air(steady):
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(steady, streams_drawn):
-    drawn = streams_drawn(airspeed)
+    drawn = streams_drawn(sampling)
     airspeed.measure(steady, OFF, 1, 0)
     assert drawn == []
     airspeed.measure(steady, FULL, 1, 0)

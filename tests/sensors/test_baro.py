@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.instruments import BaroSpec
-from bench.sensors import baro
+from bench.sensors import baro, sampling
 from tests.builders import band
 from tests.synthetic import ORIGIN, still
 
@@ -99,7 +99,7 @@ def test_rate_and_latency(rest):
 
 
 def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(rest, streams_drawn):
-    drawn = streams_drawn(baro)
+    drawn = streams_drawn(sampling)
     baro.measure(rest, OFF, 1, 0)
     assert drawn == []
     baro.measure(rest, FULL, 1, 0)

@@ -297,7 +297,7 @@ def test_doubling_the_least_bit_doubles_the_rounding(turn):
 
 
 def test_a_missing_correlation_time_or_unknown_model_is_refused(turn):
-    with pytest.raises(ValueError, match="bias_correlation above 0 s; got 0 s"):
+    with pytest.raises(ValueError, match="bias_instability needs bias_correlation_s above 0 s"):
         measure(turn, replace(OFF, bias_instability=1e-5))
     with pytest.raises(ValueError, match="'flicker' or 'gauss-markov'; got 'pink'"):
         measure(turn, replace(FULL, bias_model="pink"))

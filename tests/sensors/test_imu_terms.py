@@ -470,13 +470,13 @@ def test_vibration_reaches_the_gyro_through_the_square_of_the_force():
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"gyro": TriadSpec(nonlinearity_sd=1e-3)}, "nonlinearity_sd needs a range"),
-        ({"gyro": TriadSpec(dead_zone=1.0, dead_zone_kind="soft")}, "got 'soft'"),
-        ({"accel": TriadSpec(g_sensitivity_sd=1.0)}, "accel has no g_sensitivity_sd"),
+        ({"gyro": TriadSpec(nonlinearity_sd=1e-3)}, "nonlinearity_sd needs range_deg_s"),
+        ({"gyro": TriadSpec(dead_zone=1.0, dead_zone_kind="soft")}, "dead_zone_kind = 'soft'"),
+        ({"accel": TriadSpec(g_sensitivity_sd=1.0)}, "g_sensitivity_sd and g2_sensitivity_sd are for gyros"),
         ({"accel_arms": ((0.0, 0.0), (0.0, 0.0))}, "three positions"),
         ({"accel_cone": 2.0}, "accel_cone must be"),
-        ({"vibration": VibrationSpec(engine_accel=1.0)}, "engine_reference above 0"),
-        ({"vibration": VibrationSpec(gust_accel=1.0)}, "mode_frequency above 0"),
+        ({"vibration": VibrationSpec(engine_accel=1.0)}, "engine_reference_rpm and engine_order above 0"),
+        ({"vibration": VibrationSpec(gust_accel=1.0)}, "mode_frequency_hz above 0"),
     ],
 )
 def test_a_figure_that_lacks_another_is_refused(parts, message):

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import rotation
 from bench.instruments import MagSpec
-from bench.sensors import magnetometer
+from bench.sensors import magnetometer, sampling
 from bench.signals.magnetic import field_n
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -77,7 +77,7 @@ def test_the_matrix_and_the_offset_found_from_the_readings_are_those_of_the_figu
     for run in range(400):
         x, *_ = np.linalg.lstsq(A, reading(tumble, spec, run) - true, rcond=None)
         found.append(x.T / getattr(spec, figure))
-    drawn = magnetometer._calibration(spec, 1, 399)
+    drawn = magnetometer._draw_calibration(sampling.Sampler("mag", tumble, spec, 1, 399), spec)
     assert_allclose(found[-1] * getattr(spec, figure), np.column_stack(drawn), rtol=1e-6, atol=1e-9)
     found = np.array(found)
     M, offset = found[:, :, :3], found[:, :, 3]
@@ -140,7 +140,7 @@ def test_the_date_moves_the_field(turn):
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
-    drawn = streams_drawn(magnetometer)
+    drawn = streams_drawn(sampling)
     magnetometer.measure(turn, OFF, DATE, 1, 0)
     assert drawn == []
     magnetometer.measure(turn, FULL, DATE, 1, 0)

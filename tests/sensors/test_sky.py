@@ -18,6 +18,7 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
+from bench.sensors.processes import fit_flat_deviation
 from bench.signals import allan, delays, orbits, receiver
 from bench.specs import SkySpec
 from tests.builders import band
@@ -97,9 +98,12 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
             travel = np.array([np.linalg.norm(turned - here[k])]) / orbits.C
         n, e, d = earth.matrix_en(*lla[k, :2]).T @ (turned - here[k])
         el, az = np.arctan2(-d, np.hypot(n, e)), np.arctan2(e, n)
-        ionosphere = delays.klobuchar(*lla[k, :2], el, az, o.t[k] + o.gps_t0, o.klobuchar)
+        ionosphere = delays.klobuchar_kernel(
+            *lla[k, :2], el, np.sin(az), np.cos(az), o.t[k] + o.gps_t0, o.klobuchar
+        )
         ionosphere *= (orbits.L1 / o.frequency[k, 0]) ** 2
-        expected = orbits.C * travel[0] + ionosphere + delays.troposphere(el, lla[k, 0], lla[k, 2])
+        troposphere = delays.zenith_troposphere(lla[k, 0], lla[k, 2]) * delays.mapping_kernel(np.sin(el))
+        expected = orbits.C * travel[0] + ionosphere + troposphere
         assert abs(o.pseudorange[k, 0] - expected) < 1e-6
         assert abs(o.cn0[k, 0] - by_antenna(turn, rows[k], [n, e, d])) < 1e-6
 
@@ -288,7 +292,7 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
     what = replace(QUIET, clock_h_m1=h_m1)
     runs = [clock.simulate_receiver_clock(truth, rows, what, 1, run) for run in range(24)]
     taus = np.geomspace(0.1, 1e4, 41)
-    stages = zip(clock._fit_stage_sd(), clock._STAGES, strict=True)
+    stages = zip(fit_flat_deviation(clock._STAGES, *clock._FLAT), clock._STAGES, strict=True)
     flat = np.sqrt(sum(allan.gauss_markov_deviation(taus, sd, c) ** 2 for sd, c in stages))
     assert np.abs(flat - 1).max() < 0.02
     for tau in 2 ** np.arange(11):

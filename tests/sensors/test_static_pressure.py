@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from bench import rotation
 from bench.data import no_air
 from bench.instruments import BaroSpec, StaticPressureSpec
-from bench.sensors import static_pressure
+from bench.sensors import sampling, static_pressure
 from bench.signals import air
 from tests.builders import band
 from tests.synthetic import still
@@ -185,7 +185,7 @@ def test_without_air_or_without_a_physical_part_it_is_refused():
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(streams_drawn):
-    drawn = streams_drawn(static_pressure)
+    drawn = streams_drawn(sampling)
     read(level())
     assert drawn == []
     read(level(), FULL)

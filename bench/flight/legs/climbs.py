@@ -10,7 +10,7 @@ from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, write_key
 from bench.flight.shaping import Steps, smooth, ticks
-from bench.specs import LegStart
+from bench.specs import ALTITUDES, CLIMBS, LegStart
 
 _CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
 _NEAR_ALT = 2.0  # an altitude is reached within [m]
@@ -20,7 +20,7 @@ _PATIENCE = 120.0  # how much longer than planned a leg may take [s]
 @dataclass(frozen=True)
 class _AltitudeChange(AtSpeed):
     sign: ClassVar[int]  # 1 up, -1 down
-    to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude", -500, 20000)]
+    to_alt: Annotated[float, Key("to_alt_m", "ellipsoidal altitude", *ALTITUDES)]
     rate: ClimbRate
 
     def describe(self) -> str:
@@ -61,7 +61,7 @@ class Descend(_AltitudeChange):
 
     kind = "descend"
     sign = -1
-    rate: Annotated[float, Key("rate_mps", "down, as far as the aircraft goes", 0.1, 100, most="max_descent")]
+    rate: Annotated[float, Key("rate_mps", "down, as far as the aircraft goes", *CLIMBS, most="max_descent")]
 
 
 def climb_ramp(rate: float) -> float:
@@ -85,8 +85,6 @@ def level_off(cockpit: Cockpit, alt: float, rate: float) -> Steps:
         cockpit.set_climb((1 - share) * rate)
         yield
     cockpit.hold_alt(alt)
-    for _ in ticks(_PATIENCE):
-        if abs(alt - cockpit.alt()) < _NEAR_ALT:
-            return
-        yield
-    raise FlightError(f"{alt:g} m not held within {_PATIENCE:g} s: {cockpit.state()}")
+    yield from cockpit.wait_until(
+        lambda: abs(alt - cockpit.alt()) < _NEAR_ALT, _PATIENCE, f"{alt:g} m not held"
+    )

@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from bench.specs import AircraftSpec, Leg, LegStart
+from bench.specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
 from bench.units import from_si, unit_of
 from bench.wording import quantity
 
@@ -140,10 +140,10 @@ def _check_begin(leg: Leg, after: str) -> list[str]:
     return ["is flown in the air; a take-off must come before it"]
 
 
-Seconds = Annotated[float, Key("duration_s", "how long", 0.1, 86400)]
-Bank = Annotated[float, Key("bank_deg", "of the turns, as far as the aircraft goes", 1, 80, most="max_bank")]
-ClimbRate = Annotated[float, Key("rate_mps", "up, as far as the aircraft goes", 0.1, 100, most="max_climb")]
-Speed = Annotated[float, Key("speed_mps", "true airspeed", 1, 400, least="min_speed", most="max_speed")]
+Seconds = Annotated[float, Key("duration_s", "how long", *SECONDS)]
+Bank = Annotated[float, Key("bank_deg", "of the turns, as far as the aircraft goes", *BANKS, most="max_bank")]
+ClimbRate = Annotated[float, Key("rate_mps", "up, as far as the aircraft goes", *CLIMBS, most="max_climb")]
+Speed = Annotated[float, Key("speed_mps", "true airspeed", *SPEEDS, least="min_speed", most="max_speed")]
 
 
 @dataclass(frozen=True)

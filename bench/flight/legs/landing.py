@@ -15,7 +15,7 @@ from bench.flight.legs.keys import Key, format_deg, side_of
 from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, check_runway, find_runway
 from bench.flight.paths import Follower
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
-from bench.specs import Leg, LegStart
+from bench.specs import SECONDS, Leg, LegStart
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]
@@ -130,7 +130,7 @@ class LandingRoll(Leg):
 
     kind = "landing-roll"
     needs, leaves = "flare", "ground"
-    hold: Annotated[float, Key("hold_s", "how long it stands at the end", 0.1, 86400)] = 10.0
+    hold: Annotated[float, Key("hold_s", "how long it stands at the end", *SECONDS)] = 10.0
 
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""

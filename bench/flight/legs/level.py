@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, Key, Seconds, Speed
-from bench.flight.shaping import GUIDANCE_RATE, Steps, smooth, ticks, wait
-from bench.specs import Leg, LegStart
+from bench.flight.shaping import GUIDANCE_RATE, Steps, smooth, wait
+from bench.specs import SECONDS, Leg, LegStart
 
 _NEAR_SPEED = 0.5  # an airspeed is reached within [m/s]
 _PATIENCE = 120.0  # for an airspeed to settle [s]
@@ -63,11 +63,11 @@ class SpeedChange(Leg):
         cockpit.change_speed(self.speed)
         while not cockpit.speed_settled():
             yield
-        for _ in ticks(_PATIENCE):
-            if abs(cockpit.speed() - self.speed) < _NEAR_SPEED:
-                return
-            yield
-        raise FlightError(f"{self.speed:g} m/s not held within {_PATIENCE:g} s: {cockpit.state()}")
+
+        def near() -> bool:
+            return abs(cockpit.speed() - self.speed) < _NEAR_SPEED
+
+        yield from cockpit.wait_until(near, _PATIENCE, f"{self.speed:g} m/s not held")
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Configuration(Leg):
     kind = "configuration"
     flaps: Annotated[float, Key("flaps", "0 up to 1 full", 0, 1)] | None = None
     gear: Annotated[Literal["up", "down"], Key("gear", "where it goes")] | None = None
-    duration: Annotated[float, Key("duration_s", "of the movement", 0.1, 86400)] = 5.0
+    duration: Annotated[float, Key("duration_s", "of the movement", *SECONDS)] = 5.0
 
     def __post_init__(self) -> None:
         if self.flaps is None and self.gear is None:

@@ -11,7 +11,7 @@ from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, Key, format_deg, side_of, write_key
 from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, smoothstep, ticks, wait
-from bench.specs import Leg, LegStart
+from bench.specs import SECONDS, Leg, LegStart
 
 _HANDOVER = 0.4  # [s]
 _EDGE = 0.15  # a deflection takes to build up [s]
@@ -25,7 +25,7 @@ _LEVEL = math.radians(5.0)  # wings are level within [rad]
 _NEAR_ALT = 3.0  # an altitude is held again within [m] ...
 _NEAR_CLIMB = 1.0  # ... and this vertical speed [m/s]
 
-_Pause = Annotated[float, Key("pause_s", "guidance flies between and after them", 0.1, 86400)]
+_Pause = Annotated[float, Key("pause_s", "guidance flies between and after them", *SECONDS)]
 _NO_DEFLECTION = "a deflection of 0 does nothing"
 
 
@@ -199,9 +199,9 @@ def _pitch_to(cockpit: Cockpit, pitch: float) -> Steps:
 
 def _recovered(cockpit: Cockpit) -> Steps:
     """Fly on until the wings are level and the altitude is held."""
-    for _ in ticks(_RECOVER):
+
+    def level() -> bool:
         near = abs(cockpit.alt_wanted - cockpit.alt()) < _NEAR_ALT and abs(cockpit.climb()) < _NEAR_CLIMB
-        if near and abs(cockpit.roll()) < _LEVEL:
-            return
-        yield
-    raise FlightError(f"not recovered within {_RECOVER:g} s: {cockpit.state()}")
+        return near and abs(cockpit.roll()) < _LEVEL
+
+    yield from cockpit.wait_until(level, _RECOVER, "not recovered")

@@ -10,11 +10,11 @@ import numpy as np
 
 from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
-from bench.flight.cockpit import Cockpit
+from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_count, format_deg
 from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
-from bench.specs import LegStart
+from bench.specs import ALTITUDES, SECONDS, LegStart
 
 _Course = Annotated[float, Key("course_deg", "over ground, of the first track; else the present one", 0, 360)]
 
@@ -25,7 +25,7 @@ class Waypoint:
 
     lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
     lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None
-    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", -500, 20000)] | None = None
+    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", *ALTITUDES)] | None = None
     north: Annotated[float, Key("north_m", "from the start", -100e3, 100e3)] | None = None
     east: Annotated[float, Key("east_m", "from the start", -100e3, 100e3)] | None = None
 
@@ -63,7 +63,7 @@ class Waypoints(AtSpeed):
         """Turn to the first point, then fly by each on an arc tangent to both its tracks, to the last."""
         plane = cockpit.plane_here()
         radius = turn_radius(cockpit, self.bank)
-        path = Path(plane.position(), plane.track()[0])
+        path = _begin_path(plane)
         path.straight(run_in(cockpit, self.bank))
         alts = [cockpit.alt_wanted]
         for point in self.points:
@@ -113,7 +113,7 @@ class Survey(AtSpeed):
         """Where strips are closer than a turn is wide, the turn bulges out."""
         plane = cockpit.plane_here()
         radius = turn_radius(cockpit, self.bank)
-        path = Path(plane.position(), plane.track()[0] if self.course is None else self.course)
+        path = _begin_path(plane, self.course)
         side = SIDES[self.side]
         for strip in range(self.strips):
             path.straight(self.length)
@@ -121,6 +121,11 @@ class Survey(AtSpeed):
                 _turn_around(path, side, self.spacing, radius)
                 side = -side
         yield from follow(cockpit, plane, path, self.bank)
+
+
+def _begin_path(plane: Plane, course: float | None = None) -> Path:
+    """Return a path from the present position, on a course [rad] or else the present one."""
+    return Path(plane.position(), plane.track()[0] if course is None else course)
 
 
 def _turn_around(path: Path, side: int, across: float, radius: float) -> None:
@@ -145,7 +150,7 @@ class Holding(AtSpeed):
     laps: Annotated[int, Key("laps", "how many", 1, 1000)]
     bank: Bank
     course: _Course | None = None
-    leg_time: Annotated[float, Key("leg_s", "of the straights at the airspeed", 0.1, 86400)] = 60.0
+    leg_time: Annotated[float, Key("leg_s", "of the straights at the airspeed", *SECONDS)] = 60.0
     side: Annotated[Literal["right", "left"], Key("side", "of the turns")] = "right"
 
     def describe(self) -> str:
@@ -157,7 +162,7 @@ class Holding(AtSpeed):
         plane = cockpit.plane_here()
         radius, half_turn = turn_radius(cockpit, self.bank), SIDES[self.side] * math.pi
         length = self.leg_time * cockpit.speed_wanted
-        path = Path(plane.position(), plane.track()[0] if self.course is None else self.course)
+        path = _begin_path(plane, self.course)
         path.straight(run_in(cockpit, self.bank))
         for _ in range(self.laps):
             path.arc(half_turn, radius)

@@ -131,12 +131,11 @@ def angle_to(course: float, heading: float, side: int) -> float:
 def turn_by(cockpit: Cockpit, by: float, bank: float) -> Steps:
     """Turn by an angle [rad] and wait for the new heading."""
     yield from roll_through(cockpit, by, bank)
-    for _ in ticks(_PATIENCE):
-        error = math.remainder(cockpit.course - cockpit.heading(), math.tau)
-        if abs(error) < _NEAR_HEADING:
-            return
-        yield
-    raise FlightError(f"heading not held within {_PATIENCE:g} s: {cockpit.state()}")
+
+    def held() -> bool:
+        return abs(math.remainder(cockpit.course - cockpit.heading(), math.tau)) < _NEAR_HEADING
+
+    yield from cockpit.wait_until(held, _PATIENCE, "heading not held")
 
 
 def roll_through(cockpit: Cockpit, by: float, bank: float) -> Steps:
