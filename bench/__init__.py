@@ -56,7 +56,7 @@ from bench.moved import MovedModules
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "check_limits": "bench.api",
+    "check": "bench.baselines.checking",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
     "fly": "bench.api",
@@ -73,7 +73,7 @@ _PUBLIC = {
     "navigate": "bench.api",
     "navigate_log": "bench.log_pipeline",
     "read_log": "bench.log_pipeline",
-    "record_limits": "bench.api",
+    "record_baselines": "bench.baselines.checking",
     "run": "bench.api",
     "save": "bench.api",
     "score_solution": "bench.api",

@@ -26,7 +26,6 @@ from bench.specs import EstimatorChoice, Profile
 from bench.wording import suggest
 
 if TYPE_CHECKING:
-    from bench.baselines import Progress, Verdict
     from bench.evaluation.noise_curves import AllanResult
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
@@ -376,48 +375,6 @@ def score_solution(
             store.copy_results(folder, partial)
             store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
     return score
-
-
-def check_limits(
-    profiles: Sequence[str] = (),
-    *,
-    directory: str | Path = "tests/baselines",
-    runs: int | None = None,
-    progress: Progress | None = None,
-) -> list[Verdict]:
-    """Fly profiles, all that have limits if none is named, and compare their accuracy with their limits.
-
-    The limits of a profile are in ``<profile>.json`` in ``directory``. ``runs`` is the number of noise draws;
-    None takes as many as the limits are made from. Errors as for `bench.baselines.check`.
-    """
-    from bench import baselines
-
-    return baselines.check(Path(directory), profiles or None, runs, progress)
-
-
-def record_limits(
-    profiles: Sequence[str] = (),
-    *,
-    directory: str | Path = "tests/baselines",
-    runs: int | None = None,
-    progress: Progress | None = None,
-) -> list[Path]:
-    """Fly profiles, write their metrics as new limits, and return the files.
-
-    Parameters as for :func:`check_limits`; ``runs`` is `bench.baselines.RUNS` by default.
-    """
-    from bench import baselines
-
-    directory = Path(directory)
-    sources = list(profiles) or [baselines.read(path)["profile"] for path in sorted(directory.glob("*.json"))]
-    if not sources:
-        raise ConfigError(f"{directory}: no baseline to record again; name a profile")
-    read = [load_profile(source) for source in sources]
-    draws = baselines.RUNS if runs is None else runs
-    return [
-        baselines.write(directory, baselines.record(profile, draws, source=source, progress=progress))
-        for source, profile in zip(sources, read, strict=True)
-    ]
 
 
 def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> None:

@@ -11,7 +11,7 @@ from bench.errors import ConfigError
 
 FUNCTIONS = {
     "allan": "measure_allan",
-    "check": "check_limits",
+    "check": "check",
     "export": "export_run",
     "fixes": "solve_rinex",
     "fly": "describe_flight",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -142,9 +143,9 @@ def guide(topic: str | None) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("kind", type=click.Choice(["estimator"]), metavar="estimator")
-@click.argument("name")
-def new(kind: str, name: str) -> int:
+@click.argument("kind", type=click.Choice(["estimator", "check"]), metavar="KIND")
+@click.argument("name", required=False)
+def new(kind: str, name: str | None) -> int:
     """Write a working example as a starting point for your own.
 
     \b
@@ -153,12 +154,24 @@ def new(kind: str, name: str) -> int:
       test_NAME.py   its test: the contract of the bench, and its accuracy
 
     \b
-    Example:
-      bench new estimator mine && bench run figure-eight -e mine:Mine
-    """
-    from bench.workbench.new import new_estimator
+    check [ESTIMATOR] flies an estimator, loose-15 or one of your own, and writes:
+      tests/baselines/short.toml       a flight of two minutes
+      tests/baselines/short.json       its accuracy, which bench check compares with
+      .github/workflows/accuracy.yml   a CI job that runs bench check
 
-    new_estimator(name, console=new_console())
+    \b
+    Examples:
+      bench new estimator mine && bench run figure-eight -e mine:Mine
+      bench new check mine:Mine && bench check
+    """
+    from bench.workbench.new import new_check, new_estimator
+
+    if kind == "check":
+        new_check(name or "loose-15", console=new_console())
+    elif name is None:
+        raise click.UsageError("bench new estimator needs a NAME")
+    else:
+        new_estimator(name, console=new_console())
     return DONE
 
 
@@ -178,24 +191,62 @@ def view(folder: Path | None, web: bool) -> int:
 
 @commands.command(epilog=STATUS)
 @click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
+@estimator_option("check or record only this one, of the profile, built in")
 @click.option(
     "--baselines",
     type=FILE,
     default=Path("tests/baselines"),
     metavar="DIR",
-    help="folder of the limits, one <profile>.json each",
+    help="folder of the baselines, one <profile>.json each",
 )
-@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each profile")
-@click.option("--record", is_flag=True, help="write the measured metrics as the new limits")
-def check(profiles: tuple[str, ...], baselines: Path, runs: int | None, record: bool) -> int:
-    """Compare the accuracy of profiles with their limits.
+@click.option("--runs", type=click.IntRange(min=2), metavar="N", help="draws: 20 to check, 80 to record")
+@click.option("--record", is_flag=True, help="write what is measured as the new baselines")
+@click.option("--reason", default="", metavar="TEXT", help="why numbers move, for CHANGES.md; with --record")
+@click.option("--strict", is_flag=True, help="status 1 if a metric is undecided, too")
+@click.option("--junit", type=FILE, metavar="FILE", help="write the verdicts as a JUnit file")
+@json_option("the verdicts")
+@programs_option("profile or baseline")
+def check(
+    profiles: tuple[str, ...],
+    estimators: tuple[str, ...] | None,
+    baselines: Path,
+    runs: int | None,
+    record: bool,
+    reason: str,
+    strict: bool,
+    junit: Path | None,
+    as_json: bool,
+    allow_commands: bool,
+) -> int:
+    """Find out whether a change of the code made a filter worse.
 
-    PROFILE is a profile to check; default all that have limits. With --record it
-    may also be a profile without limits.
+    PROFILE is the name or the .toml file of a profile or log; default all that have
+    a baseline. A baseline holds every metric of every noise draw. The check flies the
+    same draws and compares them one by one: same, better, worse or undecided.
+    With --record it writes the baselines and a line each for CHANGES.md beside them.
+
+    \b
+    Examples:
+      bench check figure-eight -e mine:Mine --record   record a filter of your own
+      bench check                                      and check it after a change
     """
-    from bench.workbench.flight_verbs import check_limits, record_limits
+    from bench.store import to_json
+    from bench.workbench import check_verb
 
+    console = new_console(stderr=as_json)
+    options: dict[str, Any] = {
+        "directory": baselines,
+        "estimators": estimators,
+        "runs": runs,
+        "allow_commands": allow_commands,
+    }
     if record:
-        record_limits(baselines, profiles, console=new_console(), runs=runs)
+        if strict or junit or as_json:
+            raise click.UsageError("--record measures no change: leave --strict, --junit and --json out")
+        check_verb.record(profiles, console=console, reason=reason, **options)
         return DONE
-    return DONE if check_limits(baselines, profiles, console=new_console(), runs=runs) else NEGATIVE
+    verdicts = check_verb.check(profiles, console=console, junit=junit, strict=strict, **options)
+    if as_json:
+        click.echo(to_json([asdict(row) for row in verdicts]), nl=False)
+    failing = ("worse", "undecided") if strict else ("worse",)
+    return NEGATIVE if any(row.word in failing for row in verdicts) else DONE

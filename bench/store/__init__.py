@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
 from bench.store.folders import EXPORT, check_file, check_folder, make_folder
-from bench.store.provenance import hash_spec, provenance
+from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
     RECORDING,
     RESULT,
@@ -21,6 +21,7 @@ from bench.store.results import (
     save,
     to_json,
     write_json,
+    write_text,
 )
 from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
 from bench.store.truth_cache import cached_summary, cached_truth, join_pieces, truth_key, truth_pieces
@@ -40,6 +41,7 @@ __all__ = [
     "hash_spec",
     "join_pieces",
     "list_solutions",
+    "list_versions",
     "load",
     "load_observations",
     "load_sensors",
@@ -59,4 +61,5 @@ __all__ = [
     "truth_key",
     "truth_pieces",
     "write_json",
+    "write_text",
 ]

@@ -339,9 +339,14 @@ def write_json(path: Path, value: object) -> None:
     OSError
         If the file cannot be written; an existing file is left unchanged.
     """
+    write_text(path, to_json(value))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically; errors as for `write_json`."""
     part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        part.write_text(to_json(value), encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -1,11 +1,11 @@
-"""The verbs run, fly and check."""
+"""The verbs run and fly."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -70,31 +70,6 @@ def fly(name: str, *, console: Console, **profile_options: Any) -> None:
         summary = api.describe_flight(profile, progress)
     show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
-
-
-def check_limits(directory: Path, names: Sequence[str], *, console: Console, runs: int | None) -> bool:
-    """Fly the profiles that have limits, print the verdicts, and return whether every limit holds."""
-    with _show_runs() as progress:
-        verdicts = api.check_limits(names, directory=directory, runs=runs, progress=progress)
-    show.print_verdicts(console, verdicts)
-    return not any(row.regressed for row in verdicts)
-
-
-def record_limits(
-    directory: Path, names: Sequence[str], *, console: Console, runs: int | None = None
-) -> None:
-    """Fly profiles and write what they measure as their limits."""
-    with _show_runs() as progress:
-        paths = api.record_limits(names, directory=directory, runs=runs, progress=progress)
-    for path in paths:
-        console.print(f"Wrote {path}.")
-
-
-@contextlib.contextmanager
-def _show_runs() -> Iterator[Callable[[str, int, int], None]]:
-    """Provide a function that shows the current run of a profile."""
-    with Console(stderr=True).status("") as status:
-        yield lambda name, k, n: status.update(f"{name}: run {k + 1} of {n}")
 
 
 @contextlib.contextmanager

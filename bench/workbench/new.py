@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import keyword
 import re
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
 
+from bench.baselines.checking import DIRECTORY
 from bench.errors import ConfigError
+from bench.workbench import check_verb
 
 _CLASS = "StartingPoint"
 
@@ -29,6 +32,97 @@ def test_contract_and_accuracy():
     assert metrics["converged"], metrics["reason"]
     assert metrics["pos_rmse_h_m"] < 30.0
 '''
+
+
+_PROFILE = """\
+# A turn, a straight leg, GNSS lost for 20 s: short enough for every push.
+title    = "Two minutes"
+aircraft = "aerosonde"
+rate_hz  = 100
+seed     = 1
+duration_s = 120.0
+
+[start]
+lat_deg = 47.0
+lon_deg = 11.0
+alt_m   = 1000.0
+heading_deg = 10.0
+speed_mps   = 25.0
+
+[[leg]]
+kind = "turn"
+by_deg = 360.0
+bank_deg = 25.0
+
+[[leg]]
+kind = "straight"
+duration_s = 60.0
+
+[sensors]
+imu  = "adis16475"
+gnss = "l1-code"
+baro = "bmp388"
+
+[[gnss_outage]]
+start_s = 80.0
+duration_s = 20.0
+
+[evaluation]
+from_s = 20.0
+
+[[estimator]]
+use = "{use}"
+"""
+
+_WORKFLOW = """\
+# Fails if a change makes the estimator worse than tests/baselines says.
+name: accuracy
+on: [push, pull_request]
+jobs:
+  check:
+    runs-on: ubuntu-latest
+    steps:
+      - uses: actions/checkout@v4
+      - uses: actions/setup-python@v5
+        with:
+          python-version: "3.12"
+      - run: pip install ins-gnss-bench  # or where you install bench from
+      - run: bench check --junit accuracy.xml
+      - uses: actions/upload-artifact@v4
+        if: always()
+        with:
+          name: accuracy
+          path: accuracy.xml
+"""
+
+
+def new_check(use: str, *, console: Console, draws: int = 40) -> None:
+    """Write a short profile, record its baseline with an estimator, and write a CI workflow.
+
+    Parameters
+    ----------
+    use : str
+        The estimator: a built-in name or ``module:Class``.
+    draws : int
+        Number of noise draws of the baseline.
+
+    Raises
+    ------
+    bench.errors.BenchError
+        If a file is there already, or the estimator cannot be built; nothing is left behind then.
+    """
+    profile, workflow = DIRECTORY / "short.toml", Path(".github/workflows/accuracy.yml")
+    if not re.fullmatch(r"[A-Za-z0-9_.:-]+", use):
+        raise ConfigError(f"{use!r}: must be a built-in estimator or module:Class")
+    texts = {profile: _PROFILE.format(use=use), workflow: _WORKFLOW}
+    for path in (*texts, profile.with_suffix(".json")):
+        if path.exists() or path.is_symlink():
+            raise ConfigError(f"{path}: exists already and is not replaced")
+    for path in texts:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    _write_all(texts, lambda: check_verb.record([str(profile)], console=console, runs=draws))
+    console.print(f"Wrote {profile} and {workflow}. Keep them in your repository.")
+    console.print("Next: bench check")
 
 
 def new_estimator(name: str, *, console: Console) -> None:
@@ -61,16 +155,22 @@ def new_estimator(name: str, *, console: Console) -> None:
             raise ConfigError(f"{path}: exists already and is not replaced; choose another name")
     if find_spec(name) is not None or re.search(rf"\b{cls}\b", source):
         raise ConfigError(f"{name!r}: the name is used already; choose another one")
+    _write_all(texts)
+    console.print(f"Wrote {' and '.join(str(path) for path in texts)}.")
+    console.print(f"Next: bench run figure-eight -e {name}:{cls}")
+
+
+def _write_all(texts: Mapping[Path, str], finish: Callable[[], object] = lambda: None) -> None:
+    """Write new files and finish what needs them; if anything fails, none of the files is left."""
     written: list[Path] = []
     try:
         for path, text in texts.items():
             with path.open("x", encoding="utf-8") as file:
                 written.append(path)
                 file.write(text)
+        finish()
     except BaseException:
         for path in written:
             with contextlib.suppress(OSError):
                 path.unlink()
         raise
-    console.print(f"Wrote {' and '.join(str(path) for path in texts)}.")
-    console.print(f"Next: bench run figure-eight -e {name}:{cls}")

@@ -1,4 +1,4 @@
-"""Print results, flights, verdicts and catalogs as tables in the terminal."""
+"""Print results, flights and catalogs as tables in the terminal."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from typing import Any
 from rich import box
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 from bench import api, config
-from bench.baselines import Verdict
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
 from bench.data import NavSolution
@@ -165,21 +163,6 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         f"{1e6 * summary['replay_attitude_rad']:.2g} microradian: largest error of an error-free two-sample "
         "strapdown within 10 minutes",
     }
-
-
-def print_verdicts(console: Console, rows: Sequence[Verdict]) -> None:
-    """Print the limits that changed for the worse or the better, and how many hold."""
-    columns = ("profile", "estimator", "metric", "expected", "tolerance", "measured", "")
-    table = _make_table(*columns)
-    for row in rows:
-        if row.regressed or row.improved:
-            verdict = Text("worse", "bold red") if row.regressed else Text("better")
-            numbers = [_format_number(value) for value in (row.expected, row.tolerance, row.measured)]
-            table.add_row(row.profile, row.estimator, row.metric, *numbers, verdict)
-    if table.row_count:
-        console.print(table)
-    held = sum(not row.regressed for row in rows)
-    console.print(f"{held} of {len(rows)} limits hold.")
 
 
 _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {

@@ -15,6 +15,7 @@ import urllib.request
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 from bench import pipeline, recording, store
@@ -179,22 +180,47 @@ def test_list_legs_says_what_each_key_may_be(capsys):
     assert (glide["default"], glide["required"], aim["default"]) == (3.0, False, 60.0)
 
 
-def test_check_holds_what_record_wrote_and_names_what_got_worse(here, capsys):
-    status, out, _ = say(capsys, "check", "short.toml", "--record", "--baselines", "limits", "--runs", "2")
-    assert (status, out) == (0, "Wrote limits/short.json.\n")
-    status, out, _ = say(capsys, "check", "--baselines", "limits")
+MINE = """
+import dataclasses
+import numpy as np
+from bench import earth
+from bench.navigation.fusion import Loose
+
+class Mine(Loose):
+    def run(self, sensors, initial):
+        found = super().run(sensors, initial)
+        noise = np.random.default_rng(1).normal(scale=NOISE, size=(len(found), 3))
+        return dataclasses.replace(found, lla=earth.displace(found.lla, noise))
+"""
+
+
+def test_check_finds_a_loss_in_a_filter_of_the_present_folder(here, capsys, monkeypatch):
+    """Unchanged it passes; with noise as large as its error added, the check names what got worse."""
+
+    def write_filter(noise):
+        monkeypatch.delitem(sys.modules, "mylab", raising=False)
+        (here / "mylab.py").write_text(MINE.replace("NOISE", str(noise)))
+
+    write_filter(0.0)
+    own = ["-e", "mylab:Mine"]
+    status, out, _ = say(capsys, "check", "short.toml", *own, "--record", "--runs", "20", "--baselines", "b")
+    assert (status, out.splitlines()[0]) == (0, "Wrote b/short.json.")
+    status, out, _ = say(capsys, "check", "--baselines", "b")
     assert status == 0
-    held, limits = re.fullmatch(r"(\d+) of (\d+) limits hold\.\n", out).groups()
-    assert int(held) == int(limits) > 10
-    baseline = json.loads((here / "limits/short.json").read_text())
-    limit = baseline["estimators"]["loose-15"]["cep50_m"]
-    limit |= {"mean": 0.5 * limit["mean"], "tolerance": 0.1 * limit["mean"]}
-    store.write_json(here / "limits/short.json", baseline)
-    status, out, _ = say(capsys, "check", "short", "--baselines", "limits")
+    assert re.fullmatch(r"short, Mine: \d+ same \(20 draws\)\n", out)
+    baseline = json.loads((here / "b/short.json").read_text())["estimators"]["Mine"]
+    rmse = np.sqrt(np.mean(np.square(baseline["metrics"]["pos_rmse_d_m"])))
+    write_filter(rmse)
+    status, out, _ = say(
+        capsys, "check", "short.toml", "--baselines", "b", "--json", "--junit", "b/check.xml"
+    )
     assert status == 1
-    assert re.search(r"short .*loose-15 .*cep50_m .*worse", out)
-    assert out.endswith(f"{int(held) - 1} of {limits} limits hold.\n")
-    assert left(here) == ["limits"]
+    rows = {row["metric"]: row for row in json.loads(out)}
+    assert rows["pos_rmse_d_m"]["word"] == "worse"
+    assert rows["pos_rmse_d_m"]["change"] == pytest.approx(np.sqrt(2) - 1, abs=0.05)
+    assert rows["heading_rmse_deg"]["word"] == "same"
+    assert "<failure" in (here / "b/check.xml").read_text()
+    assert left(here) == ["b", "mylab.py"]
 
 
 # --- what goes wrong ----------------------------------------------------------------------------------

@@ -1,321 +1,247 @@
-"""A baseline regresses when a mean leaves its tolerance on the wrong side, and only then.
+"""What ``bench check`` says of values that are made up here: same, better, worse or undecided.
 
-False-alarm rate of a recorded tolerance: 0.1 % per metric when the spread sets it, less
-when its floor does. The smallest change it catches at even odds is the tolerance itself.
-The runs are made up here: what is flown is the business of the pipeline's tests.
+What is flown is the business of the pipeline's tests; that the statistics hold what they promise is shown in
+tests/evaluation/test_regression.py.
 """
 
+import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from bench import baselines
-from bench.baselines import Statistic, check, compare, measure, read, record, write
+from bench.baselines import checking, experiments
+from bench.baselines.baseline_file import read_baseline
+from bench.baselines.checking import check, record_baselines
+from bench.baselines.digests import digest_record
+from bench.baselines.experiments import Draw, EstimatorDraw
+from bench.baselines.junit import write_junit
+from bench.data import ImuData
 from bench.errors import ConfigError
-from bench.run_result import RunResult
-
-PROFILE = SimpleNamespace(name="survey", seed=7)
-
-
-def result(metrics, run=0):
-    return RunResult(
-        profile={},
-        seed=7,
-        run=run,
-        metrics=metrics,
-        errors={},
-        solutions={},
-        provenance={"versions": {"bench": "0.1.0", "numpy": "2.0"}},
-    )
+from bench.specs import stream
+from bench.workbench.check_verb import print_verdicts
 
 
-def sound(**metrics):
-    return {"converged": True, "reason": None, **metrics}
+def usual(k, scale=1.0, scatter=0.0, nees=9.0):
+    """The metrics of draw k: an RMSE about 2 m that differs by 30 % between draws."""
+    noise = stream(1, k, "test").normal(size=4)
+    rmse = 2.0 * np.exp(0.3 * noise[0]) * scale * np.exp(scatter * noise[1])
+    return {
+        "pos_rmse_h_m": float(rmse),
+        "nees_mean": float(nees * np.exp(0.2 * noise[2])),
+        "coverage_3sigma_pos_n": 0.99,
+    }
 
 
 @pytest.fixture
-def bench_of(monkeypatch):
-    """Replace the flight by made-up metrics of run k; return what was flown."""
-    flown = []
+def measure(monkeypatch):
+    """Replace flights by made-up metrics of draw k; return the draws that were measured."""
+    measured = []
 
-    def install(metrics_of):
-        def fly(profile):
-            flown.append(("fly", profile.name))
-            return "truth"
+    def install(metrics_of=usual, sensors=str, converged=lambda k: True, labels=("loose-15",)):
+        class Made:
+            draws, seed, truth_digest = None, 7, "truth"
 
-        def run(profile, run, truth):
-            assert truth == "truth"
-            flown.append(("run", run))
-            return result(metrics_of(run), run)
+            def __init__(self, source):
+                self.source, self.name = source, Path(source).stem
 
-        monkeypatch.setattr(baselines, "load_profile", lambda source: SimpleNamespace(name=source, seed=7))
-        monkeypatch.setattr(baselines, "pipeline", SimpleNamespace(fly=fly, run=run))
-        return flown
+            def measure(self, k):
+                measured.append((self.name, k))
+                row = EstimatorDraw(converged(k), metrics_of(k), {"nees_mean": 9.0}, 500)
+                return Draw(sensors(k), dict.fromkeys(labels, row))
+
+        monkeypatch.setattr(
+            checking, "open_experiment", lambda source, requested, allow_commands: Made(source)
+        )
+        measured.clear()
+        return measured
 
     return install
 
 
-SPREAD = (1.9, 2.0, 2.2, 2.1, 1.8)
+def words(verdicts):
+    return {row.metric: row.word for row in verdicts}
 
 
-def usual(scale=1.0, nees=9.0):
-    return lambda k: {
-        "loose-15": sound(
-            pos_rmse_h_m=scale * SPREAD[k % 5],
-            pos_rmse_h_m_all=50.0,
-            pos_max_h_m=7.0,
-            nees_mean=nees,
-            heading_convergence_s=3.0,
-            unmodelled=["scale factor"],
-        )
-    }
+@pytest.fixture
+def recorded(measure, tmp_path):
+    """The folder of a baseline of 80 draws of `usual`."""
+    measure()
+    record_baselines(["survey.toml"], directory=tmp_path)
+    return tmp_path
 
 
-# --- measure and record --------------------------------------------------------------------------------
+# --- what is said ---------------------------------------------------------------------------------------
 
 
-def test_statistics_are_mean_and_standard_error_of_the_metrics_with_a_direction():
-    found = measure([result(usual()(k)) for k in range(5)])["loose-15"]
-    assert set(found) == {"converged", "pos_rmse_h_m", "nees_mean"}
-    assert found["pos_rmse_h_m"].mean == pytest.approx(2.0)
-    assert found["pos_rmse_h_m"].standard_error == pytest.approx(np.std(SPREAD, ddof=1) / np.sqrt(5))
-    assert found["pos_rmse_h_m"].n == 5
-    assert found["converged"] == Statistic(1.0, 0.0, 5)
+def test_unchanged_code_is_the_same_and_flies_twenty_draws(recorded, measure):
+    measured = measure()
+    verdicts = check(directory=recorded)
+    assert set(words(verdicts).values()) == {"same"}
+    assert set(words(verdicts)) == {"converged", "pos_rmse_h_m", "nees_mean", "coverage_3sigma_pos_n"}
+    assert measured == [("survey", k) for k in range(20)]
 
 
-def test_a_run_that_diverged_counts_in_converged_and_nowhere_else():
-    diverged = {"loose-15": {"converged": False, "reason": "why", "pos_rmse_h_m": None, "nees_mean": None}}
-    found = measure([result(usual()(0)), result(diverged), result(usual()(1)), result(diverged)])["loose-15"]
-    assert found["converged"].mean == 0.5
-    assert found["pos_rmse_h_m"].n == 2
-    assert found["pos_rmse_h_m"].mean == pytest.approx(1.95)
-
-
-def test_a_record_flies_once_draws_the_sensors_n_times_and_says_where_each_tolerance_comes_from(bench_of):
-    flown = bench_of(usual())
-    told = []
-    baseline = record(PROFILE, 5, progress=lambda *step: told.append(step))
-    assert flown == [("fly", "survey"), *(("run", k) for k in range(5))]
-    assert told == [("survey", k, 5) for k in range(6)]
-    assert (baseline["profile"], baseline["seed"], baseline["runs"]) == ("survey", 7, 5)
-    assert baseline["versions"]["numpy"] == "2.0"
-    rmse = baseline["estimators"]["loose-15"]["pos_rmse_h_m"]
-    assert rmse["tolerance"] == pytest.approx(0.02 * 2.0)
-    assert rmse["direction"] == "lower"
-    assert rmse["reason"] == "2% of the mean: same draws, another processor"
-    nees = baseline["estimators"]["loose-15"]["nees_mean"]
-    assert nees["tolerance"] == pytest.approx(0.02 * 9.0)
-    assert nees["direction"] == "both"
+def test_another_processor_is_the_same(recorded, measure):
+    measure(lambda k: {**usual(k, 1 + 5e-7), "coverage_3sigma_pos_n": 0.99 - 1 / 500})
+    assert set(words(check(directory=recorded)).values()) == {"same"}
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "tolerance"),
+    ("change", "word"),
     [
-        ("pos_rmse_h_m", 2.0, 0.04),
-        ("pos_rmse_h_m", 0.0, 0.0),
-        ("coverage_3sigma_pos_n", 0.0, 0.02),  # a fraction may be 0
-        ("nees_mean", 1000.0, 20.0),
-        ("converged", True, 0.0),
+        ({"scale": 1.10, "scatter": 0.05}, "worse"),
+        ({"scale": 0.90, "scatter": 0.05}, "better"),
+        ({"scale": 1.01}, "same"),  # within 2 %
+        ({"scale": 1.03}, "worse"),  # on every draw: nothing else explains it
     ],
 )
-def test_the_tolerance_is_2_percent(bench_of, name, value, tolerance):
-    bench_of(lambda k: {"loose-15": sound() | {name: value}})
-    assert record(PROFILE, 3)["estimators"]["loose-15"][name]["tolerance"] == pytest.approx(tolerance)
+def test_a_change_has_its_word(recorded, measure, change, word):
+    measure(lambda k: usual(k, **change))
+    (row,) = (row for row in check(directory=recorded) if row.metric == "pos_rmse_h_m")
+    assert row.word == word
+    assert row.paired
+    if word != "same":
+        assert row.low <= row.change <= row.high
+        assert row.low * row.high > 0
+        assert row.sentence.startswith(f"{word}: loose-15 on survey, pos_rmse_h_m 2.")
 
 
-def test_fewer_draws_raise_one_false_alarm_in_a_thousand():
-    """20000 baselines of 10 normal runs, each checked with the first 4; 99.9 % band of the count of alarms.
-
-    Ten draws leave Student's t with 9 degrees of freedom; the normal quantile in its place alarms too often.
-    """
-    draws = np.random.default_rng(5).normal(size=(20_000, 10))
-    standard_error = draws.std(axis=1, ddof=1) / np.sqrt(10)
-    difference = np.abs(draws[:, :4].mean(axis=1) - draws.mean(axis=1)) / standard_error
-    allowed = baselines._allow_for_fewer_draws({"n": 10, "standard_error": 1.0}, 4)
-    band = 3.29 * np.sqrt(20)
-    assert np.sum(difference > allowed) < 20 + band
-    assert allowed == pytest.approx(4.781 * np.sqrt(1.5), rel=1e-3)  # t of 9 degrees, 99.9 %, from tables
+def test_what_stays_undecided_has_doubled_its_draws_and_does_not_fail(recorded, measure):
+    measured = measure(lambda k: usual(k, 1.08, 0.6))
+    verdicts = check(directory=recorded)
+    assert words(verdicts)["pos_rmse_h_m"] == "undecided"
+    assert measured == [("survey", k) for k in range(80)]
+    assert {row.metric: row.draws for row in verdicts}["nees_mean"] == 20  # decided at the first look
 
 
-def test_one_run_has_no_spread(bench_of):
-    bench_of(usual())
-    with pytest.raises(ConfigError, match="runs = 1 must be at least 2"):
-        record(PROFILE, 1)
+def test_doubling_ends_with_the_draws_of_the_baseline(measure, tmp_path):
+    measure()
+    record_baselines(["survey.toml"], directory=tmp_path, runs=20)
+    measured = measure(lambda k: usual(k, 1.08, 0.6))
+    assert words(check(directory=tmp_path))["pos_rmse_h_m"] == "undecided"
+    assert len(measured) == 20
 
 
-# --- compare -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("nees", "word"), [(12.0, "worse"), (6.75, "worse"), (9.0, "same")])
+def test_nees_is_worse_if_it_leaves_its_expectation_either_way(recorded, measure, nees, word):
+    measure(lambda k: usual(k, nees=nees))
+    assert words(check(directory=recorded))["nees_mean"] == word
 
 
-def baseline_of(direction, mean=10.0, tolerance=1.0, n=5):
-    limit = {
-        "mean": mean,
-        "standard_error": 0.1,
-        "n": n,
-        "tolerance": tolerance,
-        "direction": direction,
-        "reason": "by hand",
-    }
+def test_nees_that_comes_nearer_is_better(measure, tmp_path):
+    measure(lambda k: usual(k, nees=30.0))
+    record_baselines(["survey.toml"], directory=tmp_path)
+    measure(lambda k: usual(k, nees=20.0))
+    assert words(check(directory=tmp_path))["nees_mean"] == "better"
+
+
+def test_a_new_divergence_on_the_same_draw_is_worse_and_named(recorded, measure):
+    measure(converged=lambda k: k != 13)
+    verdicts = check(directory=recorded)
+    assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
+    (row,) = (row for row in verdicts if row.word == "worse")
+    assert row.note == "lost in draw 13"
+    assert (row.old, row.new) == (1.0, 0.95)
+
+
+def test_a_metric_that_is_lost_is_worse(recorded, measure):
+    measure(lambda k: usual(k) | ({"nees_mean": None} if k == 4 else {}))
+    (row,) = (row for row in check(directory=recorded) if row.metric == "nees_mean")
+    assert (row.word, row.note) == ("worse", "no value in draw 4")
+
+
+def test_an_estimator_that_is_gone_is_worse(recorded, measure):
+    measure(labels=("other",))
+    (row,) = check(directory=recorded)
+    assert (row.word, row.note) == ("worse", "the profile has no such estimator")
+
+
+def with_fault(k, noticed, delay=3.0):
     return {
-        "profile": "survey",
-        "seed": 7,
-        "runs": n,
-        "versions": {},
-        "estimators": {"loose-15": {"pos_rmse_h_m": limit}},
+        "fault_1_detected": float(noticed),
+        "fault_1_delay_s": delay if noticed else None,
+        "pos_rmse_h_m": 2.0,
     }
 
 
-@pytest.mark.parametrize(
-    ("direction", "measured", "regressed", "improved"),
-    [
-        ("lower", 10.0, False, False),
-        ("lower", 10.9, False, False),
-        ("lower", 11.1, True, False),
-        ("lower", 9.1, False, False),
-        ("lower", 8.9, False, True),
-        ("higher", 11.1, False, True),
-        ("higher", 8.9, True, False),
-        ("both", 10.9, False, False),
-        ("both", 11.1, True, False),
-        ("both", 8.9, True, False),
-    ],
-)
-def test_worse_is_beyond_the_tolerance_on_the_wrong_side(direction, measured, regressed, improved):
-    found = {"loose-15": {"pos_rmse_h_m": Statistic(measured, 0.1, 5)}}
-    (verdict,) = compare(baseline_of(direction), found)
-    assert (verdict.regressed, verdict.improved) == (regressed, improved)
-    assert (verdict.profile, verdict.estimator, verdict.metric) == ("survey", "loose-15", "pos_rmse_h_m")
-    assert (verdict.expected, verdict.measured, verdict.tolerance) == (10.0, measured, 1.0)
+def test_faults_are_counts_and_their_delay_counts_where_both_noticed_them(measure, tmp_path):
+    measure(lambda k: with_fault(k, k != 0))
+    record_baselines(["survey.toml"], directory=tmp_path)
+    measure(lambda k: with_fault(k, k != 5))
+    verdicts = {row.metric: row for row in check(directory=tmp_path, runs=40)}
+    assert verdicts["fault_1_detected"].note == "lost in draw 5, gained in draw 0"
+    assert verdicts["fault_1_detected"].word == "same"  # as many as before
+    assert verdicts["fault_1_delay_s"].draws == 38
+    assert verdicts["fault_1_delay_s"].word == "same"
+    measure(lambda k: with_fault(k, False))
+    verdicts = {row.metric: row for row in check(directory=tmp_path)}
+    assert verdicts["fault_1_detected"].word == "worse"
+    assert "fault_1_delay_s" not in verdicts
 
 
-@pytest.mark.parametrize("found", [{}, {"loose-15": {}}])
-def test_a_metric_that_no_run_has_any_more_is_a_regression(found):
-    (verdict,) = compare(baseline_of("lower"), found)
-    assert verdict.regressed
-    assert verdict.measured is None
+def test_other_draws_are_compared_unpaired_and_it_is_said(recorded, measure):
+    measure(lambda k: usual(k + 1000), sensors=lambda k: f"other {k}")
+    rows = {row.metric: row for row in check(directory=recorded)}
+    assert not any(row.paired for row in rows.values())
+    assert rows["pos_rmse_h_m"].note == "other truth or sensor data: not paired"
+    assert rows["pos_rmse_h_m"].word in ("same", "undecided")
+    measure(lambda k: usual(k + 1000, 3.0), sensors=lambda k: f"other {k}")
+    assert words(check(directory=recorded))["pos_rmse_h_m"] == "worse"
 
 
-def test_a_metric_without_a_limit_is_not_judged():
-    found = {"loose-15": {"pos_rmse_h_m": Statistic(10.0, 0.1, 5), "cep50_m": Statistic(1e9, 0.1, 5)}}
-    assert [verdict.metric for verdict in compare(baseline_of("lower"), found)] == ["pos_rmse_h_m"]
+def test_a_few_other_draws_are_left_out_of_the_pairs(recorded, measure):
+    measure(sensors=lambda k: "other" if k == 3 else str(k))
+    rows = check(directory=recorded)
+    assert {(row.paired, row.draws, row.word) for row in rows} == {(True, 19, "same")}
 
 
-@pytest.mark.parametrize("m", [1, 4, 5, 50])
-def test_other_draws_than_the_baseline_has_widen_the_tolerance(m):
-    found = {"loose-15": {"pos_rmse_h_m": Statistic(10.0, 0.1, m)}}
-    baseline = baseline_of("lower")
-    (verdict,) = compare(baseline, found)
-    limit = baseline["estimators"]["loose-15"]["pos_rmse_h_m"]
-    wider = verdict.tolerance - limit["tolerance"]
-    assert (wider == 0.0) if m == limit["n"] else (wider > 0.0)
+# --- files ----------------------------------------------------------------------------------------------
 
 
-# --- files and check -----------------------------------------------------------------------------------
-
-
-def test_what_is_recorded_is_read_back_and_passes(bench_of, tmp_path):
-    flown = bench_of(usual())
-    baseline = record(PROFILE, 5)
-    path = write(tmp_path / "limits", baseline)
-    assert path == tmp_path / "limits" / "survey.json"
-    assert read(path) == baseline
-    assert [p.name for p in path.parent.iterdir()] == ["survey.json"]
-    flown.clear()
-    verdicts = check(tmp_path / "limits")
-    assert flown == [("fly", "survey"), *(("run", k) for k in range(5))]
-    assert [verdict.metric for verdict in verdicts] == ["converged", "pos_rmse_h_m", "nees_mean"]
-    assert not any(verdict.regressed or verdict.improved for verdict in verdicts)
-
-
-@pytest.mark.parametrize(
-    ("metrics_of", "regressed", "improved"),
-    [
-        (usual(scale=1.01), [], []),
-        (usual(scale=1.03), ["pos_rmse_h_m"], []),
-        (usual(scale=0.5), [], ["pos_rmse_h_m"]),
-        (usual(nees=9.2), ["nees_mean"], []),
-        (usual(nees=8.8), ["nees_mean"], []),
-        (
-            lambda k: {"loose-15": {"converged": False, "reason": "why", "pos_rmse_h_m": None}},
-            ["converged", "pos_rmse_h_m", "nees_mean"],
-            [],
-        ),
-        (lambda k: {"other": sound()}, ["converged", "pos_rmse_h_m", "nees_mean"], []),
-    ],
-)
-def test_check_finds_what_changed(bench_of, tmp_path, metrics_of, regressed, improved):
-    bench_of(usual())
-    write(tmp_path, record(PROFILE, 5))
-    bench_of(metrics_of)
-    verdicts = check(tmp_path)
-    assert [verdict.metric for verdict in verdicts if verdict.regressed] == regressed
-    assert [verdict.metric for verdict in verdicts if verdict.improved] == improved
-
-
-def test_a_baseline_of_another_seed_or_without_limits_is_refused(bench_of, tmp_path, monkeypatch):
-    bench_of(usual())
-    baseline = record(PROFILE, 5)
-    write(tmp_path, baseline | {"seed": 8})
-    with pytest.raises(ConfigError, match="seed = 8 differs from the profile's seed = 7"):
-        check(tmp_path)
-    write(tmp_path, baseline | {"estimators": {"loose-15": {}}})
-    with pytest.raises(ConfigError, match="holds no limit"):
-        check(tmp_path)
-
-
-def test_check_takes_the_profiles_and_runs_asked_for(bench_of, tmp_path):
-    flown = bench_of(usual())
-    for name in ("survey", "loiter"):
-        write(tmp_path, record(SimpleNamespace(name=name, seed=7), 5))
-    flown.clear()
-    assert {verdict.profile for verdict in check(tmp_path, ["loiter"], runs=2)} == {"loiter"}
-    assert flown == [("fly", "loiter"), ("run", 0), ("run", 1)]
-    assert {verdict.profile for verdict in check(tmp_path)} == {"loiter", "survey"}
-
-
-def test_a_profile_of_ones_own_is_found_again_from_any_folder(bench_of, tmp_path, monkeypatch):
-    flown = bench_of(usual())
-    limits, elsewhere = tmp_path / "limits", tmp_path / "elsewhere"
-    elsewhere.mkdir()
+def test_a_profile_has_one_name_and_is_found_from_any_folder(measure, tmp_path, monkeypatch):
+    measure()
     monkeypatch.chdir(tmp_path)
-    path = write(limits, record(PROFILE, 2, source="flights/survey.toml"))
-    assert path.name == "survey.json"
+    (path,) = record_baselines(["flights/survey.toml"], directory="limits", runs=20)
+    assert str(path) == "limits/survey.json"
     assert json.loads(path.read_text())["profile"] == "../flights/survey.toml"
-    monkeypatch.chdir(elsewhere)
-    flown.clear()
-    assert check(limits)[0].profile == "survey"
-    assert flown[0] == ("fly", str(tmp_path / "flights" / "survey.toml"))
-    assert check(Path("../limits"))[0].profile == "survey"
-    assert flown[-3] == ("fly", "../flights/survey.toml")
+    for name in ("survey", "survey.toml", "flights/survey.toml"):
+        assert check([name], directory="limits")[0].profile == "survey"
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert read_baseline(Path("../limits/survey.json")).profile == "../flights/survey.toml"
+    with pytest.raises(ConfigError, match=r"is the baseline of another profile, \.\./flights/survey\.toml"):
+        record_baselines(["survey.toml"], directory="../limits", runs=20)
 
 
-def test_a_write_that_fails_leaves_the_old_baseline_and_nothing_else(bench_of, tmp_path, monkeypatch):
-    bench_of(usual())
-    path = write(tmp_path, record(PROFILE, 5))
-    before = path.read_bytes()
-
-    def full(self, target):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(type(path), "replace", full)
-    with pytest.raises(OSError, match="No space left"):
-        write(tmp_path, record(PROFILE, 4))
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
+def test_every_value_of_every_draw_is_stored_on_a_line_for_each_metric(recorded):
+    lines = (recorded / "survey.json").read_text().splitlines()
+    (line,) = (line for line in lines if '"pos_rmse_h_m"' in line)
+    stored = json.loads("{" + line.strip().rstrip(",") + "}")["pos_rmse_h_m"]
+    assert stored == pytest.approx([usual(k)["pos_rmse_h_m"] for k in range(80)], rel=1e-9)
 
 
-def spoiled(**changes):
-    baseline = baseline_of("lower")
-    limit = baseline["estimators"]["loose-15"]["pos_rmse_h_m"]
-    for key, value in changes.items():
-        target = baseline if key in baseline else limit
-        if value is None:
-            del target[key]
-        else:
-            target[key] = value
-    return json.dumps(baseline)
+def test_changes_says_what_moved_and_why(recorded, measure):
+    measure(lambda k: usual(k, 0.5))
+    record_baselines(directory=recorded, reason="tighter gate")
+    first, second = (recorded / "CHANGES.md").read_text().splitlines()[-2:]
+    assert first.endswith(" loose-15, survey: first record, 80 draws.*")
+    assert " loose-15, survey: pos_rmse_h_m 2." in second
+    assert second.endswith("; tighter gate.*")
+
+
+def test_programs_of_a_baseline_need_permission(measure, tmp_path):
+    measure()
+    program = ["command:./filter {sensors} {solution}"]
+    record_baselines(["survey.toml"], directory=tmp_path, estimators=program, runs=20)
+    with pytest.raises(ConfigError, match="starts a program on this machine"):
+        check(directory=tmp_path)
+    assert check(directory=tmp_path, allow_commands=True)
+    assert check(directory=tmp_path, estimators=program)
 
 
 @pytest.mark.parametrize(
@@ -323,43 +249,88 @@ def spoiled(**changes):
     [
         ("{", "survey.json: not valid JSON"),
         ("[]", "survey.json: must hold one JSON object"),
-        (spoiled(seed=None), "survey.json: seed is missing"),
-        (spoiled(runs=1.5), "survey.json: runs = 1.5 must be a whole number"),
-        (spoiled(mean="2"), "survey.json: [estimators.loose-15.pos_rmse_h_m]: mean = '2' must be a number"),
-        (
-            spoiled(mean=float("nan")),
-            "[estimators.loose-15.pos_rmse_h_m]: mean = nan must be a finite number",
-        ),
-        (spoiled(tolerance=None), "[estimators.loose-15.pos_rmse_h_m]: tolerance is missing"),
-        (
-            spoiled(tolerance=-1.0),
-            "[estimators.loose-15.pos_rmse_h_m]: tolerance = -1 must not be negative",
-        ),
-        (spoiled(direction="up"), "direction = 'up' must be 'lower', 'higher' or 'both'"),
-        (spoiled(estimators={"loose-15": 3}), "loose-15 = 3 must be a table"),
-        (
-            spoiled(reason=None)[:-4] + ', "reasn": ""}}}}',
-            "[estimators.loose-15.pos_rmse_h_m]: unknown key 'reasn'. Did you mean 'reason'?",
-        ),
+        (('"seed": 7', '"seed": 7.5'), "survey.json: seed = 7.5 must be a whole number"),
+        (('"tolerance": 0.02', '"tolerance": -1'), "tolerance = -1 must not be negative"),
+        (('"sensors": ["0", ', '"sensors": ['), "converged must have 79 values, one for each draw; got 80"),
+        (('"truth"', '"trut"'), "survey.json: unknown key 'trut'. Did you mean 'truth'?"),
     ],
 )
-def test_a_malformed_baseline_says_where_and_what(bench_of, tmp_path, text, message):
-    flown = bench_of(usual())
-    (tmp_path / "survey.json").write_text(text)
+def test_a_malformed_baseline_says_where_and_what(recorded, measure, text, message):
+    path = recorded / "survey.json"
+    path.write_text(text if isinstance(text, str) else path.read_text().replace(*text))
+    measured = measure()
     with pytest.raises(ConfigError) as raised:
-        check(tmp_path)
+        check(directory=recorded)
     assert any(message in line for line in raised.value.messages), raised.value.messages
-    assert flown == []
+    assert measured == []
 
 
-def test_baselines_that_are_not_there_are_named(bench_of, tmp_path):
-    bench_of(usual())
-    with pytest.raises(ConfigError, match="no baseline"):
-        check(tmp_path / "nowhere")
-    write(tmp_path, record(PROFILE, 5))
+def test_what_is_not_there_is_named(recorded, measure, tmp_path):
+    with pytest.raises(ConfigError, match=r"nowhere: no baseline \(\*\.json\)"):
+        check(directory=tmp_path / "nowhere")
     with pytest.raises(ConfigError, match=r"no baseline 'survy'\. Did you mean 'survey'\?"):
-        check(tmp_path, ["survy"])
-    with pytest.raises(ConfigError, match="runs = 0 must be at least 1"):
-        check(tmp_path, runs=0)
-    with pytest.raises(ConfigError, match="no such file"):
-        read(tmp_path / "absent.json")
+        check(["survy"], directory=recorded)
+    with pytest.raises(ConfigError, match=r"no estimator 'loose-16'\. Did you mean 'loose-15'"):
+        check(directory=recorded, estimators=["loose-16"])
+    with pytest.raises(ConfigError, match="runs = 1 must be at least 2"):
+        check(directory=recorded, runs=1)
+    with pytest.raises(ConfigError, match="runs = 19 must be at least 20"):
+        record_baselines(["survey.toml"], directory=recorded, runs=19)
+    with pytest.raises(ConfigError, match="no baseline to record again"):
+        record_baselines(directory=tmp_path / "nowhere")
+
+
+def test_junit_holds_failures_and_what_is_undecided(recorded, measure, tmp_path):
+    measure(lambda k: usual(k, 1.08, 0.6, nees=12.0))
+    verdicts = check(directory=recorded)
+    path = tmp_path / "out" / "check.xml"
+    for strict, failed in ((False, ["nees_mean"]), (True, ["pos_rmse_h_m", "nees_mean"])):
+        write_junit(path, verdicts, strict=strict)
+        (suite,) = ElementTree.parse(path).getroot()
+        assert suite.attrib["tests"] == "4"
+        assert [case.attrib["name"] for case in suite if case.find("failure") is not None] == failed
+
+
+def test_the_verdict_survives_80_columns(recorded, measure):
+    measure(lambda k: usual(k, 1.1, 0.01, nees=12.0))
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_verdicts(console, check(directory=recorded))
+    text = console.export_text()
+    assert "survey, loose-15: 2 worse, 2 same (20 draws)" in text
+    assert sum("worse " in line and "_" in line for line in text.splitlines()) >= 2
+    assert "coverage" not in text
+
+
+# --- digests and expectations -----------------------------------------------------------------------------
+
+
+def imu(noise, bits=0.0):
+    t = np.arange(1000) / 100.0
+    drawn = stream(1, noise, "imu").normal(size=(1000, 3))
+    return ImuData(t, np.full(1000, 0.01), np.ones(1000, bool), 1e-4 * drawn * (1 + bits), 0.1 + drawn)
+
+
+def test_a_digest_is_of_the_draw_and_not_of_the_processor():
+    assert digest_record(imu(1)) == digest_record(imu(1, bits=1e-13))
+    assert digest_record(imu(1)) != digest_record(imu(2))
+
+
+def test_a_recording_is_cut_into_stretches(monkeypatch):
+    t = np.arange(0.0, 110.0)
+    errors = SimpleNamespace(
+        t=t, pos_n=np.outer(t, [1.0, 0.0, 2.0]), vel_n=np.ones((110, 3)), nees=t, states=6
+    )
+    result = SimpleNamespace(errors={"x": errors}, metrics={"x": {"converged": True}}, sensors=imu(1))
+    log = SimpleNamespace(
+        spec=SimpleNamespace(evaluation_from=9.0),
+        records=SimpleNamespace(imu=SimpleNamespace(t=np.array([109.0]))),
+    )
+    monkeypatch.setattr(experiments.log_pipeline, "read_log", lambda *a, **k: log)
+    monkeypatch.setattr(experiments.log_pipeline, "navigate_log", lambda log: result)
+    recording = experiments.Recording("drive.toml", None, False)
+    assert (recording.name, recording.draws) == ("drive", 20)
+    row = recording.measure(1).estimators["x"]
+    inside = np.arange(14.0, 19.0)
+    assert row.metrics["pos_rmse_h_m"] == pytest.approx(np.sqrt(np.mean(inside**2)))
+    assert row.metrics["nees_mean"] == pytest.approx(16.0)
+    assert (row.epochs, row.expected) == (5, {"nees_mean": 6.0})

@@ -16,6 +16,7 @@ import bench
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
+from bench.workbench.new import new_check
 from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
 from tests.weaving import units
@@ -165,3 +166,31 @@ def test_each_fix_comes_once_at_the_first_answer_after_its_arrival(sensed):
             rows.append(int(row))
     arrived = np.flatnonzero(late.t_arrival <= data.output_t[-1])
     assert rows == [row for row in arrived if row not in (3, 5)]
+
+
+# --- bench new check -----------------------------------------------------------------------------------
+
+
+def test_new_check_leaves_a_repository_whose_check_passes(here, capsys, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(new_check, "__kwdefaults__", {"draws": 20})
+    status, out, _ = say(capsys, "new", "check", "loose-15")
+    assert status == 0
+    assert out.endswith("Next: bench check\n")
+    assert left(here) == [".github", "tests"]
+    assert sorted(path.name for path in Path("tests/baselines").iterdir()) == [
+        "CHANGES.md",
+        "short.json",
+        "short.toml",
+    ]
+    (job,) = re.findall(r"run: (bench check .*)", Path(".github/workflows/accuracy.yml").read_text())
+    status, out, _ = say(capsys, *job.split()[1:])
+    assert (status, Path("accuracy.xml").is_file()) == (0, True)
+    assert re.fullmatch(r"short, loose-15: \d+ same \(20 draws\)\n", out)
+    status, _, err = say(capsys, "new", "check")
+    assert (status, err) == (2, "error: tests/baselines/short.toml: exists already and is not replaced\n")
+
+
+def test_new_check_of_an_unknown_estimator_leaves_no_file(here, capsys):  # noqa: F811
+    assert say(capsys, "new", "check", "loose-99")[0] == 2
+    assert [path for path in here.rglob("*") if path.is_file()] == [here / "short.toml"]
+    assert say(capsys, "new", "estimator")[0] == 2

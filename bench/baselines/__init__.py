@@ -1,0 +1,1 @@
+"""Accuracy regression: every metric of every noise draw, before and after a change of the code."""

@@ -1,0 +1,150 @@
+"""The file of a baseline, ``<profile>.json``: the value of every metric in every noise draw."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from bench import store
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
+from bench.errors import ConfigError
+
+LEAST_DRAWS = 20
+"""Fewest draws of a baseline."""
+
+TOLERANCE = 0.02
+"""Change that does not matter, as a fraction [1]; a baseline may say another."""
+
+_PATH = ".toml"
+_DIGITS = 10  # of a stored value
+
+Value = float | None
+
+
+class EstimatorValues(Table):
+    """What one estimator achieved, by draw."""
+
+    epochs: Annotated[int, Field(ge=0)]  # judged in each draw
+    expected: dict[str, float]  # metric -> its value for a consistent filter
+    converged: Annotated[tuple[bool, ...], ROWS]  # by draw
+    metrics: dict[str, Annotated[tuple[Value, ...], ROWS]]  # metric -> by draw; null: the draw has none
+
+
+class Baseline(Table):
+    """The draws 0, 1, ... of a profile, or the stretches of a log."""
+
+    profile: str  # shipped name, or path of a .toml; in the file relative to its folder
+    requested: Annotated[tuple[str, ...], ROWS] | None  # estimators asked for; null: those of the profile
+    seed: int
+    tolerance: Annotated[float, NOT_NEGATIVE] = TOLERANCE
+    versions: dict[str, str]
+    truth: str  # digest
+    sensors: Annotated[tuple[str, ...], ROWS]  # digest by draw
+    estimators: dict[str, EstimatorValues]
+
+    @property
+    def draws(self) -> int:
+        """Number of draws."""
+        return len(self.sensors)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBaseline:
+    """A baseline and where it was read from."""
+
+    path: Path
+    content: Baseline
+
+    @property
+    def name(self) -> str:
+        """Name of the profile, whether it is shipped or a file."""
+        return self.path.stem
+
+
+def get_name(source: str) -> str:
+    """Return the name of a profile from its name or path.
+
+    Examples
+    --------
+    >>> get_name("flights/short.toml")
+    'short'
+    """
+    return Path(source).stem if source.endswith(_PATH) else source
+
+
+def write_baseline(directory: Path, baseline: Baseline) -> Path:
+    """Write a baseline into a folder, atomically, and return its path.
+
+    Raises
+    ------
+    ConfigError
+        If the folder has a baseline of another profile with this name.
+    """
+    path = directory / f"{get_name(baseline.profile)}.json"
+    if path.is_file():
+        there = read_baseline(path).profile
+        if there.endswith(_PATH) != baseline.profile.endswith(_PATH) or (
+            there.endswith(_PATH) and Path(there).resolve() != Path(baseline.profile).resolve()
+        ):
+            raise ConfigError(
+                f"{path}: is the baseline of another profile, {there}; give one of them another name"
+            )
+    document = baseline.model_dump(mode="json")
+    if baseline.profile.endswith(_PATH):
+        document["profile"] = Path(os.path.relpath(baseline.profile, directory)).as_posix()
+    directory.mkdir(parents=True, exist_ok=True)
+    store.write_text(path, _to_text(document) + "\n")
+    return path
+
+
+def _to_text(value: Any, indent: str = "") -> str:
+    """Return JSON with each list on one line, so that a change of one metric is a change of one line."""
+    if isinstance(value, Mapping):
+        inner = indent + "  "
+        rows = [f"{inner}{json.dumps(key)}: {_to_text(item, inner)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{indent}}}" if rows else "{}"
+    if isinstance(value, list):
+        return f"[{', '.join(_to_text(item) for item in value)}]"
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else json.dumps(value)
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Read a baseline; its profile is a name or path for :func:`bench.config.load_profile`.
+
+    Raises
+    ------
+    ConfigError
+        One message for each problem in the file.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise ConfigError(f"{path}: must hold one JSON object")
+    baseline = check_table(Baseline, document, str(path))
+    problems = [
+        f"{path}: [estimators.{label}]: {name} must have {baseline.draws} values, one for each draw; "
+        f"got {len(values)}"
+        for label, row in baseline.estimators.items()
+        for name, values in {"converged": row.converged, **row.metrics}.items()
+        if len(values) != baseline.draws
+    ]
+    if baseline.draws < 2 or not baseline.estimators:
+        problems.append(f"{path}: holds no draws; 'bench check --record' writes some")
+    if problems:
+        raise ConfigError(*problems)
+    if not baseline.profile.endswith(_PATH):
+        return baseline
+    source = os.path.normpath(path.parent / baseline.profile)
+    return baseline.model_copy(update={"profile": source})

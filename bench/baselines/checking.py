@@ -1,0 +1,261 @@
+"""Record baselines, and check the code against them."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bench.baselines.baseline_file import (
+    LEAST_DRAWS,
+    Baseline,
+    get_name,
+    read_baseline,
+    write_baseline,
+)
+from bench.baselines.experiments import Draw, Experiment, make_baseline, open_experiment
+from bench.baselines.verdict_rows import LOOKS, Candidate, Verdict, compare, decide
+from bench.errors import ConfigError
+from bench.wording import suggest
+
+DIRECTORY = Path("tests/baselines")
+"""Default folder of the baselines of ``bench check``."""
+
+DRAWS = LOOKS[-1]
+"""Number of draws of a new baseline; a check flies the first of them, and more only to decide."""
+
+CHANGES = "CHANGES.md"
+"""File in the folder of the baselines that says why each number moved."""
+
+_HEADING = """# Changes of the accuracy baselines
+
+One line per record: *date estimators, profile: metric old -> new; cause.*
+
+"""
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the profile, the number of finished draws and the number of all draws."""
+
+
+@dataclass
+class _Measured:
+    """An experiment with the draws measured so far."""
+
+    experiment: Experiment
+    requested: Sequence[str] | None
+    progress: Progress | None
+    draws: list[Draw] = field(default_factory=list)
+
+    def measure(self, count: int) -> Baseline:
+        """Measure up to a number of draws and return their values."""
+        for k in range(len(self.draws), count):
+            if self.progress:
+                self.progress(self.experiment.name, k, count)
+            self.draws.append(self.experiment.measure(k))
+        if self.progress:
+            self.progress(self.experiment.name, count, count)
+        return make_baseline(self.experiment, self.draws[:count], self.requested)
+
+
+def record_baselines(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = DIRECTORY,
+    estimators: Sequence[str] | None = None,
+    runs: int | None = None,
+    reason: str = "",
+    allow_commands: bool = False,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        Shipped names or paths of profiles and logs; empty records all that have a baseline again.
+    directory : str or Path
+        Folder of the baselines, one ``<profile>.json`` each.
+    estimators : sequence of str or None
+        Estimators to record, as for :func:`bench.run`; None takes those of the old baseline, or of the
+        profile.
+    runs : int or None
+        Number of draws, at least `LEAST_DRAWS`; default `DRAWS`.
+    reason : str
+        Why the numbers moved, for ``CHANGES.md``.
+    allow_commands : bool
+        Let profiles and baselines start the programs they name.
+    progress : callable
+        Called before each draw and after the last one, as `Progress` says.
+
+    Raises
+    ------
+    ConfigError
+        If a profile is missing or wrong, there is none, or there are too few draws. This is checked before
+        anything is flown.
+    """
+    if runs is not None and runs < LEAST_DRAWS:
+        raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
+    directory = Path(directory)
+    before = {path.stem: read_baseline(path) for path in sorted(directory.glob("*.json"))}
+    names = [get_name(profile) for profile in profiles] or list(before)
+    if not names:
+        raise ConfigError(f"{directory}: no baseline to record again; name a profile")
+    asked = dict(zip(names, profiles, strict=True)) if profiles else {n: before[n].profile for n in names}
+    measured = []
+    for name, source in asked.items():
+        old = before.get(name)
+        source = old.profile if old and source == name else source
+        requested = old.requested if old and estimators is None else estimators
+        measured.append(_open(source, requested, estimators, allow_commands, progress))
+    paths = []
+    for one in measured:
+        count = one.experiment.draws or runs or DRAWS
+        baseline = one.measure(count)
+        paths.append(write_baseline(directory, baseline))
+        _write_change(directory, before.get(one.experiment.name), baseline, reason)
+    return paths
+
+
+def _open(
+    source: str,
+    requested: Sequence[str] | None,
+    named: Sequence[str] | None,
+    allow_commands: bool,
+    progress: Progress | None,
+) -> _Measured:
+    """Open a profile with the estimators of its baseline; programs need permission or the user's own -e."""
+    programs = [use for use in requested or () if use.startswith("command:") and use not in (named or ())]
+    if programs and not allow_commands:
+        raise ConfigError(
+            f"{source}: its baseline names {programs[0][:60]!r}, which starts a program on this machine; "
+            "--allow-commands permits it"
+        )
+    return _Measured(open_experiment(source, requested, allow_commands), requested, progress)
+
+
+def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
+    """Add a line to ``CHANGES.md``: the largest changes of each estimator, and the cause."""
+    today = datetime.date.today().isoformat()
+    name = get_name(new.profile)
+    if old is None:
+        lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} draws.*"]
+    else:
+        cause = reason or "say here why"
+        rows = [row.row for row in compare(old, new, name) if row.side or not row.certain]
+        rows.sort(key=lambda row: -abs(row.change or 0.0))
+        moved: dict[str, list[Verdict]] = {label: [] for label in new.estimators}
+        for row in rows:
+            moved.setdefault(row.estimator, []).append(row)
+        lines = [
+            f"*{today} {label}, {name}: {_describe_rows(found)}; {cause}.*" for label, found in moved.items()
+        ]
+    path = directory / CHANGES
+    text = path.read_text(encoding="utf-8") if path.is_file() else _HEADING
+    path.write_text(text + "".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def _describe_rows(rows: Sequence[Verdict], most: int = 3) -> str:
+    if not rows:
+        return "recorded again, no number moved"
+    shown = [f"{row.metric} {row.old:.4g} -> {row.new:.4g}" for row in rows[:most] if row.old is not None]
+    more = f", and {len(rows) - most} more" if len(rows) > most else ""
+    return ", ".join(shown) + more
+
+
+def check(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = DIRECTORY,
+    estimators: Sequence[str] | None = None,
+    runs: int | None = None,
+    allow_commands: bool = False,
+    progress: Progress | None = None,
+) -> list[Verdict]:
+    """Fly the profiles that have a baseline and compare every metric with it, draw by draw.
+
+    The first of `LOOKS` draws of each profile are flown. While a metric is undecided and its baseline has
+    more draws, the draws of its profile are doubled.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        Names or paths of profiles and logs; empty checks all that have a baseline.
+    directory : str or Path
+        Folder of the baselines, one ``<profile>.json`` each.
+    estimators : sequence of str or None
+        Check only these estimators of the baselines, by label or by the name they were recorded with.
+    runs : int or None
+        Number of draws of the first look; more are flown only to decide.
+    allow_commands, progress
+        As for :func:`record_baselines`.
+
+    Returns
+    -------
+    verdicts : list of Verdict
+        Each has its ``word`` ("same", "better", "worse", "undecided"), the pooled values ``old`` and ``new``,
+        the ``change`` with its interval, and a ``sentence``.
+
+    Raises
+    ------
+    ConfigError
+        If a baseline or its profile is missing or malformed. This is checked before anything is flown.
+    """
+    if runs is not None and runs < 2:
+        raise ConfigError(f"runs = {runs} must be at least 2")
+    directory = Path(directory)
+    known = sorted(path.stem for path in directory.glob("*.json"))
+    if not known:
+        raise ConfigError(f"{directory}: no baseline (*.json) in it; 'bench check --record' makes one")
+    wanted = list(dict.fromkeys(get_name(name) for name in profiles)) or known
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise ConfigError(
+            *(f"{directory}: no baseline {name!r}{suggest(name, known, 'baselines')}" for name in unknown)
+        )
+    baselines = {name: read_baseline(directory / f"{name}.json") for name in wanted}
+    measured = {}
+    for name, baseline in baselines.items():
+        chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")
+        baselines[name] = chosen
+        measured[name] = _open(chosen.profile, requested, estimators, allow_commands, progress)
+    looks = sorted({runs or LOOKS[0], *LOOKS})
+    found: dict[str, list[Candidate]] = {}
+    words: dict[tuple[str, str, str], Verdict] = {}
+    unsure = set(baselines)
+    for look in looks[looks.index(runs or LOOKS[0]) :][: len(LOOKS)]:
+        for name in sorted(unsure):
+            count = min(look, baselines[name].draws)
+            found[name] = compare(baselines[name], measured[name].measure(count), name)
+        everything = [one for name in baselines for one in found[name]]
+        for verdict in decide(everything):
+            key = (verdict.profile, verdict.estimator, verdict.metric)
+            if key not in words or words[key].word == "undecided":
+                words[key] = verdict
+        unsure = {
+            row.profile
+            for row in words.values()
+            if row.word == "undecided" and baselines[row.profile].draws > look
+        }
+        if not unsure:
+            break
+    return list(words.values())
+
+
+def _choose(
+    baseline: Baseline, estimators: Sequence[str] | None, path: Path
+) -> tuple[Baseline, Sequence[str] | None]:
+    """Return a baseline with only some of its estimators, and what to request of the profile."""
+    if estimators is None:
+        return baseline, baseline.requested
+    labels = list(baseline.estimators)
+    by_request = dict(zip(baseline.requested or labels, labels, strict=False))
+    unknown = [use for use in estimators if use not in labels and use not in by_request]
+    if unknown:
+        raise ConfigError(
+            *(f"{path}: no estimator {use!r}{suggest(use, labels, 'estimators')}" for use in unknown)
+        )
+    wanted = [by_request.get(use, use) for use in estimators]
+    chosen = {label: row for label, row in baseline.estimators.items() if label in wanted}
+    requests = [use for use, label in by_request.items() if label in wanted]
+    return baseline.model_copy(update={"estimators": chosen}), requests

@@ -1,0 +1,205 @@
+"""What is measured: the noise draws of a profile, or the stretches of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from bench import log_pipeline, pipeline, store
+from bench.baselines.baseline_file import Baseline, EstimatorValues, Value, get_name
+from bench.baselines.digests import digest_record
+from bench.config import load_profile
+from bench.config.tables import read_toml
+from bench.data import ErrorSeries, Trajectory
+from bench.evaluation.consistency import nis_by_sensor
+from bench.evaluation.metrics import find_metric
+from bench.run_result import RunResult
+from bench.units import SAME_INSTANT
+
+STRETCHES = 20
+"""A recording has one draw of noise; it is cut into this many stretches, each of which counts as one."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorDraw:
+    """What an estimator achieved in one draw."""
+
+    converged: bool
+    metrics: Mapping[str, Value]
+    expected: Mapping[str, float]
+    epochs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """One draw: the digest of its sensor data, and what each estimator achieved."""
+
+    sensors: str
+    estimators: Mapping[str, EstimatorDraw]
+
+
+class Experiment(Protocol):
+    """A profile or a log that can be measured draw by draw."""
+
+    source: str
+    name: str
+    seed: int
+
+    @property
+    def draws(self) -> int | None:
+        """Number of draws there is; None: any."""
+
+    @property
+    def truth_digest(self) -> str:
+        """Digest of the truth; empty if there is none."""
+
+    def measure(self, draw: int) -> Draw:
+        """Return what the estimators achieve in a draw."""
+
+
+def open_experiment(
+    source: str, requested: Sequence[str] | None = None, allow_commands: bool = False
+) -> Experiment:
+    """Read a profile or a log and check it; nothing is flown yet.
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError
+        If it is missing or wrong.
+    """
+    if source.endswith(".toml") and isinstance(read_toml(Path(source), source).get("imu"), Mapping):
+        return Recording(source, requested, allow_commands)
+    return Flight(source, requested, allow_commands)
+
+
+class Flight:
+    """The noise draws of a simulated profile, on one truth."""
+
+    draws = None
+
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_commands: bool) -> None:
+        self.source, self.name = source, get_name(source)
+        self.profile = load_profile(source, estimators=requested, allow_commands=allow_commands)
+        self.seed = self.profile.seed
+
+    @cached_property
+    def truth(self) -> Trajectory:
+        """The truth, flown when first asked for."""
+        return pipeline.fly(self.profile)
+
+    @property
+    def truth_digest(self) -> str:
+        """Digest of the truth."""
+        return digest_record(self.truth)
+
+    def measure(self, draw: int) -> Draw:
+        """Sense, navigate and judge one draw."""
+        result = pipeline.run(self.profile, run=draw, truth=self.truth)
+        sensed = result.records["sensed"]
+        digest = digest_record([sensed.data, sensed.initial])
+        rows = {label: _collect(result, label, self.profile.evaluation_from) for label in result.metrics}
+        return Draw(digest, rows)
+
+
+def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
+    """Return the metrics that baselines hold: those with a direction, after the alignment window."""
+    values, errors = result.metrics[label], result.errors[label]
+    metrics = {name: value for name, value in values.items() if _is_watched(name)}
+    expected = {"nees_mean": float(errors.states)}
+    for sensor, nis in nis_by_sensor(result.solutions[label].innovations, from_s - SAME_INSTANT).items():
+        expected[f"nis_mean_{sensor}"] = float(nis.dof.mean())
+    return EstimatorDraw(
+        converged=bool(values["converged"]),
+        metrics=metrics,
+        expected={name: value for name, value in expected.items() if name in metrics},
+        epochs=int(np.sum(errors.t >= from_s - SAME_INSTANT)),
+    )
+
+
+def _is_watched(name: str) -> bool:
+    row = None if name.endswith("_all") else find_metric(name)
+    return row is not None and bool(row.direction)
+
+
+class Recording:
+    """The stretches of a log, judged by its withheld fixes."""
+
+    draws = STRETCHES
+    seed = 0
+    truth_digest = ""
+
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_commands: bool) -> None:
+        self.source, self.name = source, get_name(source)
+        self.log = log_pipeline.read_log(source, estimators=requested, allow_commands=allow_commands)
+
+    @cached_property
+    def result(self) -> RunResult:
+        """The solutions, made when first asked for."""
+        return log_pipeline.navigate_log(self.log)
+
+    def measure(self, draw: int) -> Draw:
+        """Return RMSE and mean NEES over one stretch of the judged time."""
+        result, start = self.result, self.log.spec.evaluation_from
+        end = float(self.log.records.imu.t.max())
+        edges = start + (end - start) / STRETCHES * np.arange(draw, draw + 2)
+        rows = {}
+        for label, errors in result.errors.items():
+            inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)
+            rows[label] = EstimatorDraw(
+                converged=bool(result.metrics[label]["converged"]),
+                metrics=_judge_stretch(errors, inside),
+                expected={"nees_mean": float(errors.states)},
+                epochs=int(inside.sum()),
+            )
+        return Draw(digest_record([result.sensors]), rows)
+
+
+def _judge_stretch(errors: ErrorSeries, inside: Any) -> dict[str, Value]:
+    squares = {
+        "pos_rmse_h_m": np.square(errors.pos_n[inside, :2]).sum(axis=1),
+        "pos_rmse_d_m": np.square(errors.pos_n[inside, 2]),
+        "vel_rmse_3d_mps": np.square(errors.vel_n[inside]).sum(axis=1),
+    }
+    values = {name: float(np.sqrt(x.mean())) if len(x) else None for name, x in squares.items()}
+    values["nees_mean"] = float(errors.nees[inside].mean()) if inside.any() else None
+    return {name: x if x is not None and np.isfinite(x) else None for name, x in values.items()}
+
+
+def make_baseline(
+    experiment: Experiment,
+    draws: Sequence[Draw],
+    requested: Sequence[str] | None,
+    versions: Mapping[str, str] | None = None,
+) -> Baseline:
+    """Return the baseline of what was measured."""
+    return Baseline(
+        profile=experiment.source,
+        requested=None if requested is None else tuple(requested),
+        seed=experiment.seed,
+        versions=dict(versions or store.list_versions()),
+        truth=experiment.truth_digest,
+        sensors=tuple(draw.sensors for draw in draws),
+        estimators={
+            label: _join([draw.estimators[label] for draw in draws]) for label in draws[0].estimators
+        },
+    )
+
+
+def _join(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
+    """Return the values of an estimator by metric, from those by draw."""
+    names = dict.fromkeys(name for row in rows for name in row.metrics)
+    expected: dict[str, list[float]] = {}
+    for row in rows:
+        for name, value in row.expected.items():
+            expected.setdefault(name, []).append(value)
+    return EstimatorValues(
+        epochs=rows[0].epochs,
+        expected={name: float(np.mean(values)) for name, values in expected.items()},
+        converged=tuple(row.converged for row in rows),
+        metrics={name: tuple(row.metrics.get(name) for row in rows) for name in names},
+    )

@@ -1,0 +1,45 @@
+"""Verdicts as a JUnit file, which CI services show as test results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+from bench import store
+from bench.baselines.verdict_rows import Verdict
+
+
+def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False) -> None:
+    """Write a test case for each metric, a suite for each profile.
+
+    A metric that is worse is a failure, one that is undecided is skipped, or a failure if ``strict``.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    root = ElementTree.Element("testsuites")
+    for profile in dict.fromkeys(row.profile for row in verdicts):
+        rows = [row for row in verdicts if row.profile == profile]
+        failed, skipped = (sum(_kind(row, strict) == kind for row in rows) for kind in ("failure", "skipped"))
+        counts = {"tests": len(rows), "failures": failed, "skipped": skipped, "errors": 0}
+        suite = ElementTree.SubElement(
+            root, "testsuite", {"name": profile} | {name: str(count) for name, count in counts.items()}
+        )
+        for row in rows:
+            case = ElementTree.SubElement(
+                suite, "testcase", {"classname": f"{profile}.{row.estimator}", "name": row.metric}
+            )
+            if kind := _kind(row, strict):
+                ElementTree.SubElement(case, kind, {"message": row.sentence})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ElementTree.indent(root)
+    store.write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def _kind(row: Verdict, strict: bool) -> str:
+    if row.word == "worse" or (strict and row.word == "undecided"):
+        return "failure"
+    return "skipped" if row.word == "undecided" else ""

@@ -1,0 +1,297 @@
+"""The verdict on each metric: same, better, worse or undecided."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.baselines.baseline_file import Baseline, EstimatorValues, Value
+from bench.evaluation import regression
+from bench.evaluation.metrics import find_metric
+from bench.evaluation.regression import Change
+
+SAME = 1e-6
+"""Relative difference of two values that are the same, on another processor [1]."""
+
+ERROR = 0.01
+"""Probability of any false `worse` or `better` in a whole check [1]."""
+
+LOOKS = (20, 40, 80)
+"""Numbers of draws after which a check looks at the metrics; `ERROR` is split over the looks."""
+
+CONVERGED = "converged"
+"""Name of the row that counts the runs that converged."""
+
+FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973}
+"""Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
+
+Word = Literal["same", "better", "worse", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One metric of one estimator, compared with its baseline."""
+
+    profile: str
+    estimator: str
+    metric: str
+    unit: str
+    word: Word
+    old: float | None  # pooled over the compared draws
+    new: float | None
+    change: float | None  # above 0: worse; relative [1], or in the unit if not `relative`
+    low: float | None  # Holm-corrected interval of the change
+    high: float | None
+    relative: bool
+    draws: int  # that were compared
+    paired: bool  # draw by draw
+    note: str  # what the figures do not say
+
+    @property
+    def sentence(self) -> str:
+        """The row in words."""
+        values = " -> ".join("-" if x is None else f"{x:.4g}" for x in (self.old, self.new))
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        parts = [f"{self.word}: {self.estimator} on {self.profile}, {self.metric} {values}{unit}"]
+        if self.change is not None:
+            parts.append(f"{self.format_change()} in {self.draws} draws")
+        return ", ".join([*parts, *([self.note] if self.note else [])])
+
+    def format_change(self) -> str:
+        """Return the change with its interval as text; above 0 is worse."""
+        if self.change is None:
+            return ""
+        if self.relative:
+            return f"{self.change:+.1%}" + (
+                "" if self.low is None else f" ({self.low:+.1%} to {self.high:+.1%})"
+            )
+        return f"{self.change:+.3g}" + ("" if self.low is None else f" ({self.low:+.3g} to {self.high:+.3g})")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A verdict before the error is shared among all rows of the check."""
+
+    row: Verdict
+    side: int = 0  # beyond the tolerance: 1 to the worse, -1 to the better side, else 0
+    p_value: float = 1.0
+    change: Change | None = None
+    certain: bool = False  # the word needs no statistics
+
+
+def decide(candidates: Sequence[Candidate]) -> list[Verdict]:
+    """Return the verdicts of a whole check at one look.
+
+    A metric is worse (or better) if its change is beyond the tolerance and its Holm-corrected interval
+    excludes zero. Beyond the tolerance without that, it is undecided.
+    """
+    open_rows = [k for k, one in enumerate(candidates) if not one.certain]
+    rejected, levels = regression.reject_by_holm(
+        [candidates[k].p_value for k in open_rows], ERROR / len(LOOKS)
+    )
+    verdicts = [one.row for one in candidates]
+    for k, proven, level in zip(open_rows, rejected, levels, strict=True):
+        one = candidates[k]
+        word: Word = "same"
+        if one.side:
+            word = "undecided" if not proven else "worse" if one.side > 0 else "better"
+        verdicts[k] = replace(one.row, word=word)
+        if one.change is not None and math.isfinite(one.change.standard_error):
+            ends = one.change.interval(float(level))
+            low, high = (math.expm1(min(x, 700.0)) if one.row.relative else x for x in ends)
+            verdicts[k] = replace(verdicts[k], low=low, high=high)
+    return verdicts
+
+
+def compare(baseline: Baseline, measured: Baseline, name: str) -> list[Candidate]:
+    """Compare the first draws of a baseline with those measured, metric by metric.
+
+    Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
+    draws measured; otherwise all draws before with all draws after.
+    """
+    n = min(baseline.draws, measured.draws)
+    alike = np.array([a == b for a, b in zip(baseline.sensors[:n], measured.sensors[:n], strict=True)])
+    if baseline.truth != measured.truth:
+        alike[:] = False
+    paired = bool(alike.sum() >= max(2, 0.5 * n))
+    which = np.flatnonzero(alike) if paired else np.arange(n)
+    rows = []
+    for label, old in baseline.estimators.items():
+        new = measured.estimators.get(label)
+        if new is None:
+            row = _make_row(name, label, CONVERGED, paired, len(which), "the profile has no such estimator")
+            rows.append(Candidate(replace(row, word="worse"), certain=True))
+            continue
+        rows.append(_compare_convergence(name, label, old, new, which, paired))
+        for metric in old.metrics:
+            candidate = _compare_metric(name, label, metric, old, new, which, paired, baseline.tolerance)
+            if candidate is not None:
+                rows.append(candidate)
+    return rows
+
+
+def _make_row(name: str, label: str, metric: str, paired: bool, draws: int, note: str = "") -> Verdict:
+    known = find_metric(metric)
+    unit = known.unit if known else "1"
+    if not paired:
+        note = ", ".join(filter(None, [note, "other truth or sensor data: not paired"]))
+    return Verdict(
+        name, label, metric, unit, "same", None, None, None, None, None, False, draws, paired, note
+    )
+
+
+def _compare_convergence(
+    name: str, label: str, old: EstimatorValues, new: EstimatorValues, which: np.ndarray, paired: bool
+) -> Candidate:
+    """Compare how many runs converged; on identical draws a new divergence is worse without statistics."""
+    before, after = np.array(old.converged)[which], np.array(new.converged)[which]
+    candidate = _compare_events(name, label, CONVERGED, before, after, which, paired)
+    if paired and (before & ~after).any():
+        return replace(candidate, row=replace(candidate.row, word="worse"), certain=True)
+    return candidate
+
+
+def _compare_events(
+    name: str,
+    label: str,
+    metric: str,
+    before: BoolArray,
+    after: BoolArray,
+    which: np.ndarray,
+    paired: bool,
+) -> Candidate:
+    """Compare how often something good happens."""
+    notes = []
+    if paired:
+        for text, flipped in (("lost", before & ~after), ("gained", ~before & after)):
+            if flipped.any():
+                notes.append(f"{text} in draw {_list_draws(which[flipped])}")
+    row = _make_row(name, label, metric, paired, len(before), ", ".join(notes))
+    row = replace(row, old=float(before.mean()), new=float(after.mean()))
+    if np.array_equal(before, after):
+        return Candidate(row, certain=True)
+    difference = float(before.mean() - after.mean())
+    p_value = regression.compare_counts(before, after, paired=paired)
+    row = replace(row, change=difference)
+    return Candidate(row, int(np.sign(difference)), p_value)
+
+
+def _list_draws(draws: np.ndarray) -> str:
+    return ", ".join(str(k) for k in draws[:8]) + (" ..." if len(draws) > 8 else "")
+
+
+def _compare_metric(
+    name: str,
+    label: str,
+    metric: str,
+    old: EstimatorValues,
+    new: EstimatorValues,
+    which: np.ndarray,
+    paired: bool,
+    tolerance: float,
+) -> Candidate | None:
+    """Compare one metric over the draws that converged and have it before and after; None if none had it."""
+    before, after = _get_values(old, metric, which), _get_values(new, metric, which)
+    if _is_event(metric):
+        known = np.isfinite(before) & np.isfinite(after)
+        if not known.any():
+            return None
+        return _compare_events(
+            name, label, metric, before[known] > 0.5, after[known] > 0.5, which[known], paired
+        )
+    has_old, has_new = np.isfinite(before), np.isfinite(after)
+    if not has_old.any():
+        return None
+    if metric.startswith("fault_"):  # only where the fault was noticed, before and after
+        noticed = f"fault_{metric.split('_')[1]}_detected"
+        has_old &= _get_values(old, noticed, which) > 0.5
+        has_new &= _get_values(new, noticed, which) > 0.5
+    elif paired and (lost := has_old & ~has_new & np.array(new.converged)[which]).any():
+        row = _make_row(
+            name, label, metric, paired, len(which), f"no value in draw {_list_draws(which[lost])}"
+        )
+        return Candidate(replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True)
+    if paired:
+        has_old = has_new = has_old & has_new
+    before, after = before[has_old], after[has_new]
+    if min(len(before), len(after)) < 2:
+        return None
+    row = _make_row(name, label, metric, paired, len(after))
+    row = replace(row, old=_pool(metric, before), new=_pool(metric, after))
+    if paired and _is_same(metric, before, after, min(old.epochs, new.epochs)):
+        return Candidate(row, certain=True)
+    return _measure_change(row, before, after, new.expected.get(metric), tolerance)
+
+
+def _get_values(of: EstimatorValues, metric: str, which: np.ndarray) -> FloatArray:
+    """Return the values of a metric in some draws, NaN where there is none or the run did not converge."""
+    stored: Sequence[Value] = of.metrics.get(metric, (None,) * len(of.converged))
+    values = np.array([np.nan if x is None else x for x in stored], float)[which]
+    return np.where(np.array(of.converged)[which], values, np.nan)
+
+
+def _is_event(metric: str) -> bool:
+    return metric.startswith("fault_") and metric.endswith("_detected")
+
+
+def _find_fraction(metric: str) -> float | None:
+    """Return the expected value of a fraction of epochs; None for other metrics."""
+    return next((value for head, value in FRACTIONS.items() if metric.startswith(head)), None)
+
+
+def _is_rms(metric: str) -> bool:
+    return "_rmse" in metric
+
+
+def _pool(metric: str, values: FloatArray) -> float:
+    """Return a metric over all draws: of an RMSE the squares are averaged."""
+    return float(np.sqrt(np.mean(values**2)) if _is_rms(metric) else values.mean())
+
+
+def _is_same(metric: str, before: FloatArray, after: FloatArray, epochs: int) -> bool:
+    """Return whether every draw has the same value, but for the processor."""
+    size = np.maximum(np.abs(before), np.sqrt(np.mean(before**2)))
+    allowed = SAME * size
+    if _find_fraction(metric) is not None:
+        allowed += 1.0 / max(epochs, 1)
+    return bool((np.abs(after - before) <= allowed).all())
+
+
+def _measure_change(
+    row: Verdict, before: FloatArray, after: FloatArray, expected: float | None, tolerance: float
+) -> Candidate:
+    """Choose the scale on which a metric is compared, and measure its change there."""
+    known = find_metric(row.metric)
+    fraction = _find_fraction(row.metric)
+    positive = bool((before > 0).all() and (after > 0).all())
+    by_draw = np.log(after / before) if positive and fraction is None else after - before
+    limit = tolerance * float(np.sqrt(np.mean(before**2)))
+    if _is_rms(row.metric):
+        before, after = before**2, after**2
+    scale, relative, target = regression.distance_from(0.0), False, 0.0
+    if fraction is not None:
+        scale, limit, target = regression.distance_from(fraction), tolerance, fraction
+    elif expected and positive:
+        scale, relative, target = regression.log_distance_from(expected), True, expected
+    elif known is not None and known.direction == "lower" and positive:
+        scale = regression.half_log_of_mean if _is_rms(row.metric) else regression.log_of_mean
+        relative = True
+    if relative:
+        limit = math.log1p(tolerance)
+    if not row.paired:
+        oriented = None
+    elif (before.mean() - target) * (after.mean() - target) > 0:
+        oriented = by_draw * np.sign(after.mean() - target)
+    else:  # the values cross their expectation: only the size of the second test counts
+        moved = scale(after.mean()) - scale(before.mean())
+        oriented = by_draw * np.sign(by_draw.mean()) * np.sign(moved)
+    change = regression.estimate_change(before, after, scale, paired=row.paired, by_draw=oriented)
+    size = change.estimate
+    row = replace(row, change=math.expm1(min(size, 700.0)) if relative else size, relative=relative)
+    side = int(np.sign(size)) if abs(size) > limit else 0
+    return Candidate(row, side, change.p_value, change)

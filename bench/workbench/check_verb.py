@@ -1,0 +1,83 @@
+"""The verb check: compare with baselines, or record them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from bench.baselines import checking
+from bench.baselines.junit import write_junit
+from bench.baselines.verdict_rows import Verdict
+from bench.workbench.flight_verbs import find_own_estimators
+
+_STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
+
+
+def record(profiles: Sequence[str], *, console: Console, **options: Any) -> None:
+    """Measure profiles and write their baselines; options as for `bench.record_baselines`."""
+    find_own_estimators()
+    with _show_draws() as progress:
+        paths = checking.record_baselines(profiles, progress=progress, **options)
+    for path in paths:
+        console.print(f"Wrote {path}.")
+    console.print(f"See {paths[0].parent / checking.CHANGES} for what moved.")
+
+
+def check(
+    profiles: Sequence[str], *, console: Console, junit: Path | None, strict: bool, **options: Any
+) -> list[Verdict]:
+    """Check profiles, print and return the verdicts; options as for `bench.check`."""
+    find_own_estimators()
+    with _show_draws() as progress:
+        verdicts = checking.check(profiles, progress=progress, **options)
+    print_verdicts(console, verdicts)
+    if junit is not None:
+        write_junit(junit, verdicts, strict=strict)
+    return verdicts
+
+
+@contextlib.contextmanager
+def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
+    """Provide a function that shows the current draw of a profile."""
+    with Console(stderr=True).status("") as status:
+        yield lambda name, k, n: status.update(f"{name}: draw {min(k + 1, n)} of {n}")
+
+
+def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
+    """Print a table of the metrics that changed for each estimator, and how many did not."""
+    groups = dict.fromkeys((row.profile, row.estimator) for row in verdicts)
+    for profile, estimator in groups:
+        rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
+        changed = [row for row in rows if row.word != "same"]
+        counts = Counter[str](row.word for row in rows)
+        words = ", ".join(f"{counts[word]} {word}" for word in _STYLES if counts[word])
+        draws = max(row.draws for row in rows)
+        console.print(f"{profile}, {estimator}: {words} ({draws} draws)", soft_wrap=True)
+        if changed:
+            console.print(_make_table(changed))
+    worse = [row for row in verdicts if row.word == "worse"]
+    for row in worse[:5]:
+        console.print(Text(row.sentence, "red"), soft_wrap=True)
+    if len(worse) > 5:
+        console.print(f"{len(worse) - 5} more are worse.")
+
+
+def _make_table(rows: Sequence[Verdict]) -> Table:
+    table = Table(pad_edge=False)
+    table.add_column("verdict", no_wrap=True, min_width=9)
+    table.add_column("metric", overflow="fold")
+    table.add_column("before", justify="right", overflow="fold")
+    table.add_column("now", justify="right", overflow="fold")
+    table.add_column("change, + is worse", overflow="fold")
+    for row in rows:
+        numbers = ["-" if value is None else f"{value:.4g}" for value in (row.old, row.new)]
+        change = "; ".join(filter(None, [row.format_change(), row.note]))
+        table.add_row(Text(row.word, _STYLES[row.word]), row.metric, *numbers, change)
+    return table
