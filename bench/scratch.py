@@ -1,6 +1,6 @@
 """Temporary folders that are removed even if their process is killed: then by the next run.
 
-A process holds a lock (flock) on each of its folders, which the kernel releases when the process ends. So a
+A process holds a lock (flock) in each of its folders, which the kernel releases when the process ends. So a
 folder without a lock has lost its process, whatever process has its number now. The name of a folder holds a
 code of the machine, because a lock may not be visible from another one; folders of other machines stay.
 """
@@ -24,6 +24,9 @@ if sys.platform != "win32":
 
 PREFIX = ".bench-scratch-"
 """What the names of temporary folders begin with."""
+
+LOCK = "lock"
+"""File in a folder that holds its lock."""
 
 _UNLOCKED = ".bench-unlocked-"  # a folder has this name until its lock is held
 _ASIDE, _NAME = "old", "name"  # a folder that `set_aside` moved, and a file with its name
@@ -74,13 +77,14 @@ def remove_abandoned(place: Path) -> None:
 def lock_folder(folder: Path, *, shared: bool = False) -> int | None:
     """Lock a folder and return an open file descriptor; None if another process has locked it.
 
-    The lock ends when the descriptor is closed. None as well if the file system has no locks.
+    The lock is on a file in the folder and ends when the descriptor is closed. None as well if the file
+    system has no locks.
     """
     if sys.platform == "win32":
         return None
     descriptor = None
     try:
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder / LOCK, os.O_RDONLY if shared else os.O_RDWR | os.O_CREAT, 0o666)
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError:
         if descriptor is not None:
@@ -101,6 +105,7 @@ def _end(unlocked: Path, folder: Path, lock: int | None) -> None:
     if lock is not None:
         with contextlib.suppress(OSError):  # closed already
             os.close(lock)
+        shutil.rmtree(folder, ignore_errors=True)  # a network file system keeps an open file
 
 
 def _identify_machine() -> str:

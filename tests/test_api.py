@@ -23,6 +23,7 @@ FUNCTIONS = {
 }
 """Verb -> what does it from Python."""
 WITHOUT = {
+    "cache": "looks after files of this machine",
     "guide": "shows pages",
     "new": "writes a starting point to edit",
     "view": "opens a window",

@@ -1,4 +1,4 @@
-"""The verbs of simulated flights: run, fly, list, guide, new, view, check."""
+"""The verbs of simulated flights: run, fly, list, guide, new, view, check, cache."""
 
 from __future__ import annotations
 
@@ -250,3 +250,25 @@ def check(
         click.echo(to_json([asdict(row) for row in verdicts]), nl=False)
     failing = ("worse", "undecided") if strict else ("worse",)
     return NEGATIVE if any(row.word in failing for row in verdicts) else DONE
+
+
+@commands.command(epilog=STATUS)
+@click.option("--empty", is_flag=True, help="remove all flights")
+@click.option(
+    "--limit",
+    type=click.FloatRange(min=0),
+    metavar="GB",
+    help="remove the least recently used flights until this much is left",
+)
+def cache(empty: bool, limit: float | None) -> int:
+    """Show the size of the cache of flown truth, or make it smaller.
+
+    A flight is flown once and its truth is kept for later runs. After each new flight
+    the least recently used ones are removed until the cache is within its limit: 2 GB,
+    or the number in the environment variable BENCH_CACHE_GB. A flight that a process
+    reads stays. The cache is in BENCH_CACHE, else in ~/.cache/bench.
+    """
+    from bench.workbench.flight_verbs import look_after_cache
+
+    look_after_cache(0.0 if empty else limit, console=new_console())
+    return DONE

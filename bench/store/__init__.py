@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
+from bench.store.cache_size import LIMIT, measure_cache, trim_cache
 from bench.store.folders import EXPORT, check_file, check_folder, make_folder
 from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
@@ -28,6 +29,7 @@ from bench.store.truth_cache import cached_summary, cached_truth, join_pieces, t
 
 __all__ = [
     "EXPORT",
+    "LIMIT",
     "RECORDING",
     "RESULT",
     "START",
@@ -50,6 +52,7 @@ __all__ = [
     "load_truth",
     "make_folder",
     "make_start_document",
+    "measure_cache",
     "provenance",
     "read_assumed_specs",
     "read_initial_state",
@@ -58,6 +61,7 @@ __all__ = [
     "to_arrow",
     "to_json",
     "to_pandas",
+    "trim_cache",
     "truth_key",
     "truth_pieces",
     "write_json",

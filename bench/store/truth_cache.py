@@ -14,8 +14,6 @@ import json
 import logging
 import os
 import shutil
-import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,10 +22,11 @@ import numpy as np
 
 from bench.data import AirData, Controls, Events, Trajectory
 from bench.places import PACKAGE, cache_folder
+from bench.scratch import LOCK, make_scratch
 from bench.specs import Flight, FlightSpec, ScriptSpec
+from bench.store.cache_size import hold_entry, read_hashed, read_limit, trim_cache, write_hashed
 from bench.store.provenance import list_versions
 
-_UNUSED_DAYS = 30
 _BLOCK = 1 << 20  # [byte]
 _LOG = logging.getLogger(__name__)
 
@@ -73,7 +72,8 @@ def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Traje
         Bit-identical to the joined pieces of ``fly``; its columns are memory-mapped from the cache.
     """
     entry = cache_folder("truth") / truth_key(spec)
-    truth = _map_truth(entry) if _is_sound(entry) else None
+    with hold_entry(entry):
+        truth = _map_truth(entry) if _is_sound(entry) else None
     if truth is None and _fly_into(entry, fly):
         truth = _map_truth(entry)
     return join_pieces(fly()) if truth is None else truth
@@ -85,7 +85,15 @@ def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Itera
     A flight that is not in the cache is flown and stored first.
     """
     entry = cache_folder("truth") / truth_key(spec)
-    yield from _read_pieces(entry) if _is_sound(entry) or _fly_into(entry, fly) else fly()
+    with hold_entry(entry):
+        if _is_sound(entry):
+            yield from _read_pieces(entry)
+            return
+    if _fly_into(entry, fly):
+        with hold_entry(entry):
+            yield from _read_pieces(entry)
+    else:
+        yield from fly()
 
 
 def cached_summary(
@@ -111,15 +119,11 @@ def cached_summary(
         digest.update((PACKAGE / name).read_bytes())
     path = entry / f"summary-{digest.hexdigest()[:32]}.json"
     if _is_sound(entry):
-        with contextlib.suppress(OSError, ValueError):  # absent or damaged: compute it again
-            stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            return stored
-    text = json.dumps(summarize(truth_pieces(spec, fly)))
+        with contextlib.suppress(OSError, ValueError):  # absent or changed: compute it again
+            return read_hashed(path)
+    summary: dict[str, Any] = json.loads(json.dumps(summarize(truth_pieces(spec, fly))))
     with contextlib.suppress(OSError):  # the truth could not be stored either
-        beside = path.with_suffix(f".{os.getpid()}")
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    summary: dict[str, Any] = json.loads(text)
+        write_hashed(path, summary)
     return summary
 
 
@@ -202,9 +206,10 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
 
 def _fly_into(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
     """Fly a truth into the cache; return whether it could be stored."""
+    limit = read_limit()  # wrong: told before the flight
     try:
         _write_entry(entry, fly)
-        _remove_unused(entry.parent)
+        trim_cache(limit, keep=entry)
     except OSError as error:  # disk full, or no permission
         _LOG.warning("truth is not cached in %s: %s", entry.parent, error.strerror or error)
         return False
@@ -213,26 +218,25 @@ def _fly_into(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
 
 def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     entry.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=entry.parent))
-    try:
+    with make_scratch(entry.parent) as scratch:
+        new = scratch / "new"
+        new.mkdir()
         columns: dict[str, _Column] = {}
         texts: dict[str, list[str]] = {name: [] for name in _EVENT_TEXTS}
         with contextlib.ExitStack() as files:
             for number, piece in enumerate(fly()):
                 for name, array in _get_columns(piece).items():
                     if not number:
-                        columns[name] = files.enter_context(_Column(scratch / f"{name}.npy", array))
+                        columns[name] = files.enter_context(_Column(new / f"{name}.npy", array))
                     columns[name].append(array[number > 0 and name in SHARED :])
                 for name in _EVENT_TEXTS:
                     texts[name] += getattr(piece.events, name)
-        (scratch / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
-        hashes = {path.name: _hash_file(path) for path in scratch.iterdir()}
-        (scratch / _INDEX).write_text(json.dumps(hashes), encoding="utf-8")
-        shutil.rmtree(entry, ignore_errors=True)  # damaged, or just written by another process
-        scratch.rename(entry)
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
+        (new / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
+        write_hashed(new / _INDEX, {path.name: _hash_file(path) for path in new.iterdir()})
+        (new / LOCK).touch()
+        if not _is_sound(entry):  # else another process has just written it
+            shutil.rmtree(entry, ignore_errors=True)
+            new.rename(entry)
 
 
 class _Column:
@@ -264,7 +268,7 @@ class _Column:
 def _is_sound(entry: Path) -> bool:
     """Return whether an entry exists, its files have their hashes, and none holds a pickle."""
     try:
-        hashes = json.loads((entry / _INDEX).read_text(encoding="utf-8"))
+        hashes = read_hashed(entry / _INDEX)
         if not hashes or any(_hash_file(entry / name) != wanted for name, wanted in hashes.items()):
             return False
         for name in _list_columns(entry):
@@ -277,7 +281,7 @@ def _is_sound(entry: Path) -> bool:
 
 
 def _list_columns(entry: Path) -> list[str]:
-    return [path.stem for path in entry.glob("*.npy")]
+    return [name.removesuffix(".npy") for name in read_hashed(entry / _INDEX) if name.endswith(".npy")]
 
 
 def _map_column(entry: Path, name: str) -> _Array:
@@ -328,11 +332,3 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
 def _hash_file(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _remove_unused(root: Path) -> None:
-    """Remove entries that no run has read for 30 days."""
-    oldest = time.time() - _UNUSED_DAYS * 86400
-    for entry in root.iterdir():
-        if entry.stat().st_mtime < oldest:
-            shutil.rmtree(entry, ignore_errors=True)

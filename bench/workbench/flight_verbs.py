@@ -1,4 +1,4 @@
-"""The verbs run and fly."""
+"""The verbs run, fly and cache."""
 
 from __future__ import annotations
 
@@ -70,6 +70,15 @@ def fly(name: str, *, console: Console, **profile_options: Any) -> None:
         summary = api.describe_flight(profile, progress)
     show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
+
+
+def look_after_cache(limit: float | None, *, console: Console) -> None:
+    """Reduce the cache of flown truth to a size [GB], if one is given, and print its size."""
+    if limit is not None:
+        store.trim_cache(int(1e9 * limit))
+    cache = store.measure_cache()
+    console.print(f"{cache.folder}: {cache.flights} flights, {cache.size / 1e9:.3f} GB", soft_wrap=True)
+    console.print(f"limit: {cache.limit / 1e9:g} GB, set by {store.LIMIT}; the least recently used go first")
 
 
 @contextlib.contextmanager

@@ -519,6 +519,22 @@ def write_summary(folder: Path) -> None:
     (folder / "result.json").write_text(json.dumps({key: {} for key in names}))
 
 
+def test_cache_shows_its_size_and_is_emptied(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path))
+    (tmp_path / "truth" / "a").mkdir(parents=True)
+    (tmp_path / "truth" / "a" / "lla.npy").write_bytes(bytes(3_000_000))
+    for arguments, line in (
+        ((), "1 flights, 0.003 GB"),
+        (["--limit", "1"], "1 flights"),
+        (["--empty"], "0 flights"),
+    ):
+        status, out, _ = say(capsys, "cache", *arguments)
+        assert status == 0
+        assert f"{tmp_path / 'truth'}: {line}" in out
+        assert "limit: 2 GB, set by BENCH_CACHE_GB" in out
+    assert list((tmp_path / "truth").iterdir()) == []
+
+
 def test_view_takes_the_newest_recording(here):
     for age, name in enumerate(("b", "c", "a")):
         folder = here / "runs" / name

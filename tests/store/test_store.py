@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +42,7 @@ from bench.errors import BenchError
 from bench.instruments import AirspeedData, BaroData, MagData
 from bench.run_result import RunResult
 from bench.specs import FlightSpec
-from bench.store import truth_cache
+from bench.store import cache_size, truth_cache
 from tests.exchange.exported import make_run
 from tests.synthetic import turning
 
@@ -523,13 +524,15 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
     said("evaluation/replay.py", "rotation.py")
     assert (calls, flights.count) == ([401] * 2, 1)
     (entry,) = cache.iterdir()
-    for path in entry.glob("summary-*.json"):
-        path.write_text('{"samples"')
-    assert said("evaluation/replay.py") == first
-    assert (calls, flights.count) == ([401] * 3, 1)
+    edits = ('{"samples"', "[]", '{"samples": 3}', "", "x" * 64 + '\n{"samples": 3}')
+    for count, text in enumerate(edits, 3):
+        for path in entry.glob("summary-*.json"):
+            path.write_text(text)
+        assert said("evaluation/replay.py") == first
+        assert (calls, flights.count) == ([401] * count, 1)
     _flip(entry / "lla.npy")
     assert said("evaluation/replay.py") == first
-    assert (calls, flights.count) == ([401] * 4, 2)
+    assert (calls, flights.count) == ([401] * (count + 1), 2)
 
 
 def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
@@ -584,9 +587,9 @@ def test_nothing_is_unpickled(cache, spec, truth):
     store.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     np.save(entry / "lla.npy", np.array([print], dtype=object), allow_pickle=True)
-    index = json.loads((entry / "index.json").read_text())
+    index = cache_size.read_hashed(entry / "index.json")
     index["lla.npy"] = truth_cache._hash_file(entry / "lla.npy")
-    (entry / "index.json").write_text(json.dumps(index))
+    cache_size.write_hashed(entry / "index.json", index)
     equal(store.cached_truth(spec, flights), truth)
     assert flights.count == 2
 
@@ -667,6 +670,72 @@ def test_entries_nobody_reads_are_removed(cache, spec, truth):
     store.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
     assert entry not in list(cache.iterdir())
     assert len(list(cache.iterdir())) == 1
+
+
+def test_an_index_that_was_changed_and_a_file_that_it_does_not_name_change_nothing(cache, spec, truth):
+    flights = Flights(truth)
+    store.cached_truth(spec, flights)
+    (entry,) = cache.iterdir()
+    np.save(entry / "own.npy", np.zeros(3))
+    for _ in range(2):
+        equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
+        equal(store.cached_truth(spec, flights), truth)
+    assert flights.count == 1
+    text = (entry / "index.json").read_text()
+    _flip(entry / "lla.npy")
+    code = truth_cache._hash_file(entry / "lla.npy")
+    (entry / "index.json").write_text(re.sub(r'("lla.npy": )"\w+"', rf'\1"{code}"', text))
+    equal(store.cached_truth(spec, flights), truth)
+    assert flights.count == 2
+
+
+@pytest.fixture
+def three(cache, spec, truth) -> list[Path]:
+    """Three flights in the cache, the second one used last."""
+    entries = []
+    for k, speed in enumerate((25.0, 26.0, 27.0)):
+        flight = dataclasses.replace(spec, speed=speed)
+        store.cached_truth(flight, Flights(truth))
+        entries.append(cache / truth_cache.truth_key(flight))
+        os.utime(entries[-1], (time.time() - 100 + k,) * 2)
+    store.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
+    return entries
+
+
+def test_the_least_recently_used_flights_go_first(cache, spec, truth, three, monkeypatch):
+    size = store.measure_cache().size / 3
+    assert store.measure_cache()[1:] == (3, 3 * size, 2_000_000_000)
+    store.trim_cache(int(2.5 * size))
+    assert set(cache.iterdir()) == set(three[1:])
+    monkeypatch.setenv("BENCH_CACHE_GB", str(2.5 * size / 1e9))
+    fourth = dataclasses.replace(spec, speed=28.0)
+    store.cached_truth(fourth, Flights(truth))
+    assert set(cache.iterdir()) == {three[1], cache / truth_cache.truth_key(fourth)}
+    monkeypatch.setenv("BENCH_CACHE_GB", "0")
+    store.cached_truth(dataclasses.replace(spec, speed=29.0), Flights(truth))
+    assert store.measure_cache().flights == 1
+    store.trim_cache(0)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_flight_that_is_being_read_stays(cache, spec, truth, three, monkeypatch):
+    monkeypatch.setattr(truth_cache, "_PIECE", 100)
+    pieces = store.truth_pieces(dataclasses.replace(spec, speed=25.0), Flights(truth))
+    first = next(pieces)
+    store.trim_cache(0)
+    assert list(cache.iterdir()) == [three[0]]
+    equal(truth_cache.join_pieces([first, *pieces]), truth)
+    store.trim_cache(0)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_limit_that_is_no_number_is_told_before_the_flight(cache, spec, truth, monkeypatch):
+    for text in ("x", "-1", "nan", "inf"):
+        monkeypatch.setenv("BENCH_CACHE_GB", text)
+        flights = Flights(truth)
+        with pytest.raises(BenchError, match=r"BENCH_CACHE_GB = .* must be a number of GB"):
+            store.cached_truth(spec, flights)
+        assert flights.count == 0
 
 
 # --- tables ---------------------------------------------------------------------------------------------
