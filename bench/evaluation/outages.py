@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.evaluation.ensemble import estimate_quantile
 from bench.specs import ImuSpec
 from bench.units import STANDARD_GRAVITY
 
-CONFIDENCE = 0.95
-"""Confidence of the intervals of the quantiles [1]."""
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median of the length of a normal horizontal error, over its standard deviation by axis [1]."""
 RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
@@ -33,41 +32,6 @@ class OutageDrift:
     drift: float  # horizontal error at the fix that ends the outage [m]
     drift_v: float  # vertical error there [m]
     claimed: float  # standard deviation by axis that the filter gives there [m]
-
-
-@dataclass(frozen=True, slots=True)
-class Quantile:
-    """A quantile of a sample and its confidence interval; a limit is None if there are too few values."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-
-def estimate_quantile(values: FloatArray, fraction: float, confidence: float = CONFIDENCE) -> Quantile:
-    """Return a quantile of independent values with its distribution-free confidence interval.
-
-    The number of values below the true quantile is binomial for any distribution, so order statistics
-    enclose it (David, Nagaraja, Order Statistics, 3rd ed., 7.1). Each limit fails with probability
-    (1 - confidence) / 2.
-
-    Examples
-    --------
-    >>> estimate_quantile(np.arange(1.0, 11.0), 0.5)  # of ten values the second and the ninth
-    Quantile(value=5.5, low=2.0, high=9.0)
-    """
-    from scipy.special import bdtr
-
-    ordered, n = np.sort(values), len(values)
-    below = bdtr(np.arange(n), n, fraction)  # P(at most k of n below the true quantile)
-    tail = 0.5 * (1.0 - confidence)
-    lower = np.flatnonzero(below <= tail)  # the k-th value (from 1) exceeds it with P(at most k - 1)
-    upper = np.flatnonzero(below >= 1.0 - tail)
-    return Quantile(
-        float(np.quantile(ordered, fraction)),
-        float(ordered[lower[-1]]) if len(lower) else None,
-        float(ordered[upper[0]]) if len(upper) else None,
-    )
 
 
 def place_outages(first: float, last: float, duration: float, count: int) -> FloatArray:

@@ -459,19 +459,6 @@ def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
 # --- statistics and the law ---------------------------------------------------------------------------
 
 
-def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says():
-    """20000 samples of ten values of a skewed distribution; 99.9 % band of the count of misses."""
-    random = np.random.default_rng(5)
-    samples = random.exponential(size=(20_000, 10))
-    inside = 0
-    for sample in samples:
-        found = outages.estimate_quantile(sample, 0.5)
-        inside += found.low <= np.log(2.0) <= found.high
-    exact = 1.0 - 2 * (1 + 10) / 2**10  # fewer than two below, or fewer than two above
-    assert abs(inside / 20_000 - exact) < 3.3 * np.sqrt(exact * (1 - exact) / 20_000)
-    assert outages.estimate_quantile(samples[0], 0.95).high is None  # ten values say nothing above
-
-
 def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
     """Euler sums of white noise and constants, 4000 draws: the variance within its 99.9 % band."""
     imu = load_log(str(folder / "drive.toml")).assumed.imu

@@ -1,0 +1,193 @@
+"""Statistics over runs: each figure against a closed form, each interval by how often it holds the truth.
+
+The simulated errors last the whole run: the epochs of a run share most of their error. Intervals from pooled
+epochs would hold the truth in a third of all cases. Counts of misses are held against the 99.9 % band of a
+binomial with the stated rate, one-sided where an interval may be wider than it says.
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import beta, binom, chi2, norm
+
+from bench.data import Innovations
+from bench.evaluation import ensemble
+from bench.evaluation.consistency import SensorNis
+
+CASES = 1000
+
+
+def most_misses(rate=0.05, cases=CASES):
+    return binom.ppf(0.999, cases, rate)
+
+
+def errors_of_runs(rng, runs=40, epochs=12):
+    """Errors (runs, epochs) of unit variance, 0.8 of it common to the epochs of a run."""
+    common = rng.standard_normal((runs, 1))
+    return np.sqrt(0.8) * common + np.sqrt(0.2) * rng.standard_normal((runs, epochs))
+
+
+def count_misses(estimate, truth, rng, cases=CASES):
+    found = [estimate(errors_of_runs(rng)) for _ in range(cases)]
+    return sum(not one.low <= truth <= one.high for one in found)
+
+
+def test_pooled_rmse_is_the_root_of_the_mean_square_and_holds_the_truth():
+    rng = np.random.default_rng(1)
+    x = errors_of_runs(rng)
+    assert ensemble.pool_rmse(np.mean(x**2, axis=1)).value == pytest.approx(np.sqrt(np.mean(x**2)))
+    misses = count_misses(lambda x: ensemble.pool_rmse(np.mean(x**2, axis=1)), 1.0, rng)
+    assert misses <= most_misses(0.065)  # the jackknife of 40 skewed values misses 6.4 % of 10000
+
+
+def test_pooled_rmse_of_normal_errors_has_the_interval_of_chi_square():
+    """One epoch per run: 500 squares are chi-square, and the jackknife is near its exact interval."""
+    x = np.random.default_rng(2).standard_normal(500)
+    found = ensemble.pool_rmse(x**2)
+    exact = np.sqrt(np.sum(x**2) / chi2.ppf([0.975, 0.025], 500))
+    assert (found.low, found.high) == pytest.approx(tuple(exact), rel=0.015)
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.95])
+def test_radii_hold_the_truth_with_errors_that_last_the_run(fraction):
+    rng = np.random.default_rng(3)
+    truth = norm.ppf(0.5 + 0.5 * fraction)
+    misses = count_misses(lambda x: ensemble.pool_quantile(np.abs(x), fraction), truth, rng)
+    assert misses <= most_misses()
+
+
+def test_a_radius_of_single_epochs_has_the_interval_of_order_statistics():
+    x = np.random.default_rng(4).exponential(size=(400, 1))
+    found, plain = ensemble.pool_quantile(x, 0.5), ensemble.estimate_quantile(x[:, 0], 0.5)
+    assert found.value == pytest.approx(plain.value, rel=0.02)
+    assert (found.low, found.high) == pytest.approx((plain.low, plain.high), rel=0.03)
+
+
+def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says():
+    """5000 samples of ten values of a skewed distribution; 99.9 % band of the count of misses."""
+    random = np.random.default_rng(5)
+    samples = random.exponential(size=(5_000, 10))
+    inside = 0
+    for sample in samples:
+        found = ensemble.estimate_quantile(sample, 0.5)
+        inside += found.low <= np.log(2.0) <= found.high
+    exact = 1.0 - 2 * (1 + 10) / 2**10  # fewer than two below, or fewer than two above
+    assert abs(inside / 5_000 - exact) < 3.3 * np.sqrt(exact * (1 - exact) / 5_000)
+    assert ensemble.estimate_quantile(samples[0], 0.95).high is None  # ten values say nothing above
+
+
+def test_a_quantile_of_times_may_be_never():
+    times = np.array([3.0, 4.0, 5.0, np.inf, np.inf, 1.0, 2.0, 2.5, 3.5, 4.5])
+    assert ensemble.estimate_quantile(times, 0.5) == ensemble.Quantile(3.5, 2.0, np.inf)
+
+
+def test_growth_of_a_random_walk_of_velocity_is_its_closed_form():
+    """Position errors v T: rms sqrt(2) s T, median s T sqrt(2 ln 2), whatever the error at the start."""
+    rng = np.random.default_rng(6)
+    t = np.arange(100.0)
+    speed, begin = rng.normal(0.0, 0.5, (2000, 1, 3)), rng.normal(0.0, 30.0, (2000, 1, 3))
+    rows = ensemble.measure_growth(t, begin + speed * t[:, None], 40.0, [10.0, 30.5])
+    for row, T in zip(rows, (10.0, 30.0), strict=True):
+        assert row.rms.low <= np.sqrt(2) * 0.5 * T <= row.rms.high
+        assert row.median.low <= 0.5 * T * np.sqrt(2 * np.log(2)) <= row.median.high
+        assert row.p95.low <= 0.5 * T * np.sqrt(-2 * np.log(0.05)) <= row.p95.high
+    with pytest.raises(ValueError, match="no instant within 10 s of the outage at -20 s"):
+        ensemble.measure_growth(t, begin + speed * t[:, None], -20.0, [10.0])
+
+
+# --- consistency -----------------------------------------------------------------------------------------
+
+
+def test_anees_lies_in_its_band_as_often_as_it_says():
+    nees = np.random.default_rng(7).chisquare(9, (50, 2000))
+    course = ensemble.average_nees(np.arange(2000.0), nees, 9)
+    outside = np.sum((course.mean < course.low) | (course.mean > course.high))
+    assert binom.ppf(0.0005, 2000, 0.05) <= outside <= binom.ppf(0.9995, 2000, 0.05)
+    assert course.low[0] == pytest.approx(chi2.ppf(0.025, 450) / 50)
+
+
+def test_nis_is_averaged_over_runs_between_the_edges():
+    def series(shift):
+        t = np.arange(10.0)
+        return SensorNis(t, t + shift, np.full(10, 3), np.ones(10, bool))
+
+    course = ensemble.average_nis([series(0.0), series(1.0)], np.array([0.0, 5.0, 10.0, 15.0]))
+    np.testing.assert_allclose(course.mean, [2.5, 7.5, np.nan])
+    np.testing.assert_allclose(course.t, [2.5, 7.5, 12.5])
+    np.testing.assert_allclose(course.high[:2], chi2.ppf(0.9995, 30) / 10)
+
+
+def test_coverage_holds_the_truth_with_errors_that_last_the_run():
+    rng = np.random.default_rng(8)
+    truth = 2 * norm.cdf(1.5) - 1
+    misses = count_misses(lambda x: ensemble.estimate_fraction(np.abs(x) < 1.5), truth, rng)
+    assert misses <= most_misses()
+
+
+def test_coverage_of_all_or_none_counts_each_run_once():
+    found = ensemble.estimate_fraction(np.ones((40, 1000), bool))
+    assert (found.value, found.high) == (1.0, 1.0)
+    assert found.low == pytest.approx(0.025 ** (1 / 40))  # closed form of Clopper and Pearson
+
+
+@pytest.mark.parametrize(("count", "n"), [(1, 40), (20, 40), (39, 40)])
+def test_a_rate_has_the_interval_of_clopper_and_pearson(count, n):
+    found = ensemble.estimate_rate(count, n)
+    assert found.low == pytest.approx(beta.ppf(0.025, count, n - count + 1))
+    assert found.high == pytest.approx(beta.ppf(0.975, count + 1, n - count))
+    assert binom.sf(count - 1, n, found.low) == pytest.approx(0.025)  # what the ends are defined by
+    assert binom.cdf(count, n, found.high) == pytest.approx(0.025)
+
+
+def test_white_innovations_pass_and_coloured_ones_do_not():
+    """p-values of white series are uniform: 5 % of 1000 below 0.05. A correlation of 0.1 is found."""
+    rng = np.random.default_rng(9)
+    low = 0
+    for _ in range(CASES):
+        low += ensemble.measure_whiteness(list(rng.standard_normal((4, 200)))).p_value < 0.05
+    assert binom.ppf(0.0005, CASES, 0.05) <= low <= binom.ppf(0.9995, CASES, 0.05)
+    x = rng.standard_normal((4, 1000))
+    x[:, 1:] += 0.1 * x[:, :-1]
+    found = ensemble.measure_whiteness(list(x))
+    assert found.p_value < 0.001
+    assert found.correlation[0] == pytest.approx(0.1, abs=found.band)
+    assert found.band == pytest.approx(norm.ppf(0.9995) / np.sqrt(4000))
+    with pytest.raises(ValueError, match="40 updates in 4 runs are too few for 20 lags"):
+        ensemble.measure_whiteness(list(x[:, :10]))
+
+
+def test_innovations_are_normalized_by_component():
+    t = np.repeat(np.arange(3.0), 2)
+    table = Innovations(
+        t, ("baro", "gnss"), np.ones(6, int), np.tile([0, 1], 3), np.arange(6.0), np.full(6, 4.0),
+        np.zeros(6), np.ones(6, bool),
+    )  # fmt: skip
+    assert ensemble.normalize_innovations(table, "gnss", 1, from_s=0.5).tolist() == [1.5, 2.5]
+    assert len(ensemble.normalize_innovations(table, "baro", 0)) == 0
+
+
+# --- two estimators --------------------------------------------------------------------------------------
+
+
+def test_two_estimators_are_compared_on_the_same_draws():
+    """The difference of 2 m is far below the spread of the draws, 5 m, and yet held by a narrow interval."""
+    rng = np.random.default_rng(10)
+    common = np.exp(rng.normal(0.0, 0.4, 40))
+    loose_15, loose_22 = 14.0 * common, 12.0 * common * np.exp(rng.normal(0.0, 0.03, 40))
+    found = ensemble.compare_rmse(("loose-15", "loose-22"), loose_15, loose_22, "m")
+    truth = 2.0 * np.sqrt(np.mean(common**2))
+    assert found.difference.low <= truth <= found.difference.high
+    assert found.difference.high - found.difference.low < 0.8
+    low, high = found.difference.low, found.difference.high
+    assert found.sentence == f"loose-22 is better by {low:.3g} to {high:.3g} m"
+    turned = ensemble.compare_rmse(("loose-22", "loose-15"), loose_22, loose_15, "m")
+    assert turned.sentence == found.sentence
+
+
+def test_estimators_that_do_not_differ_are_said_not_to_as_often_as_the_interval_says():
+    rng = np.random.default_rng(11)
+    wrong = 0
+    for _ in range(CASES):
+        common = np.exp(rng.normal(0.0, 0.3, 40))
+        pair = common * np.exp(rng.normal(0.0, 0.1, (2, 40)))
+        wrong += "better" in ensemble.compare_rmse(("a", "b"), *pair, "m").sentence
+    assert wrong <= most_misses(0.06)
