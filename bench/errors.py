@@ -6,6 +6,10 @@ DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70,
 """Exit statuses, as the help of every verb lists them."""
 
 
+MOST_MESSAGES = 20
+"""Messages of an error that are printed; the others are counted."""
+
+
 class BenchError(Exception):
     """What went wrong, one message for each thing, each complete without the code."""
 
@@ -16,8 +20,15 @@ class BenchError(Exception):
         super().__init__(*messages)
         self.messages = messages
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The messages to print."""
+        more = len(self.messages) - MOST_MESSAGES
+        counted = (f"and {more} more error{'s' if more > 1 else ''}",) if more > 0 else ()
+        return (*self.messages[:MOST_MESSAGES], *counted)
+
     def __str__(self) -> str:
-        return "\n".join(self.messages)
+        return "\n".join(self.lines)
 
 
 class ConfigError(BenchError):

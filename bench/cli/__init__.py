@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(INTERRUPTED, "interrupted")
     except Exception as error:
         if isinstance(error, BenchError) and error.status != BUG:
-            return _fail(error.status, "\nerror: ".join(error.messages))
+            return _fail(error.status, "\nerror: ".join(error.lines))
         if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
             place = f"{error.filename}: " if error.filename else ""
             return _fail(MACHINE, f"{place}{error.strerror or error}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from bench.errors import ConfigError
+from bench.errors import MOST_MESSAGES, ConfigError
 from bench.wording import as_toml, describe_error, suggest
 
 _T = TypeVar("_T", bound=BaseModel)
@@ -57,6 +58,12 @@ ROWS = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) els
 
 MOST_BYTES = 10_000_000
 """Largest TOML file that is read [byte]."""
+_MOST_KEYS = 100_000  # in a file; one of 4 h of waypoints, a leg a second, has fewer
+_LONGEST_KEY = 200  # [character]
+_DEEPEST = 50  # tables and arrays within each other, and names in a dotted key
+_NAME = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_LONG_CHAIN = re.compile(rf"(?<![\w.-]){_NAME}(?:[ \t]*+\.[ \t]*+{_NAME}){{{_DEEPEST}}}")
+"""A dotted key that is too long: the parser would need a time that grows with the square of its length."""
 
 
 def read_toml(path: Path, shown: str) -> dict[str, Any]:
@@ -74,17 +81,40 @@ def read_toml(path: Path, shown: str) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
-        return tomllib.loads(text.decode("utf-8"))
+        return _parse_toml(text.decode("utf-8"), shown)
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{shown}: not a text file in UTF-8") from None
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a TOMLDecodeError, or a number with thousands of digits
         raise ConfigError(f"{shown}: not valid TOML: {error}") from None
     except RecursionError:
         raise ConfigError(f"{shown}: not valid TOML: too many brackets within brackets") from None
+
+
+def _parse_toml(text: str, shown: str) -> dict[str, Any]:
+    """Return the content of a TOML file; raise ConfigError if its keys are too many, too long or too deep."""
+    if _LONG_CHAIN.search(text):
+        raise ConfigError(f"{shown}: a dotted key has more than {_DEEPEST} names")
+    if text.count("=") > _MOST_KEYS or text.count("[") > _MOST_KEYS:
+        raise ConfigError(f"{shown}: more than {_MOST_KEYS} keys or tables")
+    document = tomllib.loads(text)
+    level: list[Any] = [document]
+    for _ in range(_DEEPEST):
+        keys = [key for item in level if isinstance(item, dict) for key in item]
+        if (longest := max(keys, key=len, default="")) and len(longest) > _LONGEST_KEY:
+            raise ConfigError(f"{shown}: the key {longest[:30]}... is longer than {_LONGEST_KEY} characters")
+        level = [
+            inner
+            for item in level
+            for inner in (item.values() if isinstance(item, dict) else item)
+            if isinstance(inner, dict | list)
+        ]
+        if not level:
+            return document
+    raise ConfigError(f"{shown}: more than {_DEEPEST} tables or arrays within each other")
 
 
 def check_table(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
@@ -98,7 +128,9 @@ def check_table(model: type[_T], document: Mapping[str, Any], shown: str) -> _T:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        lines = [_explain(model, detail) for detail in error.errors(include_url=False)]
+        details = error.errors(include_url=False)
+    lines = [_explain(model, detail) for detail in details[:MOST_MESSAGES]]
+    lines += [f"{detail['loc']}: {detail['msg']}" for detail in details[MOST_MESSAGES:]]  # they are counted
     raise ConfigError(*(f"{shown}: {line}" for line in lines)) from None
 
 

@@ -1,8 +1,9 @@
 """Fly what others wrote in a process of its own, which can be ended.
 
-JSBSim runs foreign models as native code: a trim may never return, a bad table may end
-the process, and both print as they like. The child has no standard output, a scratch
-folder as its working directory, and must say something once a minute.
+JSBSim runs foreign models as native code: a trim may never return, a bad table may end the process, and both
+print as they like. The child has no standard output and a scratch folder as its working directory. It says
+what it does, and must go on to something else within a minute of its own CPU time: on a busy machine that may
+be long. A child that waits without using the CPU at all has a minute of the clock.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from bench.scratch import make_scratch
 from bench.specs import FlightSpec, ScriptSpec
 
 PATIENCE = 60.0
-"""Longest silence of a child before it is ended [s]."""
+"""CPU time that a child may use, or time that it may idle, before it does something else [s]."""
+_POLL = 0.5  # time between two looks at a silent child [s]
 
 _START = """import sys
 sys.path[:] = {path!r}
@@ -54,12 +56,12 @@ def fly_in_child(
     what : str
         How messages call it: "aircraft c310".
     patience : float, optional
-        Longest silence of the child [s].
+        CPU time that the child may use, or time that it may idle, before it does something else [s].
 
     Raises
     ------
     FlightError
-        What the child raised, or that it ended or went silent.
+        What the child raised, or that it ended or hung.
     """
     with make_scratch() as scratch:
         answer_file, trouble = scratch / "answer", scratch / "trouble"
@@ -76,8 +78,8 @@ def fly_in_child(
                 with contextlib.suppress(BrokenPipeError):  # it has ended; its status says so below
                     child.stdin.write(pickle.dumps((spec, seconds, str(answer_file))))
                     child.stdin.close()
-                if not _listen(child.stdout, progress, patience):
-                    raise FlightError(f"{what}: JSBSim did not answer for {patience:g} s and was ended")
+                if (doing := _listen(child, child.stdout, progress, patience)) is not None:
+                    raise FlightError(f"{what}: JSBSim hung for {patience:g} s while {doing}; it was ended")
                 status = child.wait()
             finally:
                 child.kill()
@@ -91,24 +93,30 @@ def fly_in_child(
 
 
 def answer(fly: Callable[..., Iterator[Trajectory]]) -> None:
-    """Fly in this child: the spec comes by stdin, progress goes to stdout, truth to a file."""
+    """Fly in this child: the spec comes by stdin, what it does goes to stdout, truth to a file."""
     spec, seconds, answer_file = pickle.loads(sys.stdin.buffer.read())
     tempfile.tempdir = str(Path.cwd())  # the parent deletes what a model leaves that ends this process
     speak = os.fdopen(os.dup(1), "w", buffering=1)
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
-    last = 0.0
+    last, before, flown = 0.0, "", 0.0
+
+    def say(doing: str) -> None:
+        nonlocal last, before
+        if doing != before or time.monotonic() - last > 0.1:
+            last, before = time.monotonic(), doing
+            speak.write(f"{flown:g} {doing}\n")
 
     def progress(t: float) -> None:
-        nonlocal last
-        if time.monotonic() - last > 0.1:
-            last = time.monotonic()
-            speak.write(f"{t:g}\n")
+        nonlocal flown
+        flown = t
+        say("flying")
 
     part = Path(f"{answer_file}.part")
     with part.open("wb") as file:
         try:
-            for piece in fly(spec, progress, seconds):
+            for piece in fly(spec, progress, seconds, say):
+                say("writing its truth")
                 pickle.dump(piece, file, protocol=pickle.HIGHEST_PROTOCOL)
         except FlightError as error:
             file.seek(0)  # what was flown until then is no truth
@@ -119,19 +127,41 @@ def answer(fly: Callable[..., Iterator[Trajectory]]) -> None:
     os._exit(0)  # the destructor of a broken model may throw
 
 
-def _listen(said: IO[bytes], progress: Callable[[float], None] | None, patience: float) -> bool:
-    """Pass on what the child says; True when it has closed its end, False when it went silent."""
-    rest = b""
+def _listen(
+    child: subprocess.Popen[bytes], said: IO[bytes], progress: Callable[[float], None] | None, patience: float
+) -> str | None:
+    """Pass on the progress of a child; None when it has closed its end, what it did when it hung.
+
+    A look at a silent child counts as the CPU time it has used since the last one; if that is none, as the
+    time between them.
+    """
+    rest, doing, silent, used = b"", "starting", 0.0, _cpu_time(child.pid)
     with selectors.DefaultSelector() as selector:
         selector.register(said, selectors.EVENT_READ)
-        while selector.select(patience):
-            block = os.read(said.fileno(), _BLOCK)
-            if not block:
-                return True
-            *lines, rest = (rest + block).split(b"\n")
-            if progress is not None and lines:
-                progress(float(lines[-1]))
-    return False
+        while silent < patience:
+            if selector.select(_POLL):
+                block = os.read(said.fileno(), _BLOCK)
+                if not block:
+                    return None
+                *lines, rest = (rest + block).split(b"\n")
+                if lines:
+                    t, _, doing = lines[-1].decode().partition(" ")
+                    silent, used = 0.0, _cpu_time(child.pid)
+                    if progress is not None and doing == "flying":
+                        progress(float(t))
+                        doing = f"flying at {t} s"
+            else:
+                before, used = used, _cpu_time(child.pid)
+                silent += used - before if used > before else _POLL
+    return doing
+
+
+def _cpu_time(pid: int) -> float:
+    """Return the CPU time of a process [s]; 0 where the system does not tell, or the process is gone."""
+    try:
+        return time.clock_gettime((~pid << 3) | 2)  # its clock on Linux, as clock_getcpuclockid(3) returns it
+    except OSError:
+        return 0.0
 
 
 def _last_line(trouble: Path, status: int) -> str:

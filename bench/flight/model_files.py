@@ -1,8 +1,8 @@
 """JSBSim files of others, made safe: copied without what writes files or opens sockets.
 
 ``<output>`` writes any file the user can write, ``<input>`` opens ports, ``<notify>``
-prints. Names go unchecked into paths. So a model or script is read, stripped and
-written into a scratch folder, and only that copy is loaded.
+prints. Names go unchecked into paths: one that leaves the folder is refused. So a model or script is read,
+stripped and written into a scratch folder, and only that copy is loaded.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ LONGEST_SCRIPT = 4 * 3600.0
 """A script that runs longer is not flown without a duration [s]."""
 
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
+_WITHIN = re.compile(r"(?!\.+(/|$))[\w .+-]+(/(?!\.+(/|$))[\w .+-]+)*")  # the path of a file below a folder
+_DEEPEST = 100  # elements within each other; the deepest file of the jsbsim wheel has 13
 _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
 _UNWANTED = ("input", "output")
@@ -31,16 +33,34 @@ def read_xml(path: Path, shown: str) -> ElementTree.Element:
     Raises
     ------
     FlightError
-        When it is missing, too large or not well-formed.
+        When it is missing, too large or too deep, not well-formed, or names a file outside of its folder.
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise FlightError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
-        return ElementTree.parse(path).getroot()
+        root = ElementTree.parse(path).getroot()
     except OSError as error:
         raise FlightError(f"{shown}: {error.strerror or error}") from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FlightError(f"{shown}: not well-formed XML: {error}") from None
+    level, depth = [root], 0
+    while level:
+        depth += 1
+        if depth > _DEEPEST:
+            raise FlightError(f"{shown}: more than {_DEEPEST} elements within each other")
+        for element in level:
+            _check_references(element, shown)
+        level = [child for element in level for child in element]
+    return root
+
+
+def _check_references(element: ElementTree.Element, shown: str) -> None:
+    """Refuse an element that names a file or a child model outside of the folders of the aircraft."""
+    for key in ("file", "name") if element.tag == "child" else ("file",):
+        name = element.get(key)
+        if name is not None and element.tag not in _UNWANTED and not _WITHIN.fullmatch(name.strip()):
+            what = f"<{element.tag} {key}={name[:80]!r}>"
+            raise FlightError(f"{shown}: {what} must name a file in the folder of the model")
 
 
 def copy_aircraft(name: str, folder: Path, target: Path) -> ElementTree.Element:

@@ -7,9 +7,9 @@ sequencer run at 20 Hz. What was not made for the bench has a sanity report.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from bench.data import Trajectory
 from bench.errors import FlightError
@@ -20,10 +20,12 @@ from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.standing import stand
 from bench.flight.state_log import NEIGHBOURS, StateLog
-from bench.flight.trimming import Condition, settle, trim_aircraft
+from bench.flight.trimming import Condition, Say, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
 from bench.flight.wind import Weather, start_turbulence
 from bench.specs import FlightSpec, ScriptSpec
+
+_Part = TypeVar("_Part")
 
 PIECE = 30.0
 """How much of a flight is kept in memory at a time [s]."""
@@ -36,7 +38,10 @@ Progress = Callable[[float], None]
 
 
 def fly_pieces(
-    spec: FlightSpec | ScriptSpec, progress: Progress | None = None, seconds: float = PIECE
+    spec: FlightSpec | ScriptSpec,
+    progress: Progress | None = None,
+    seconds: float = PIECE,
+    say: Say = keep_quiet,
 ) -> Iterator[Trajectory]:
     """Fly and yield the truth in pieces, so that a long flight needs no more memory than a short one.
 
@@ -50,6 +55,8 @@ def fly_pieces(
         Called with the time flown so far [s].
     seconds : float
         Length of a piece [s].
+    say : callable
+        Called with what is done before and after the flight.
 
     Yields
     ------
@@ -63,20 +70,20 @@ def fly_pieces(
         When it cannot be loaded, trimmed, or flown as planned, or no truth can be made of it.
     """
     if isinstance(spec, ScriptSpec):
-        stretches = report_sanity(record_script(spec, progress, seconds), spec.category)
+        stretches = report_sanity(record_script(spec, progress, seconds, say), spec.category)
     else:
-        stretches = record_plan(spec, progress, seconds)
+        stretches = record_plan(spec, progress, seconds, say)
         if not spec.aircraft.guided:
             stretches = report_sanity(stretches, spec.aircraft.category)
     return make_truth(stretches, spec.rate)
 
 
 def record_plan(
-    spec: FlightSpec, progress: Progress | None = None, seconds: float = PIECE
+    spec: FlightSpec, progress: Progress | None = None, seconds: float = PIECE, say: Say = keep_quiet
 ) -> Iterator[Stretch]:
     """Fly a plan and yield it in stretches; parameters and errors as for :func:`fly_pieces`."""
     _, dt = simulation_step(spec.rate)
-    fdm, cockpit = prepare(spec, dt)
+    fdm, cockpit = prepare(spec, dt, say)
     craft = spec.aircraft
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided)
     run, keep_state, steps = fdm.run, log.keep_state, range(log.per_tick)
@@ -98,7 +105,7 @@ def record_plan(
 
 
 def record_script(
-    spec: ScriptSpec, progress: Progress | None = None, seconds: float = PIECE
+    spec: ScriptSpec, progress: Progress | None = None, seconds: float = PIECE, say: Say = keep_quiet
 ) -> Iterator[Stretch]:
     """Fly a script to its end and yield the part that truth can be made of in stretches.
 
@@ -106,12 +113,21 @@ def record_script(
     """
     what = f"script {spec.name}"
     substeps, dt = simulation_step(spec.rate)
+    say("loading")
     log = _run_script(spec, what, dt, progress)
-    steps, events = choose_flight(log.motions_of_centre(), what)
+    steps, events = choose_flight(_tell(log.motions_of_centre(), say, "looking at its motion"), what)
     log.leave_out(math.ceil(steps.start / log.per_tick), steps.stop)  # truth begins on a tick
     end = (log.count_steps() - NEIGHBOURS) // substeps * substeps * dt
-    yield from log.cut(seconds)
+    yield from _tell(log.cut(seconds), say, "making its truth")
     yield log.cut_rest([*events, (0.0, end, "leg", what)])
+
+
+def _tell(parts: Iterable[_Part], say: Say, doing: str) -> Iterator[_Part]:
+    """Say what is being done before each part of it."""
+    say(doing)
+    for part in parts:
+        say(doing)
+        yield part
 
 
 def _run_script(spec: ScriptSpec, what: str, dt: float, progress: Progress | None) -> StateLog:
@@ -164,18 +180,20 @@ def simulation_step(rate: float) -> tuple[int, float]:
     return substeps, 1.0 / (rate * substeps)
 
 
-def prepare(spec: FlightSpec, dt: float) -> tuple[Any, Cockpit]:
+def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
+    say("loading")
     fdm, guided = load_aircraft(spec.aircraft, dt), spec.aircraft.guided
     if spec.runway is not None:
         fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
     if spec.on_ground:  # trimmed for the climb to come
-        trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided)
-        stand(fdm, condition, guided=guided)
+        trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided, say=say)
+        stand(fdm, condition, guided=guided, say=say)
     else:
-        trimmed = trim_aircraft(fdm, condition, guided=guided)
+        trimmed = trim_aircraft(fdm, condition, guided=guided, say=say)
+        say("settling")
         settle(fdm)
     cockpit = engage(fdm, spec, trimmed)
     start_turbulence(fdm, spec.severity, spec.turbulence_seed, spec.turbulence_model)

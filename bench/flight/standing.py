@@ -9,7 +9,16 @@ import numpy as np
 from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES
 from bench.flight.jsbsim_units import FT
-from bench.flight.trimming import INTEGRATORS, ON_WHEELS, Condition, place, run_engines, wait
+from bench.flight.trimming import (
+    INTEGRATORS,
+    ON_WHEELS,
+    Condition,
+    Say,
+    keep_quiet,
+    place,
+    run_engines,
+    wait,
+)
 from bench.flight.wind import set_wind
 
 _DROP = 0.02  # from which it is let down on its wheels [m]
@@ -17,7 +26,7 @@ _SETTLE = 30.0  # until gear and friction are at rest [s]
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
-def stand(fdm: Any, condition: Condition, *, guided: bool = True) -> None:
+def stand(fdm: Any, condition: Condition, *, guided: bool = True, say: Say = keep_quiet) -> None:
     """Put the aircraft on the ground of a condition's place, heading and wind, at rest, its engines idling.
 
     Engines of a model that was not made for the bench have a state and are set running.
@@ -50,7 +59,10 @@ def stand(fdm: Any, condition: Condition, *, guided: bool = True) -> None:
         fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
     if not guided:
         run_engines(fdm)
-    for _ in range(round(_SETTLE / fdm.get_delta_t())):
+    steps = round(1.0 / fdm.get_delta_t())
+    for k in range(round(_SETTLE / fdm.get_delta_t())):
+        if k % steps == 0:
+            say("coming to rest on its wheels")
         fdm.run()
     moves = FT * max(abs(fdm[f"velocities/v-{axis}-fps"]) for axis in ("north", "east", "down"))
     if not moves < _AT_REST:

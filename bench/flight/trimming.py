@@ -38,6 +38,14 @@ _ACCELERATIONS = (
 )
 
 
+Say = Callable[[str], None]
+"""Called with what is being done besides flying, again and again while it is done."""
+
+
+def keep_quiet(doing: str) -> None:
+    """Tell nobody what is being done."""
+
+
 @dataclass(frozen=True, slots=True)
 class Condition:
     """A steady flight: where, and how it moves through the air."""
@@ -65,7 +73,7 @@ class Trim:
     residual: float  # largest acceleration left [m/s^2, rad/s^2]
 
 
-def trim_aircraft(fdm: Any, condition: Condition, *, guided: bool = True) -> Trim:
+def trim_aircraft(fdm: Any, condition: Condition, *, guided: bool = True, say: Say = keep_quiet) -> Trim:
     """Solve for the steady flight of a condition, and leave the model there.
 
     Six accelerations are brought to zero by angle of attack, sideslip, roll, aileron, elevator and throttle;
@@ -81,6 +89,8 @@ def trim_aircraft(fdm: Any, condition: Condition, *, guided: bool = True) -> Tri
         The flight.
     guided : bool
         Whether the model was made for the bench.
+    say : callable
+        Called with "trimming" at each state that is tried.
 
     Raises
     ------
@@ -89,6 +99,7 @@ def trim_aircraft(fdm: Any, condition: Condition, *, guided: bool = True) -> Tri
     """
 
     def accelerations(x: FloatArray) -> FloatArray:
+        say("trimming")
         alpha, beta, roll, aileron, elevator, throttle = (float(v) for v in x * _SCALE)
         place(fdm, condition, alpha, beta, roll, aileron, elevator, throttle)
         if not guided:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import shutil
+import time
 import tomllib
 from pathlib import Path
 from typing import get_args
@@ -15,6 +16,7 @@ import pytest
 
 from bench import config
 from bench.config.datasheets import read_imu
+from bench.config.tables import read_toml
 from bench.errors import ConfigError
 from bench.fields import triad_figures_of
 from bench.flight.legs.climbs import Climb
@@ -574,6 +576,37 @@ def test_a_hostile_file_is_refused_in_bounded_memory_and_depth(tmp_path):
     with (tmp_path / "huge.toml").open("wb") as file:
         file.truncate(3_000_000_000)  # a hole: it needs no room
     assert errors(str(tmp_path / "huge.toml")) == ["huge.toml: larger than 10 MB"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a." * 20_000 + "a = 1", "a dotted key has more than 50 names"),
+        (f"[{' . '.join(['b'] * 5000)}]", "a dotted key has more than 50 names"),
+        ("a" * 300 + " = 1", "the key a{30}... is longer than 200 characters"),
+        ("k=1\n" * 100_001, "more than 100000 keys or tables"),
+        (f"a = {'[' * 60}{']' * 60}", "more than 50 tables or arrays within each other"),
+        (f"a = {'1' * 5000}", "not valid TOML: Exceeds the limit"),
+    ],
+)
+def test_what_would_take_long_to_parse_is_refused_at_once(tmp_path, text, message):
+    """A dotted key of 40 kB would take half a minute."""
+    (tmp_path / "x.toml").write_text(text)
+    begun = time.process_time()
+    with pytest.raises(ConfigError, match=f"^x.toml: {message}"):
+        read_toml(tmp_path / "x.toml", "x.toml")
+    assert time.process_time() - begun < 1.0
+
+
+def test_twenty_errors_are_printed_and_the_rest_is_counted(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_text("".join(f"key_{k} = 1\n" for k in range(500)))
+    with pytest.raises(ConfigError) as caught:
+        config.load_profile(str(path))
+    lines = str(caught.value).splitlines()
+    assert sum(line.startswith(str(path)) for line in lines) == 20
+    assert lines[-1] == f"and {len(caught.value.messages) - 20} more errors"
+    assert len(caught.value.messages) >= 500
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from bench.config import list_aircraft, load_profile
 from bench.data import Trajectory
 from bench.earth import difference_n, displace
 from bench.errors import ConfigError, FlightError
-from bench.flight import child_process, fly, fly_pieces
+from bench.flight import child_process, fly, fly_pieces, recorder
 from bench.flight.executive import load_aircraft
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
@@ -29,7 +29,7 @@ from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.model_files import copy_aircraft
 from bench.flight.trimming import Condition, trim_aircraft
 from bench.rotation import rotate, to_euler
-from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, WindLayer
+from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT
@@ -332,6 +332,22 @@ def test_a_broken_model_is_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<engine file="eng_io320">', '<engine file="../../../etc/eng">', "<engine file='../../../etc/eng'>"),
+        ('<engine file="eng_io320">', '<engine file="/etc/eng">', "<engine file='/etc/eng'>"),
+        ("</fdm_config>", '<system file="Systems/../../x"/></fdm_config>', "<system file='Systems/../../x'>"),
+        ("</fdm_config>", '<child name="../c310" mated="true"/></fdm_config>', "<child name='../c310'>"),
+        ("</fdm_config>", f"{'<a>' * 200}{'</a>' * 200}</fdm_config>", "more than 100 elements"),
+    ],
+)
+def test_a_model_names_no_file_outside_of_its_folder_and_is_not_too_deep(tmp_path, old, new, message):
+    with pytest.raises(FlightError, match=f"^aircraft mine/mine.xml: {message}") as caught:
+        copy_aircraft("mine", spoiled(tmp_path, old, new), tmp_path / "copy")
+    assert "\n" not in str(caught.value)
+
+
 def test_a_flight_in_a_child_comes_in_pieces(tmp_path, monkeypatch):
     """Put together they are the whole, bit for bit, with an event list in the last one only."""
     monkeypatch.chdir(tmp_path)
@@ -347,13 +363,21 @@ def test_a_flight_in_a_child_comes_in_pieces(tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.concatenate([piece.controls.t for piece in found]), whole.controls.t)
 
 
-def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
+def test_what_hangs_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
+    """A child that has little of the CPU is slow and does not hang: its own time counts, not the clock's."""
     folder = tmp_path / "flown.py"
     folder.write_text(
         "import os, time\n"
-        "def hangs(spec, progress, seconds):\n    progress(1.0)\n    time.sleep(600)\n"
-        "def dies(spec, progress, seconds):\n    os.kill(os.getpid(), 11)\n"
-        "def fails(spec, progress, seconds):\n    raise OSError('no room')\n"
+        "def waits(spec, progress, seconds, say):\n    progress(1.0)\n    time.sleep(600)\n"
+        "def spins(spec, progress, seconds, say):\n    say('trimming')\n    while True: pass\n"
+        "def slow(spec, progress, seconds, say):\n"
+        "    for _ in range(30):\n"
+        "        end = time.thread_time() + 0.01\n"
+        "        while time.thread_time() < end: pass\n"
+        "        time.sleep(0.15)\n"
+        "    return iter(())\n"
+        "def dies(spec, progress, seconds, say):\n    os.kill(os.getpid(), 11)\n"
+        "def fails(spec, progress, seconds, say):\n    raise OSError('no room')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     start = child_process._START
@@ -366,9 +390,13 @@ def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypat
         list(child_process.fly_in_child(FIGURE_EIGHT, "aircraft x", *options))
 
     seen: list[float] = []
-    with pytest.raises(FlightError, match=r"^aircraft x: JSBSim did not answer for 4 s and was ended$"):
-        fly_with("hangs", seen.append, 30.0, 4.0)
+    hung = r"^aircraft x: JSBSim hung for 4 s while {}; it was ended$"
+    with pytest.raises(FlightError, match=hung.format("flying at 1 s")):
+        fly_with("waits", seen.append, 30.0, 4.0)
     assert seen == [1.0]
+    with pytest.raises(FlightError, match=hung.format("trimming")):
+        fly_with("spins", None, 30.0, 4.0)
+    fly_with("slow", None, 30.0, 4.0)
     with pytest.raises(
         FlightError, match=rf"^aircraft x: JSBSim ended its process with status -{int(signal.SIGSEGV)}"
     ):
@@ -377,6 +405,20 @@ def test_what_does_not_answer_is_ended_and_what_dies_is_said(tmp_path, monkeypat
         FlightError, match=r"^aircraft x: JSBSim ended its process with status 1: OSError: no room$"
     ):
         fly_with("fails")
+
+
+def test_all_that_takes_long_is_said_before_and_after_the_flight(tmp_path, monkeypatch):
+    """Each state of the trim, each stretch of the truth: a child that works is heard."""
+    monkeypatch.chdir(tmp_path)
+    said: list[str] = []
+    spec = replace(plan(tmp_path), legs=(Straight(1.0),), duration=None)
+    assert len(list(recorder.fly_pieces(spec, say=said.append))) == 1
+    assert said[0] == "loading"
+    assert said.count("trimming") > 20
+    script = ScriptSpec("c1724", WHEEL / "scripts/c1724.xml", WHEEL, "c172x", 100.0, 6.0, 1, "light")
+    said.clear()
+    assert len(list(recorder.fly_pieces(script, seconds=2.0, say=said.append))) == 3
+    assert [said.count(word) for word in ("looking at its motion", "making its truth")] == [2, 3]
 
 
 def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsys):
