@@ -1,4 +1,4 @@
-"""Describe a wrong value of a file or an option: as it is written in TOML, and what it must be."""
+"""What is told to the user: a wrong value as it is written in TOML, and no control characters."""
 
 from __future__ import annotations
 
@@ -7,6 +7,18 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bench.units import unit_of
+
+
+def replace_control(text: str) -> str:
+    """Return a text with ``?`` for characters that move the cursor or turn the direction of writing.
+
+    They are all that Python does not print as they are, but for the end of a line and spaces.
+    """
+    return "".join(c if c == "\n" or c.isprintable() or c in _SPACES else "?" for c in text)
+
+
+_SPACES = "\u00a0\u2002\u2003\u2007\u2009\u202f\u3000"
+"""Spaces that Python does not count as printable."""
 
 
 def quantity(key: str, value: object) -> str:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import gc
 import signal
+import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import Any
 
 import click
 
 from bench.cli import flights, records
 from bench.cli.group import commands
 from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
+from bench.wording import replace_control
 
 __all__ = ["commands", "flights", "main", "records"]  # importing the modules adds their verbs
 
@@ -20,39 +24,71 @@ __all__ = ["commands", "flights", "main", "records"]  # importing the modules ad
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; a bug prints its traceback.
 
+    SIGINT, SIGTERM and SIGHUP interrupt it. Whatever exception follows an interruption, the status says
+    interrupted: code in C may turn KeyboardInterrupt into an exception of its own.
+
     Parameters
     ----------
     arguments : sequence of str or None
         The arguments behind ``bench``; None takes those of this process.
     """
-    before = signal.signal(signal.SIGTERM, _interrupt)
-    threshold = gc.get_threshold()
+    interrupted = threading.Event()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    numbers = [
+        n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN
+    ]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    hook, threshold = sys.unraisablehook, gc.get_threshold()
+    sys.unraisablehook = lambda event: _raise_again(event, hook)
     gc.set_threshold(1_000_000, 9, 9)  # collecting during imports takes a tenth of a run and frees nothing
+    try:
+        status = _run(arguments, interrupted)
+        if interrupted.is_set() and status != INTERRUPTED:  # somebody has caught the exception
+            status = _fail(INTERRUPTED, "interrupted")
+    except KeyboardInterrupt:  # in the last line of `_run`
+        status = _fail(INTERRUPTED, "interrupted")
+    finally:
+        gc.set_threshold(*threshold)
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return status
+
+
+def _run(arguments: Sequence[str] | None, interrupted: threading.Event) -> int:
+    """Run one command line and return its exit status."""
     try:
         return int(commands.main(arguments, "bench", standalone_mode=False) or DONE)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "bench"
         return _fail(WRONG, f"{error.format_message()} ('{path} --help' says more)")
-    except (click.Abort, KeyboardInterrupt):
-        return _fail(INTERRUPTED, "interrupted")
-    except Exception as error:
+    except BaseException as error:
+        if interrupted.is_set() or isinstance(error, click.Abort | KeyboardInterrupt):
+            return _fail(INTERRUPTED, "interrupted")
+        if not isinstance(error, Exception):
+            raise
         if isinstance(error, BenchError) and error.status != BUG:
             return _fail(error.status, "\nerror: ".join(error.lines))
         if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
             place = f"{error.filename}: " if error.filename else ""
             return _fail(MACHINE, f"{place}{error.strerror or error}")
-        traceback.print_exc()
+        click.echo(replace_control(traceback.format_exc()), err=True, nl=False)
         return BUG
-    finally:
-        gc.set_threshold(*threshold)
-        signal.signal(signal.SIGTERM, before)
+
+
+def _raise_again(event: Any, hook: Callable[[Any], object]) -> None:
+    """Interrupt the main thread again if that came where Python drops exceptions, as in ``__del__``."""
+    if issubclass(event.exc_type, KeyboardInterrupt):
+        main_thread = threading.main_thread().ident or 0
+        threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+    else:
+        hook(event)
 
 
 def _fail(status: int, message: str) -> int:
-    printable = "".join(c if c == "\n" or c.isprintable() else "?" for c in message)  # may quote a file
-    click.echo(f"error: {printable}", err=True)
+    click.echo(f"error: {replace_control(message)}", err=True)  # it may quote a file
     return status
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import signal
 import socket
@@ -16,10 +17,13 @@ from rich.console import Console
 
 from bench.errors import ConfigError, ViewerError
 from bench.store import RECORDING, RESULT, read_summary
+from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
+from bench.workbench.web_page import LOCAL
 
-_LOCAL = "127.0.0.1"
 _PATIENCE = 5.0  # between SIGTERM and SIGKILL [s]
+_LOOK = 0.5  # between looks at the parent [s]
+_PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
 
 def view(folder: Path | None, *, web: bool, console: Console) -> None:
@@ -42,17 +46,19 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         If the viewer cannot be started or fails.
     """
     recording = find_recording(folder)
-    command = [str(_find_viewer()), str(recording), "--bind", _LOCAL]
-    if web:
-        port, page = free_port(9876), free_port(9090)
-        command += ["--serve-web", "--port", str(port), "--web-viewer-port", str(page)]
-        source = f"rerun%2Bhttp%3A%2F%2F{_LOCAL}%3A{port}%2Fproxy"
-        console.print(f"{recording} is served on http://{_LOCAL}:{page}/?url={source}", soft_wrap=True)
-        console.print("Ctrl-C ends it.")
-    else:
-        _check_display()
-        command += ["--port", "auto", "--hide-welcome-screen"]
-    status = wait_for(command)
+    viewer = str(_find_viewer())
+    with contextlib.ExitStack() as stack:
+        if web:
+            port, inner = free_port(9090), free_port(0)
+            page = stack.enter_context(web_page.serve(recording, port, inner))
+            console.print(f"{recording} is served on {page}", soft_wrap=True)
+            console.print("Ctrl-C ends it.")
+            command = [viewer, page, "--serve-web", "--web-viewer-port", str(inner)]
+        else:
+            _check_display()
+            command = [viewer, str(recording), "--port", "auto", "--hide-welcome-screen"]
+        command += ["--bind", LOCAL]
+        status = wait_for(command)
     if status:
         raise ViewerError(f"the viewer ended with status {status}: {' '.join(command)}")
 
@@ -78,22 +84,36 @@ def find_recording(folder: Path | None) -> Path:
 
 
 def wait_for(command: Sequence[str]) -> int:
-    """Run a command in its own process group and return its status; the group is ended on return."""
+    """Run a command in its own process group and return its status; the group is ended on return.
+
+    It is ended too when the process that started this one ends, unless SIGHUP is ignored (nohup), and on
+    Linux when this process is killed.
+    """
     quiet = {"RUST_LOG": "warn", **os.environ}
-    child = subprocess.Popen(command, start_new_session=True, env=quiet)
+    parent, stays = os.getppid(), signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    child = subprocess.Popen(command, start_new_session=True, env=quiet, preexec_fn=_end_with_parent)
     try:
-        return child.wait()
+        while stays or os.getppid() == parent:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return child.wait(_LOOK)
+        return 0
     finally:
         _end_group(child)
+
+
+def _end_with_parent() -> None:
+    """In a new child: ask Linux to kill it when its parent ends."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
 
 
 def free_port(wanted: int) -> int:
     """Return the wanted port of this machine, or another one if it is in use."""
     for port in (wanted, 0):
         with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind((_LOCAL, port))
+            probe.bind((LOCAL, port))
             return int(probe.getsockname()[1])
-    raise ViewerError(f"no free port on {_LOCAL}")
+    raise ViewerError(f"no free port on {LOCAL}")
 
 
 def _end_group(child: subprocess.Popen[bytes]) -> None:

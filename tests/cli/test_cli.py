@@ -570,9 +570,8 @@ def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
     monkeypatch.setattr(viewer, "_find_viewer", lambda: Path("/bin/false"))
     status, _, err = say(capsys, "view", "runs/a", "--web")
     assert status == 4
-    assert err.startswith(
-        "error: the viewer ended with status 1: /bin/false runs/a/flight.rrd --bind 127.0.0.1"
-    )
+    assert re.match(r"error: the viewer ended with status 1: /bin/false http://127.0.0.1:\d+/", err)
+    assert "--bind 127.0.0.1" in err
 
 
 def test_the_viewer_ends_with_its_children(here):
@@ -602,6 +601,27 @@ def test_the_viewer_ends_with_its_children(here):
     pytest.fail("the child of the viewer is still there")
 
 
+@pytest.mark.parametrize("killed", ["bench", "its parent"])
+def test_the_viewer_ends_when_bench_or_its_parent_is_killed(here, killed):
+    child = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
+    bench_view = (
+        "import os, sys; from bench.workbench import viewer; print(os.getpid(), flush=True)\n"
+        f"viewer.wait_for([sys.executable, '-c', {child!r}])"
+    )
+    code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {bench_view!r}])"
+    process = python(code, cwd=here)
+    pids = [int(process.stdout.readline()) for _ in range(2)]
+    os.kill(pids[0] if killed == "bench" else process.pid, signal.SIGKILL)
+    process.wait(30)
+    for _ in range(100):
+        if not any(_runs(pid) for pid in pids):
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("a process is still there")
+    process.communicate()
+
+
 def _runs(pid: int) -> bool:
     try:
         os.kill(pid, 0)
@@ -626,9 +646,26 @@ def test_web_serves_on_this_machine_only_and_ends(here, capsys):
             time.sleep(0.1)
     else:
         pytest.fail("nothing is served")
-    process.send_signal(signal.SIGTERM)
+    assert page == port
+    with opener.open(f"http://127.0.0.1:{page}/flight.rrd", timeout=5) as answer:
+        assert answer.read() == (here / "runs/short-5/flight.rrd").read_bytes()
+    for hosts in (["evil.example"], [f"evil.example:{page}"], [], [f"127.0.0.1:{page}", "evil.example"]):
+        for path in ("/flight.rrd", "/", "//flight.rrd"):
+            answer = ask(page, path, hosts)
+            assert answer.startswith(b"HTTP/1.0 403 ")
+            assert answer.endswith(b"\r\n\r\n")
+            assert len(answer) < 100
+    assert ask(page, "/flight.rrd", [f"localhost:{page}"]).startswith(b"HTTP/1.0 200 ")
+    process.send_signal(signal.SIGHUP)
     process.communicate(timeout=30)
     assert process.returncode == 130
-    for number in (page, port):
-        with socket.socket() as probe:
-            assert probe.connect_ex(("127.0.0.1", number)) != 0
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", page)) != 0
+
+
+def ask(port: int, path: str, hosts: list[str]) -> bytes:
+    """Send a raw request with these headers ``Host`` and return the whole answer."""
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
+        lines = [f"GET {path} HTTP/1.1", *(f"Host: {host}" for host in hosts), "", ""]
+        raw.sendall("\r\n".join(lines).encode())
+        return b"".join(iter(lambda: raw.recv(1 << 16), b""))

@@ -1,0 +1,32 @@
+"""``bench`` and ``python -m bench``: interrupted, from the first import on, they end with status 130."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+
+def main() -> None:
+    """Run the command line of this process and exit with its status."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    for number in numbers:
+        if signal.getsignal(number) != signal.SIG_IGN:  # ignored: started in the background
+            signal.signal(number, _leave)
+    from bench import cli
+
+    status = cli.main()
+    for number in numbers:  # all is done; Python itself ends
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(status)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End the process at once: nothing has been begun that would have to be taken back."""
+    os.write(2, b"error: interrupted\n")
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    main()

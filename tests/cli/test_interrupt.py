@@ -1,0 +1,134 @@
+"""An interruption at any instant ends a run with status 130 and one line, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+from bench import pipeline
+from bench.cli import main
+from tests.cli.test_cli import PROFILE
+
+COMMAND = [sys.executable, "-m", "bench", "run", "short.toml"]
+TICK = os.sysconf("SC_CLK_TCK")
+START = 0.08  # Python itself has started after this much processor time [s]
+
+
+def start(folder: Path, kernels: str) -> subprocess.Popen[str]:
+    for name in ("cache", "tmp", "here"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / "here" / "short.toml").write_text(PROFILE)
+    env = os.environ | {
+        "PYTHONPATH": str(Path(pipeline.__file__).parents[1]),
+        "BENCH_CACHE": str(folder / "cache"),
+        "NUMBA_CACHE_DIR": kernels,
+        "TMPDIR": str(folder / "tmp"),
+    }
+    return subprocess.Popen(
+        COMMAND, cwd=folder / "here", env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def used(process: subprocess.Popen[str]) -> float:
+    """Return the processor time of a process and of its children that have ended [s]."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(int(fields[k]) for k in (11, 12, 13, 14)) / TICK
+
+
+def measure(folder: Path, kernels: str) -> float:
+    """Return the processor time of a whole run [s]."""
+    process, last = start(folder, kernels), 0.0
+    while process.poll() is None:
+        last = max(last, used(process))
+        time.sleep(0.01)
+    assert process.returncode == 0, process.communicate()[1]
+    return last
+
+
+def interrupt(folder: Path, kernels: str, after: float) -> list[str]:
+    """Interrupt a run after a processor time; return what is wrong with its end."""
+    process = start(folder, kernels)
+    while process.poll() is None and used(process) < after:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    wrong = []
+    if (process.returncode, err.strip()) != (130, "error: interrupted"):
+        wrong.append(f"{after:.2f} s: status {process.returncode}: {err.strip()[-300:]}")
+    left = [*(folder / "tmp").iterdir(), *(folder / "cache").glob("truth/.*")]
+    left += [path for path in (folder / "here").rglob("*") if path.name.startswith(".bench-")]
+    runs = folder / "here" / "runs"
+    if runs.exists() and not (runs / "short-5" / ".bench.json").is_file():
+        left.append(runs)
+    return wrong + [f"{after:.2f} s: left {path}" for path in left]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_run_is_interrupted_at_three_instants(tmp_path):
+    wrong = [
+        line
+        for k, after in enumerate((START, 0.5, 1.0))
+        for line in interrupt(tmp_path / str(k), numba.config.CACHE_DIR, after)
+    ]
+    assert wrong == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_run_is_interrupted_at_twenty_instants(tmp_path):
+    """Imports, flight, filter, writing and recording with compiled kernels; then while they are compiled."""
+    warm = numba.config.CACHE_DIR
+    whole = measure(tmp_path / "whole", warm)
+    wrong = []
+    for k in range(14):
+        after = START + (whole - START - 0.05) * k / 13
+        wrong += interrupt(tmp_path / f"warm-{k}", warm, after)
+    for k in range(6):
+        after = whole * 0.5 + 1.5 * k
+        wrong += interrupt(tmp_path / f"cold-{k}", str(tmp_path / f"kernels-{k}"), after)
+    assert wrong == []
+
+
+class _Drops:
+    """Interrupted in ``__del__``, where Python drops exceptions."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.001)
+
+
+def test_an_interruption_that_code_in_between_turns_into_something_else(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "short.toml").write_text(PROFILE)
+
+    def convert(*args: object, **keywords: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("numpy._core.multiarray failed to import") from None
+
+    def drop(*args: object, **keywords: object) -> None:
+        _Drops()
+        time.sleep(10)
+
+    def catch(*args: object, **keywords: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except BaseException:
+            raise pipeline.ConfigError("something else") from None
+
+    for change in (convert, drop, catch):
+        monkeypatch.setattr(pipeline, "fly", change)
+        before = time.monotonic()
+        assert main(["run", "short.toml"]) == 130
+        assert time.monotonic() - before < 9
+        assert capsys.readouterr().err.strip() == "error: interrupted"
+        assert [path.name for path in tmp_path.iterdir()] == ["short.toml"]
