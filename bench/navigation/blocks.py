@@ -9,7 +9,7 @@ estimator assumes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,9 @@ from bench.specs import AssumedSpecs, TriadSpec
 
 WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
 WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
+
+TEMPERATURE_SD = 20.0  # of an IMU about its reference temperature, in flight or on a cold day [K]
+TEMPERATURE_CORRELATION = 1000.0  # time in which it changes by as much: a climb of 3 km [s]
 
 _Figure = float | FloatArray  # the same for every state of a block, or one for each
 
@@ -106,13 +109,14 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Blo
     ValueError
         If a block needs the datasheet of a sensor that has none.
     """
+    blocks = list(blocks)
     extra = [states for block in blocks for states in block.states(specs)]
     layout = StateLayout(*((states.name, states.unit, states.size) for states in extra))
     n = layout.size
     P = np.zeros((n, n))
     q, decay_time, decay_distance, stationary = np.zeros((4, n))
     drives: list[tuple[int, int, int]] = []
-    for states in (*_core(specs), *extra):
+    for states in (*_core(specs, changing=EVERY_ERROR in blocks), *extra):
         at = layout.slice(states.name)
         np.fill_diagonal(P[at, at], states.variance)
         q[at], stationary[at] = states.density, states.stationary
@@ -144,17 +148,31 @@ def assumed(specs: AssumedSpecs, name: str) -> Any:
     return spec
 
 
-def _core(specs: AssumedSpecs) -> list[States]:
-    """Return the states of every layout; P of the first three comes from the initial state."""
+def _core(specs: AssumedSpecs, *, changing: bool) -> list[States]:
+    """Return the states of every layout; P of the first three comes from the initial state.
+
+    ``changing`` biases hold temperature and rate random walk, too.
+    """
     gyro, accel = specs.imu.gyro, specs.imu.accel
     pos, vel, phi, gyro_bias, accel_bias = CORE_BLOCKS
     return [
         States(*pos),
         States(*vel, density=accel.random_walk**2),
         States(*phi, density=gyro.random_walk**2),
-        _bias(*gyro_bias, gyro),
-        _bias(*accel_bias, accel),
+        *(
+            _changing_bias(bias, triad) if changing else bias
+            for bias, triad in ((_bias(*gyro_bias, gyro), gyro), (_bias(*accel_bias, accel), accel))
+        ),
     ]
+
+
+def _changing_bias(bias: States, triad: TriadSpec) -> States:
+    """Return bias states with the change by temperature and a rate random walk added."""
+    heat2 = (triad.temperature_sd * TEMPERATURE_SD) ** 2
+    more = 2.0 * heat2 / TEMPERATURE_CORRELATION + triad.rate_random_walk**2
+    if more == 0.0:
+        return bias
+    return replace(bias, variance=bias.variance + heat2, density=bias.density + more, decay_time=0.0)
 
 
 def _bias(name: str, unit: str, size: int, triad: TriadSpec) -> States:
@@ -203,21 +221,77 @@ def _mems(specs: AssumedSpecs) -> list[States]:
         States(
             "accel_scale", "1", 3, accel.scale_factor_sd**2, drives=tuple((i, 3 + i, 3 + i) for i in range(3))
         ),
-        *(
-            States(
-                f"g_sensitivity_{axis}",
-                "rad_s_per_m_s2",
-                3,
-                gyro.g_sensitivity_sd**2,
-                drives=tuple((j, i, 3 + j) for j in range(3)),
-            )
-            for i, axis in enumerate("xyz")
-        ),
+        *_g_sensitivity(specs),
+    ]
+
+
+def _g_sensitivity(specs: AssumedSpecs) -> list[States]:
+    variance = specs.imu.gyro.g_sensitivity_sd**2
+    return [
+        States(
+            f"g_sensitivity_{axis}",
+            "rad_s_per_m_s2",
+            3,
+            variance,
+            drives=tuple((j, i, 3 + j) for j in range(3)),
+        )
+        for i, axis in enumerate("xyz")
     ]
 
 
 MEMS = Block("mems", _mems, takes=("gyro scale factor", "accelerometer scale factor", "gyro g-sensitivity"))
 """Scale factors, and the g-sensitivity of the gyros: 3 x 3, as the sensor has it (A-5.1.8)."""
+
+
+def _every_error(specs: AssumedSpecs) -> list[States]:
+    found: list[States] = []
+    for name, triad, at in (("gyro", specs.imu.gyro, 0), ("accel", specs.imu.accel, 3)):
+        scale = _scale_variance(triad)
+        across = triad.misalignment_sd**2 + 0.25 * triad.nonorthogonality_sd**2 + triad.alignment_sd**2
+        if across > 0:  # row by row of M in (I + M) w
+            for i, axis in enumerate("xyz"):
+                variance = np.full(3, across)
+                variance[i] = scale
+                drives = tuple((j, at + i, at + j) for j in range(3))
+                found.append(States(f"{name}_matrix_{axis}", "1", 3, variance, drives=drives))
+        elif scale > 0:
+            drives = tuple((i, at + i, at + i) for i in range(3))
+            found.append(States(f"{name}_scale", "1", 3, scale, drives=drives))
+    return found + (_g_sensitivity(specs) if specs.imu.gyro.g_sensitivity_sd > 0 else [])
+
+
+def _scale_variance(triad: TriadSpec) -> float:
+    """Return the variance of the scale factor as it acts on rates that are small against the range.
+
+    A nonlinearity of ``n (4 u^3 - 3 u)`` is a scale factor of -3 n there; an asymmetry adds its half to one
+    sign of the rate and takes it from the other.
+    """
+    return triad.scale_factor_sd**2 + 9.0 * triad.nonlinearity_sd**2 + triad.scale_asymmetry_sd**2
+
+
+EVERY_ERROR = Block(
+    "every_error",
+    _every_error,
+    takes=tuple(
+        f"{triad} {error}"
+        for triad in ("gyro", "accelerometer")
+        for error in (
+            "scale factor",
+            "misalignment",
+            "non-orthogonality",
+            "alignment",
+            "nonlinearity",
+            "scale factor asymmetry",
+            "g-sensitivity",
+            "temperature bias",
+            "rate random walk",
+        )
+    ),
+)
+"""Scale factors and misalignments as the 3 x 3 matrix of each triad, g-sensitivity; what is 0 has no state.
+
+With it the biases also hold what the temperature and a rate random walk do to them.
+"""
 
 
 def _clock(specs: AssumedSpecs) -> list[States]:
@@ -272,5 +346,5 @@ ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale facto
 def chosen_blocks(options: FusionOptions) -> list[Block]:
     """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
     arm = antenna(options.lever_arm_sd)
-    every = (BARO_BIAS, GNSS_MARKOV, MEMS, CLOCK, arm, WIND, RADAR_BIAS, ODOMETER_SCALE)
+    every = (BARO_BIAS, GNSS_MARKOV, MEMS, EVERY_ERROR, CLOCK, arm, WIND, RADAR_BIAS, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

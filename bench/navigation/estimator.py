@@ -85,6 +85,12 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         FusionOptions,
         {"gnss_markov": True, "mems": True},
     ),
+    "loose-full": BuiltIn(
+        "loose-22 with every error of the IMU that its datasheet names",
+        _LOOSE,
+        FusionOptions,
+        {"gnss_markov": True, "every_error": True},
+    ),
     "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
         "bench.navigation.fusion:Tight",

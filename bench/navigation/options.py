@@ -93,6 +93,9 @@ class FusionOptions(IntegrityOptions):
     loose coupling only."""
     mems: bool = False
     """Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9)."""
+    every_error: bool = False
+    """States for scale factors and misalignments (9 + 9) and g-sensitivity (9) as far as the datasheet of the
+    IMU names them, and biases that hold temperature and rate random walk."""
     compensate_latency: bool = True
     """Compare a measurement with the state at its validity, else with that at its arrival."""
     adaptive_noise: Count | None = None
@@ -119,6 +122,8 @@ class FusionOptions(IntegrityOptions):
     @model_validator(mode="after")
     def _across(self) -> FusionOptions:
         wrong = []
+        if self.mems and self.every_error:
+            wrong.append("mems = true and every_error = true: the second holds the states of the first")
         if self.gnss_markov and not self.gnss:
             wrong.append("gnss_markov = true needs gnss = true: the states are errors of its fixes")
         if self.gnss_markov and self.tight:

@@ -43,7 +43,7 @@ def test_the_list_of_estimators_shows_their_options():
     out = io.StringIO()
     show.print_catalog(Console(file=out, width=150), "estimators")
     text = out.getvalue()
-    assert "Options of loose-15, loose-22, loose-mems, baro-inertial, free-inertial" in text
+    assert "Options of loose-15, loose-22, loose-mems, loose-full, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text
     assert text.count("magnetometer") == 1
     assert "Rate of the covariance step [Hz]" in text
