@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from bench.units import unit_of
@@ -39,6 +40,11 @@ def suggest(wrong: str, known: Iterable[str], what: str) -> str:
     near = difflib.get_close_matches(wrong, names, n=1)
     hint = f". Did you mean {near[0]!r}?" if near else ""
     return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
+
+
+def tell_where(path: str) -> str:
+    """Return the end of "no such file" for a path of a profile: a relative one is searched beside it."""
+    return "" if Path(path).is_absolute() else " beside the profile"
 
 
 def describe_error(key: str, value: object, kind: str, message: str, context: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from bench.config.profile_tables import ExperimentTable, ScriptTable, Trajectory
 from bench.errors import ConfigError, FlightError
 from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
 from bench.specs import Flight, ScriptSpec, TableSpec
-from bench.wording import quantity, suggest
+from bench.wording import quantity, suggest, tell_where
 
 _TABLES = (".csv", ".parquet")
 
@@ -64,7 +64,7 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     if name.endswith(".xml"):
         path = (beside / name).resolve()
         if not path.is_file():
-            raise ConfigError(f"script = {name!r}: no such file beside the profile")
+            raise ConfigError(f"script = {name!r}: no such file{tell_where(name)}")
     else:
         root = find_jsbsim_root(table.jsbsim_root, beside)
         known = sorted(path.stem for path in root.glob("scripts/*.xml"))
@@ -105,7 +105,7 @@ def _read_trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
     if path.suffix.lower() not in _TABLES:
         raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(_TABLES)}")
     if not path.is_file():
-        raise ConfigError(f"trajectory = {table.trajectory!r}: no such file beside the profile")
+        raise ConfigError(f"trajectory = {table.trajectory!r}: no such file{tell_where(table.trajectory)}")
     rate, duration = float(table.rate_hz), table.duration_s
     return TableSpec(name=path.stem, path=path.resolve(), rate=rate, duration=duration)
 

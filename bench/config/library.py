@@ -22,7 +22,7 @@ from bench.flight.legs.keys import keys_of
 from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
-from bench.wording import quantity, suggest
+from bench.wording import quantity, suggest, tell_where
 
 _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
@@ -227,7 +227,7 @@ def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
     """
     if name.endswith(".toml"):
         if not (beside / name).is_file():
-            raise ConfigError(f"{kind} = {name!r}: no such file beside the profile")
+            raise ConfigError(f"{kind} = {name!r}: no such file{tell_where(name)}")
         return beside / name, name
     known = [path.stem for path in (_CATALOG / kind).glob("*.toml")]
     if name not in known:

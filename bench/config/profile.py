@@ -69,7 +69,7 @@ def load_profile(
         Name of a shipped profile, or the path of a ``.toml`` file.
     overrides : mapping
         Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.0.laps": 2}``.
-        The entries of a list are counted from 0.
+        The entries of a list are counted from 0. A path in them is relative to the present folder.
     seed : int
         Replaces both ``seed`` and ``turbulence_seed`` of the file.
     estimators : sequence of str
@@ -91,7 +91,7 @@ def load_profile(
         document |= {"seed": used_seed}
         document |= {} if "trajectory" in document else {"turbulence_seed": used_seed}
     for key, value in overrides.items():
-        document = _override(document, key, value)
+        document = _override(document, key, _locate(key, value, path.parent))
     beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.check_options(document)]
     truth_keys = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(truth_keys) > 1:
@@ -218,6 +218,19 @@ def choose_estimators(
     if not allow_commands and (wrong := checks.check_commands(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return choices
+
+
+def _locate(key: str, value: Any, beside: Path) -> Any:
+    """Return the value of an override; a path in it is relative to the present folder, not to the profile."""
+    if isinstance(value, Mapping):
+        return {name: _locate(f"{key}.{name}", inner, beside) for name, inner in value.items()}
+    if not isinstance(value, str) or Path.cwd() == beside.resolve():
+        return value
+    if key.startswith("estimator.") and value.startswith("file:"):
+        return f"file:{Path.cwd() / value.removeprefix('file:')}"
+    named = value.endswith((".toml", ".xml", ".csv", ".parquet", ".mat"))
+    is_path = key == "jsbsim_root" or (named and key.startswith(("sensors.", "script", "trajectory")))
+    return str(Path.cwd() / value) if is_path else value
 
 
 def make_choice(

@@ -3,6 +3,7 @@ said at once: where, what, and what would be right."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -57,6 +58,11 @@ gnss = "matched-white"
 [[estimator]]
 use = "loose-15"
 """
+
+
+@pytest.fixture(autouse=True)
+def beside_the_profile(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
 
 
 def write(folder: Path, text: str = PROFILE, name: str = "own.toml") -> str:
@@ -447,6 +453,47 @@ def test_an_aircraft_beside_a_relative_profile_has_a_whole_path(tmp_path, monkey
     aircraft = config.load_profile("own.toml").flight.aircraft
     assert aircraft.folder == tmp_path / "aircraft" / "aerosonde"
     assert aircraft.systems.is_absolute()
+
+
+def test_a_path_in_an_override_is_relative_to_the_present_folder(tmp_path, monkeypatch):
+    """As any path on a command line; a path in the profile is relative to the profile."""
+    profile = write(tmp_path)
+    here = tmp_path / "here"
+    (here / "sub").mkdir(parents=True)
+    sheet = (PACKAGE / "catalog" / "imu" / "stim300.toml").read_text()
+    (tmp_path / "my.toml").write_text(sheet.replace("bias_instability_deg_h", "unknown_key"))
+    (here / "my.toml").write_text(sheet)
+    (here / "sub" / "my.toml").write_text(sheet)
+    monkeypatch.chdir(here)
+    shipped = config.load_profile(profile, {"sensors.imu": "stim300"}).sensors.imu
+    for name in ("my.toml", "sub/my.toml", "../here/my.toml", str(here / "my.toml")):
+        for overrides in ({"sensors.imu": name}, {"sensors.assumed": {"imu": name}}):
+            read = config.load_profile(profile, overrides)
+            unit = read.sensors.imu if "sensors.imu" in overrides else read.sensors.assumed.imu
+            assert dataclasses.replace(unit, name=shipped.name) == shipped
+    assert errors(profile, overrides={"sensors.imu": "none.toml"}) == [
+        f"own.toml: [sensors] imu = '{here.name}/none.toml': no such file"
+    ]
+    monkeypatch.chdir(tmp_path)
+    message = errors("own.toml", overrides={"sensors.imu": "none.toml"})
+    assert message == ["own.toml: [sensors] imu = 'none.toml': no such file beside the profile"]
+
+
+def test_a_table_and_a_solution_on_the_command_line_are_in_the_present_folder(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "own.toml").write_text((PACKAGE / "profiles" / "figure-eight.toml").read_text())
+    monkeypatch.chdir(tmp_path / "here")
+    profile = config.profile
+    for key, value, located in (
+        ("trajectory", "a.csv", str(tmp_path / "here" / "a.csv")),
+        ("script", "a.xml", str(tmp_path / "here" / "a.xml")),
+        ("script", "c1721", "c1721"),
+        ("jsbsim_root", "../jsbsim", str(tmp_path / "here" / "../jsbsim")),
+        ("estimator.0.use", "file:a.csv", f"file:{tmp_path / 'here' / 'a.csv'}"),
+        ("title", "a.csv", "a.csv"),
+    ):
+        assert profile._locate(key, value, tmp_path) == located
+        assert profile._locate(key, value, tmp_path / "here") == value
 
 
 def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_path):
