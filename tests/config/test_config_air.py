@@ -126,7 +126,8 @@ def test_every_figure_of_a_datasheet_becomes_si(tmp_path, read, table, given, re
         ("baro", BARO + "[physical]\nposition_error = 2.0", "position_error = 2 is outside -0.5 to 0.5"),
     ],
 )
-def test_a_datasheet_that_is_wrong_says_so_in_one_line(tmp_path, capsys, kind, text, message):
+def test_a_datasheet_that_is_wrong_says_so_in_one_line(tmp_path, monkeypatch, capsys, kind, text, message):
+    monkeypatch.chdir(tmp_path)
     write(tmp_path, f'source = "by hand"\n{text}\n', "unit.toml")
     path = write(tmp_path, PROFILE, "own.toml")
     lines = wrong(path, overrides={f"sensors.{kind}": "unit.toml"})
@@ -189,7 +190,8 @@ def test_the_setting_and_the_port_of_the_barometer_reach_it(tmp_path):
         ({"sensors.mag": "odd.toml"}, "[sensors] mag = 'odd': rate_hz = 30 Hz must divide rate_hz = 200 Hz"),
     ],
 )
-def test_one_thing_wrong_is_one_line(tmp_path, overrides, message):
+def test_one_thing_wrong_is_one_line(tmp_path, monkeypatch, overrides, message):
+    monkeypatch.chdir(tmp_path)
     write(tmp_path, 'source = "by hand"\n[mag]\nrate_hz = 30.0\nwhite_sd_nt = 9.0\n', "odd.toml")
     (found,) = wrong(write(tmp_path, PROFILE, "own.toml"), overrides=overrides)
     assert found.startswith(f"own.toml: {message}")
