@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,11 @@ class RecordedLog:
 
 
 def read_log(
-    path: str | Path, *, estimators: Sequence[str] | None = None, allow_commands: bool = False
+    path: str | Path,
+    *,
+    estimators: Sequence[str] | None = None,
+    allow_commands: bool = False,
+    overrides: Mapping[str, Any] | None = None,
 ) -> RecordedLog:
     """Read a recording of real sensors and check its consistency; nothing is repaired.
 
@@ -51,6 +56,8 @@ def read_log(
         As for `bench.run`; None takes those of the log.
     allow_commands : bool
         Let the log start the programs it names.
+    overrides : mapping or None
+        Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
 
     Raises
     ------
@@ -59,7 +66,7 @@ def read_log(
     bench.errors.EstimatorError
         If an estimator cannot be built, or needs data that the log does not have.
     """
-    spec = load_log(str(path), estimators, allow_commands)
+    spec = load_log(str(path), estimators, allow_commands, overrides)
     built = {c.label: pipeline.build_estimator(c) for c in spec.estimators}
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))

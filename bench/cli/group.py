@@ -60,7 +60,7 @@ set_option = click.option(
     callback=_parse_overrides,
     multiple=True,
     metavar="KEY=VALUE",
-    help="override one value of the profile; wins over the file",
+    help="override one value of the file, or one figure of a datasheet it names",
 )
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence"

@@ -19,6 +19,7 @@ from bench.cli.group import (
     parse_durations,
     programs_option,
     recording_option,
+    set_option,
 )
 from bench.errors import DONE, NEGATIVE, ConfigError
 
@@ -49,6 +50,7 @@ class _LogCommand(click.Command):
 @recording_option
 @force_option()
 @programs_option("log")
+@set_option
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")
 def navigate(log: str, as_json: bool, **options: Any) -> int:

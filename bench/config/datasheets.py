@@ -20,6 +20,9 @@ from bench.sensors.imu_terms import check_imu
 from bench.specs import GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import split_unit, to_si
 
+MODIFIED = ", modified"
+"""Follows the name of a unit of which a figure was replaced."""
+
 _TRIADS = ("gyro", "accel")
 _CHOICES = {"bias_model": "flicker", "dead_zone_kind": "subtractive"}
 """Choices of a triad that are not figures, with their defaults."""
@@ -68,15 +71,24 @@ class GnssSheet(Sheet):
     sky: SkyTable | None = None
 
 
-def read_imu(path: Path, shown: str) -> ImuSpec:
+def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -> ImuSpec:
     """Read the datasheet of an IMU; return it in SI.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    shown : str
+        What messages call it.
+    changes : mapping or None
+        Figures to replace, by ``table.key``, in the unit of the key.
 
     Raises
     ------
     ConfigError
-        One message for each problem in the file ``shown``.
+        One message for each problem in the file.
     """
-    document = read_toml(path, shown)
+    document = _read_document(path, shown, changes)
     sheet = check_table(ImuSheet, document, shown)
     wrong = check_sources(sheet, document)
     triads = {}
@@ -92,7 +104,7 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
         triads[name] = TriadSpec(**values)
     arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
     spec = ImuSpec(
-        path.stem,
+        _make_name(path, changes),
         triads["gyro"],
         triads["accel"],
         thermal=ThermalSpec(**convert_figures(ThermalSpec, sheet.thermal)),
@@ -106,11 +118,11 @@ def read_imu(path: Path, shown: str) -> ImuSpec:
     return spec
 
 
-def read_gnss(path: Path, shown: str) -> GnssSpec:
-    """Read the datasheet of a GNSS receiver; return it in SI. Errors as for `read_imu`."""
-    document = read_toml(path, shown)
+def read_gnss(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -> GnssSpec:
+    """Read the datasheet of a GNSS receiver; return it in SI. Parameters and errors as for `read_imu`."""
+    document = _read_document(path, shown, changes)
     sheet = check_table(GnssSheet, document, shown)
-    spec = GnssSpec(name=path.stem, **convert_figures(GnssSpec, sheet.gnss))
+    spec = GnssSpec(name=_make_name(path, changes), **convert_figures(GnssSpec, sheet.gnss))
     wrong = check_sources(sheet, document) + check_figures(GnssSpec, sheet.gnss, "gnss")
     decays = spec.pos_decay_distance or spec.pos_decay_time
     for kind in ("markov", "jump_markov"):
@@ -128,9 +140,9 @@ def read_gnss(path: Path, shown: str) -> GnssSpec:
     return spec
 
 
-def read_instrument(kind: str, path: Path, shown: str) -> Any:
-    """Read the datasheet of an instrument; return it in SI. Errors as for `read_imu`."""
-    row, document = INSTRUMENTS[kind], read_toml(path, shown)
+def read_instrument(kind: str, path: Path, shown: str, changes: Mapping[str, Any] | None = None) -> Any:
+    """Read the datasheet of an instrument; return it in SI. Parameters and errors as for `read_imu`."""
+    row, document = INSTRUMENTS[kind], _read_document(path, shown, changes)
     sheet = check_table(_make_sheet_type(kind), document, shown)
     table = getattr(sheet, kind)
     parts = {
@@ -138,11 +150,42 @@ def read_instrument(kind: str, path: Path, shown: str) -> Any:
         for name, part in row.parts.items()
         if getattr(sheet, name) is not None
     }
-    spec = row.spec(name=path.stem, **convert_figures(row.spec, table), **parts)
+    spec = row.spec(name=_make_name(path, changes), **convert_figures(row.spec, table), **parts)
     wrong = check_sources(sheet, document) + check_figures(row.spec, table, kind) + row.problems(spec)
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return spec
+
+
+def _make_name(path: Path, changes: Mapping[str, Any] | None) -> str:
+    return path.stem + (MODIFIED if changes else "")
+
+
+def _read_document(path: Path, shown: str, changes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Read a datasheet and replace figures; the same figure under another key is left out."""
+    document = read_toml(path, shown)
+    for key, value in (changes or {}).items():
+        table, *inner, name = key.split(".")
+        here = document.setdefault(table, {})
+        for part in inner:
+            here = here.setdefault(part, {}) if isinstance(here, dict) else None
+        if not isinstance(here, dict):
+            raise ConfigError(f"{shown}: {key}: {name!r} is not a key of a table")
+        for other in _list_same_figures(table, name):
+            here.pop(other, None)
+            document.get("sources", {}).pop(f"{table}.{other}", None)
+            if f"{table}.{other}" in document.get("assumed", []):
+                document["assumed"].remove(f"{table}.{other}")
+        here[name] = value
+    return document
+
+
+def _list_same_figures(table: str, name: str) -> list[str]:
+    """Return the other keys, in other units, of a figure of a triad."""
+    if table not in _TRIADS:
+        return []
+    every = [figure.keys(field, table) for field, figure in triad_figures_of(TriadSpec).items()]
+    return [key for keys in every if name in keys for key in keys if key != name]
 
 
 @cache
@@ -179,7 +222,7 @@ def list_missing_figures(kind: str, document: Mapping[str, Any]) -> list[str]:
     return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in given]
 
 
-SENSORS: Mapping[str, Callable[[Path, str], Any]] = {
+SENSORS: Mapping[str, Callable[..., Any]] = {
     "imu": read_imu,
     "gnss": read_gnss,
     **{kind: partial(read_instrument, kind) for kind in INSTRUMENTS},

@@ -15,6 +15,7 @@ from pydantic_core import PydanticCustomError
 from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
+from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, make_choice
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors, read_toml
@@ -178,15 +179,20 @@ class LogSpec:
     document: Mapping[str, Any]  # the file with every default filled in
 
 
-def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands: bool = False) -> LogSpec:
+def load_log(
+    name: str,
+    estimators: Sequence[str] | None = None,
+    allow_commands: bool = False,
+    overrides: Mapping[str, Any] | None = None,
+) -> LogSpec:
     """Read and check a log file; the files it names are searched beside it.
 
     Parameters
     ----------
     name : str
         Path of the ``.toml`` file.
-    estimators, allow_commands
-        As `bench.config.load_profile` takes them.
+    estimators, allow_commands, overrides
+        As `bench.config.load_profile` takes them; the figures of a log are those of ``sensors.assumed``.
 
     Raises
     ------
@@ -195,6 +201,9 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
     """
     path = Path(name)
     document = read_toml(path, name)
+    overrides, changes = split_overrides(overrides or {})
+    for key, value in overrides.items():
+        document = override(document, key, value)
     wrong = [f"{name}: {line}" for line in checks.check_options(document)]
     try:
         table = check_table(LogTable, document, name)
@@ -213,7 +222,9 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
         with collect_errors(wrong, f"{place}[sensors.assumed] "):
             sheet = None if datasheet is None else find_datasheet(kind, datasheet, beside)
             with collect_errors(wrong):
-                assumed[kind] = None if sheet is None else SENSORS[kind](*sheet)
+                figures = changes.assumed.get(kind)
+                assumed[kind] = None if sheet is None else SENSORS[kind](*sheet, figures)
+    wrong += [f"{place}{line}" for line in changes.check({}, assumed)]
     choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
     across = (
         checks.check_estimators(choices)
@@ -244,7 +255,7 @@ def load_log(name: str, estimators: Sequence[str] | None = None, allow_commands:
         evaluation_from=float(table.evaluation.from_s),
         output_rate=float(table.evaluation.output_hz),
         withhold=table.evaluation.withhold,
-        document=_make_document(table, path.stem, choices),
+        document=_make_document(table, path.stem, choices, changes),
     )
 
 
@@ -314,9 +325,12 @@ def _to_radians(angles: tuple[float, float, float]) -> tuple[float, float, float
     return (math.radians(angles[0]), math.radians(angles[1]), math.radians(angles[2]))
 
 
-def _make_document(table: LogTable, name: str, choices: Sequence[EstimatorChoice]) -> dict[str, Any]:
+def _make_document(
+    table: LogTable, name: str, choices: Sequence[EstimatorChoice], changes: DatasheetChanges
+) -> dict[str, Any]:
     document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
     document["estimator"] = [
         {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
     ]
+    changes.mark(document)
     return document

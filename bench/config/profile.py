@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import re
 from collections import Counter
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.config import checks, external_truth, fault_tables, leg_checks
-from bench.config.datasheets import SENSORS
+from bench.config.datasheets import MODIFIED, SENSORS
 from bench.config.library import (
     JSBSIM,
     find_aircraft,
@@ -22,6 +21,7 @@ from bench.config.library import (
     read_aircraft,
     read_jsbsim_aircraft,
 )
+from bench.config.overrides import DatasheetChanges, Figures, override, split_overrides
 from bench.config.profile_tables import (
     SEVERITY,
     ExperimentTable,
@@ -68,8 +68,10 @@ def load_profile(
     name : str
         Name of a shipped profile, or the path of a ``.toml`` file.
     overrides : mapping
-        Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.0.laps": 2}``.
-        The entries of a list are counted from 0. A path in them is relative to the present folder.
+        Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.1.laps": 2}``.
+        The entries of a list count from 1. A path in them is relative to the present folder. Figures of a
+        datasheet are keys, too, in its units: ``sensors.imu.gyro.noise_deg_sqrt_h`` on board and for the
+        filters, ``sensors.assumed.imu. ...`` only for the filters.
     seed : int
         Replaces both ``seed`` and ``turbulence_seed`` of the file.
     estimators : sequence of str
@@ -90,8 +92,9 @@ def load_profile(
         used_seed = overrides.pop("seed", seed)  # an override wins
         document |= {"seed": used_seed}
         document |= {} if "trajectory" in document else {"turbulence_seed": used_seed}
+    overrides, changes = split_overrides(overrides)
     for key, value in overrides.items():
-        document = _override(document, key, _locate(key, value, path.parent))
+        document = override(document, key, _locate(key, value, path.parent))
     beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.check_options(document)]
     truth_keys = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(truth_keys) > 1:
@@ -101,9 +104,12 @@ def load_profile(
     units = document.get("sensors")
     if units is None and external is not None:
         units = external[0].model_fields["sensors"].default.model_dump()
-    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong)
-    assumed_names = units.get("assumed") if isinstance(units, Mapping) else None
-    assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong)
+    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
+    assumed_names = changes.name_assumed(units)
+    assumed = _find_sensors(
+        assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.of_assumed()
+    )
+    wrong += [f"{shown}: {line}" for line in changes.check(on_board, {**on_board, **assumed_names})]
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
         table: ExperimentTable = check_table(
@@ -142,27 +148,8 @@ def load_profile(
         sensors=_make_sensors(table, aircraft, on_board, assumed),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
-        document=_make_document(table, path.stem, choices, _choose_day(table, on_board)),
+        document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
     )
-
-
-def _override(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
-    """Return a copy of the document with one dotted key replaced."""
-    copied: dict[str, Any] = copy.deepcopy(dict(document))
-    here: Any = copied
-    *path, last = key.split(".")
-    for part in path:
-        here = here.setdefault(part, {}) if isinstance(here, dict) else here[_parse_index(here, part, key)]
-    here[last if isinstance(here, dict) else _parse_index(here, last, key)] = value
-    return copied
-
-
-def _parse_index(rows: object, part: str, key: str) -> int:
-    if not isinstance(rows, list):
-        raise ConfigError(f"--set {key}: {part!r} is not a key of a table")
-    if not part.isdecimal() or int(part) >= len(rows):
-        raise ConfigError(f"--set {key}: {part!r} must be a number from 0 to {len(rows) - 1}")
-    return int(part)
 
 
 def _find_aircraft(
@@ -182,16 +169,21 @@ def _find_aircraft(
     return None
 
 
-def _find_sensors(names: object, beside: Path, place: str, wrong: list[str]) -> dict[str, Any]:
-    """Read the datasheets that a table names; None for the others. Problems are added to ``wrong``."""
+def _find_sensors(
+    names: object, beside: Path, place: str, wrong: list[str], changes: Figures
+) -> dict[str, Any]:
+    """Read the datasheets that a table names, with some figures replaced; None for the others.
+
+    Problems are added to ``wrong``, each behind ``place``.
+    """
     specs: dict[str, Any] = dict.fromkeys(SENSORS)
     for kind in SENSORS:
         name = names.get(kind) if isinstance(names, Mapping) else None
         if isinstance(name, str):
             with collect_errors(wrong, place):
-                path, shown = find_datasheet(kind, name, beside)
+                path, shown = find_datasheet(kind, name.removesuffix(MODIFIED), beside)
                 with collect_errors(wrong):
-                    specs[kind] = SENSORS[kind](path, shown)
+                    specs[kind] = SENSORS[kind](path, shown, changes.get(kind))
     return specs
 
 
@@ -349,7 +341,11 @@ def _place_static_port(aircraft: AircraftSpec | None) -> tuple[float, float, flo
 
 
 def _make_document(
-    table: ExperimentTable, name: str, choices: Sequence[EstimatorChoice], day: date
+    table: ExperimentTable,
+    name: str,
+    choices: Sequence[EstimatorChoice],
+    day: date,
+    changes: DatasheetChanges,
 ) -> dict[str, Any]:
     """Return the profile as flown: the file with overrides and all defaults filled in."""
     document: dict[str, Any] = {
@@ -362,6 +358,7 @@ def _make_document(
     sensors = document["sensors"]
     on_board = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
     sensors["assumed"] = on_board | sensors["assumed"]
+    changes.mark(document)
     document["estimator"] = [
         {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
     ]

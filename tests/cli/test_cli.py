@@ -238,13 +238,13 @@ WRONG = [
         "error: short.toml: [start] lat_deg = 95 deg is outside",
     ),
     (
-        ["run", "short.toml", "--set", "leg.0.bank_deg=nan"],
+        ["run", "short.toml", "--set", "leg.1.bank_deg=nan"],
         "error: short.toml: [[leg]] 1 (turn): bank_deg = nan",
     ),
     (["run", "short.toml", "--set", "aircraft=kite"], "error: short.toml: aircraft = 'kite' is not found"),
     (["run", "short.toml", "-e", "x"], "error: short.toml: no estimator 'x' in this profile"),
     (
-        ["run", "short.toml", "--set", "estimator.0.use=x"],
+        ["run", "short.toml", "--set", "estimator.1.use=x"],
         "error: short.toml: [[estimator]] 1: use = 'x' is no",
     ),
     (
@@ -300,7 +300,7 @@ def test_an_aircraft_that_does_not_load_is_status_3(here, capsys, text):
 
 def test_a_flight_that_does_not_fit_its_duration_is_status_3(here, capsys):
     status, _, err = say(
-        capsys, "run", "short.toml", "--set", "leg.0.by_deg=360", "--set", "leg.0.bank_deg=5"
+        capsys, "run", "short.toml", "--set", "leg.1.by_deg=360", "--set", "leg.1.bank_deg=5"
     )
     assert status == 3
     assert re.fullmatch(r"error: the legs need .*; duration is 30 s\n", err)

@@ -10,6 +10,7 @@ import os
 import shutil
 import time
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -268,7 +269,7 @@ def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     assert (plain.seed, plain.flight.turbulence_seed, plain.evaluation_from) == (3, 4, 60.0)
     seeded = config.load_profile(name, seed=9)
     assert (seeded.seed, seeded.flight.turbulence_seed) == (9, 9)
-    typed = config.load_profile(name, {"seed": 5, "leg.0.duration_s": 12, "evaluation.from_s": 20.0})
+    typed = config.load_profile(name, {"seed": 5, "leg.1.duration_s": 12, "evaluation.from_s": 20.0})
     assert (typed.seed, typed.flight.turbulence_seed) == (5, 4)
     both = config.load_profile(name, {"seed": 5}, seed=9)
     assert (both.seed, both.flight.turbulence_seed) == (5, 5)
@@ -369,8 +370,8 @@ ONE_THING_WRONG = [
     ),
     ({"start.alt_ft": 3000.0}, "[start]: unknown key 'alt_ft'. Did you mean 'alt_m'?\n  known keys: alt_m,"),
     ({"sensors.assumed.imx": "a"}, "[sensors.assumed]: unknown key 'imx'. Did you mean 'imu'?"),
-    ({"estimator.0.us": "a"}, "[[estimator]] 1: unknown key 'us'. Did you mean 'use'?"),
-    ({"leg.1.rate_mps": NAN}, "[[leg]] 2 (climb): rate_mps = nan m/s must be a finite number"),
+    ({"estimator.1.us": "a"}, "[[estimator]] 1: unknown key 'us'. Did you mean 'use'?"),
+    ({"leg.2.rate_mps": NAN}, "[[leg]] 2 (climb): rate_mps = nan m/s must be a finite number"),
     ({"start.alt_m": INF}, "[start] alt_m = inf m must be a finite number"),
     ({"start.alt_m": True}, "[start] alt_m = true must be a number"),
     ({"start.alt_m": "1000"}, "[start] alt_m = '1000' must be a number"),
@@ -381,18 +382,18 @@ ONE_THING_WRONG = [
     ({"start": 3}, "start = 3 must be a table"),
     ({"leg": 3}, "leg = 3 must be a list"),
     ({"leg": []}, "leg = [] must have at least 1 entry"),
-    ({"leg.0": 3}, "[[leg]] 1 = 3 must be a table"),
-    ({"leg.0": {}}, "[[leg]] 1: kind is missing"),
-    ({"leg.0": {"kind": "straight"}}, "[[leg]] 1 (straight): duration_s is missing"),
+    ({"leg.1": 3}, "[[leg]] 1 = 3 must be a table"),
+    ({"leg.1": {}}, "[[leg]] 1: kind is missing"),
+    ({"leg.1": {"kind": "straight"}}, "[[leg]] 1 (straight): duration_s is missing"),
     (
-        {"leg.0.kind": "lop"},
+        {"leg.1.kind": "lop"},
         "[[leg]] 1: kind = 'lop' is unknown\n  known kinds: aileron-roll, approach, climb,",
     ),
-    ({"leg.2.by_deg": 0}, "[[leg]] 3 (turn): by_deg = 0 deg must not be 0; positive turns right"),
-    ({"leg.2.bank_deg": 60}, "[[leg]] 3 (turn): bank_deg = 60 deg is above the 45 deg of the aerosonde"),
-    ({"leg.1.rate_mps": 9}, "[[leg]] 2 (climb): rate_mps = 9 m/s is above the 3.5 m/s of the aerosonde"),
-    ({"leg.1.to_alt_m": 900}, "[[leg]] 2 (climb): to_alt_m = 900 m is not above the 1000 m before it"),
-    ({"leg.1.kind": "descend"}, "[[leg]] 2 (descend): to_alt_m = 1100 m is not below the 1000 m before it"),
+    ({"leg.3.by_deg": 0}, "[[leg]] 3 (turn): by_deg = 0 deg must not be 0; positive turns right"),
+    ({"leg.3.bank_deg": 60}, "[[leg]] 3 (turn): bank_deg = 60 deg is above the 45 deg of the aerosonde"),
+    ({"leg.2.rate_mps": 9}, "[[leg]] 2 (climb): rate_mps = 9 m/s is above the 3.5 m/s of the aerosonde"),
+    ({"leg.2.to_alt_m": 900}, "[[leg]] 2 (climb): to_alt_m = 900 m is not above the 1000 m before it"),
+    ({"leg.2.kind": "descend"}, "[[leg]] 2 (descend): to_alt_m = 1100 m is not below the 1000 m before it"),
     ({"start.speed_mps": 60}, "[start] speed_mps = 60 m/s is outside 20 to 29 m/s of the aerosonde"),
     (
         {"wind.turbulence": "bad"},
@@ -405,14 +406,14 @@ ONE_THING_WRONG = [
         "[initial_error_sd] pos_m[1] = -2 m is outside 0.001 to 10000 m",
     ),
     (
-        {"estimator.0": {"use": "my.lab:Huber", "options": {"k": INF}}},
+        {"estimator.1": {"use": "my.lab:Huber", "options": {"k": INF}}},
         "[[estimator]] 1: options = { ... } must hold only finite numbers,",
     ),
     (
-        {"estimator.0.use": "los-15"},
+        {"estimator.1.use": "los-15"},
         "[[estimator]] 1: use = 'los-15' is not a built-in estimator. Did you mean",
     ),
-    ({"estimator.0.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
+    ({"estimator.1.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
     ({"evaluation.output_hz": 7}, "[evaluation] output_hz = 7 Hz must divide rate_hz = 200 Hz"),
     (
         {"evaluation.from_s": 100, "duration_s": 90},
@@ -489,7 +490,7 @@ def test_a_table_and_a_solution_on_the_command_line_are_in_the_present_folder(tm
         ("script", "a.xml", str(tmp_path / "here" / "a.xml")),
         ("script", "c1721", "c1721"),
         ("jsbsim_root", "../jsbsim", str(tmp_path / "here" / "../jsbsim")),
-        ("estimator.0.use", "file:a.csv", f"file:{tmp_path / 'here' / 'a.csv'}"),
+        ("estimator.1.use", "file:a.csv", f"file:{tmp_path / 'here' / 'a.csv'}"),
         ("title", "a.csv", "a.csv"),
     ):
         assert profile._locate(key, value, tmp_path) == located
@@ -547,14 +548,14 @@ def test_a_start_without_airspeed_is_the_trim_nearest_in_altitude(tmp_path):
     rows = config.load_profile("figure-eight").flight.aircraft.trims
     for alt, speed in rows:
         profile = config.load_profile(
-            write(tmp_path, bare), {"start.alt_m": alt + 10, "leg.1.to_alt_m": 1300}
+            write(tmp_path, bare), {"start.alt_m": alt + 10, "leg.2.to_alt_m": 1300}
         )
         assert profile.flight.speed == profile.document["start"]["speed_mps"] == speed
     assert len({speed for _, speed in rows}) > 1
 
 
 def test_everything_wrong_is_said_at_once(tmp_path):
-    overrides = {"start.lat_deg": 95, "aircraft": "x", "sensors.imu": "y", "leg.0.bank_deg": 3, "rate_hz": 1}
+    overrides = {"start.lat_deg": 95, "aircraft": "x", "sensors.imu": "y", "leg.1.bank_deg": 3, "rate_hz": 1}
     assert len(errors(write(tmp_path), overrides=overrides)) == 5
 
 
@@ -659,12 +660,69 @@ def test_twenty_errors_are_printed_and_the_rest_is_counted(tmp_path):
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("leg.9.bank_deg", "--set leg.9.bank_deg: '9' must be a number from 0 to 3"),
+        ("leg.9.bank_deg", "--set leg.9.bank_deg: '9' must be a number from 1 to 4"),
         ("aircraft.x", "--set aircraft.x: 'x' is not a key of a table"),
     ],
 )
 def test_an_override_that_leads_nowhere(tmp_path, key, message):
     assert errors(write(tmp_path), overrides={key: 1}) == [message]
+
+
+def figures_of(**overrides):
+    """The IMU on board and the one assumed of figure-eight, and its document."""
+    profile = config.load_profile("figure-eight", {k.replace("__", "."): v for k, v in overrides.items()})
+    return profile.sensors.imu, profile.sensors.assumed.imu, profile.document
+
+
+def test_a_figure_of_a_datasheet_is_replaced_on_board_and_for_the_filters():
+    plain, _, _ = figures_of()
+    on_board, assumed, document = figures_of(sensors__imu__gyro__noise_deg_sqrt_h=0.3)
+    assert on_board.gyro.random_walk == pytest.approx(math.radians(0.3) / 60)
+    assert assumed == on_board
+    assert replace(on_board, name=plain.name, gyro=plain.gyro) == plain
+    assert on_board.name == f"{plain.name}, modified"
+    assert document["sensors"]["imu"] == document["sensors"]["assumed"]["imu"] == on_board.name
+    assert document["sensors.imu.gyro.noise_deg_sqrt_h"] == 0.3
+    assert config.load_profile("figure-eight", document).sensors.assumed.imu == assumed
+    assert document["sensors"]["gnss"] == "l1-code"
+
+
+def test_a_figure_may_be_replaced_for_the_filters_alone():
+    plain, _, _ = figures_of()
+    on_board, assumed, document = figures_of(sensors__assumed__imu__gyro__noise_deg_sqrt_h=0.3)
+    assert on_board == plain
+    assert assumed.gyro.random_walk == pytest.approx(math.radians(0.3) / 60)
+    assert document["sensors"]["imu"] == plain.name
+    assert document["sensors"]["assumed"]["imu"] == f"{plain.name}, modified"
+    both = {
+        "sensors.imu.gyro.noise_deg_sqrt_h": 0.3,
+        "sensors.assumed.imu.gyro.noise_deg_sqrt_h": 0.6,
+        "sensors.baro.white_sd_m": 2.0,
+    }
+    sensors = config.load_profile("figure-eight", both).sensors
+    assert sensors.assumed.imu.gyro.random_walk == pytest.approx(2 * sensors.imu.gyro.random_walk)
+    assert sensors.baro.white_sd == sensors.assumed.baro.white_sd == 2.0
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        (
+            "sensors.imu.gyro.nois_deg_sqrt_h",
+            "unknown key 'nois_deg_sqrt_h'. Did you mean 'noise_deg_sqrt_h'?",
+        ),
+        ("sensors.imu.gyro.noise_deg_sqrt_h.x", "'x' is not a key of a table"),
+        (
+            "sensors.radar.white_sd_m",
+            "figure-eight.toml: --set sensors.radar.white_sd_m: no radar is on board",
+        ),
+        ("sensors.assumed.radar.white_sd_m", "no radar is on board"),
+    ],
+)
+def test_a_figure_that_is_none_is_refused(key, message):
+    with pytest.raises(ConfigError) as raised:
+        config.load_profile("figure-eight", {key: 1.0})
+    assert message in "\n".join(raised.value.messages)
 
 
 def test_shipped_files_parse_and_have_titles():

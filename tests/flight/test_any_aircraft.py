@@ -156,7 +156,7 @@ def test_an_aircraft_of_the_wheel_lands(tmp_path):
 
 
 def test_an_aircraft_without_figures_for_a_runway_is_refused_before_the_flight(tmp_path):
-    legs = {"start.on_ground": True, "leg.0.kind": "static", "duration_s": 60}
+    legs = {"start.on_ground": True, "leg.1.kind": "static", "duration_s": 60}
     with pytest.raises(ConfigError, match=r"on_ground = true: the 737 has no \[runway\] in"):
         load_profile(str(written(tmp_path, **BOEING)), legs)
 

@@ -57,7 +57,7 @@ def waggle(monkeypatch, tmp_path):
 
 
 def test_a_leg_from_elsewhere_is_flown_from_a_profile(waggle):
-    truth = fly(config.load_profile(waggle, {"leg.1.speed_mps": 26}).flight)
+    truth = fly(config.load_profile(waggle, {"leg.2.speed_mps": 26}).flight)
     assert [text for _, _, text in truth.events.select("leg")] == [
         "1 straight: 2 s",
         "2 waggle: 2 times, 26 m/s, then held to 14 s; 2 waggles",
@@ -69,12 +69,12 @@ def test_a_leg_from_elsewhere_is_flown_from_a_profile(waggle):
 
 
 def test_its_mistakes_are_said_as_those_of_any_other(waggle):
-    assert errors(waggle, overrides={"leg.1.bank_deg": 90, "leg.1.coun": 3}) == [
+    assert errors(waggle, overrides={"leg.2.bank_deg": 90, "leg.2.coun": 3}) == [
         "own.toml: [[leg]] 2 (waggle): bank_deg = 90 deg is outside 1 to 80 deg",
         "own.toml: [[leg]] 2 (waggle): unknown key 'coun'. Did you mean 'count'?\n"
         "  known keys: bank_deg, count, kind, speed_mps",
     ]
-    assert errors(waggle, overrides={"leg.1.bank_deg": 50.1, "leg.1.count": 9, "leg.1.speed_mps": 40}) == [
+    assert errors(waggle, overrides={"leg.2.bank_deg": 50.1, "leg.2.count": 9, "leg.2.speed_mps": 40}) == [
         "own.toml: [[leg]] 2 (waggle): bank_deg = 50.1 deg is above the 45 deg of the aerosonde",
         "own.toml: [[leg]] 2 (waggle): speed_mps = 40 m/s is outside 20 to 29 m/s of the aerosonde",
         "own.toml: [[leg]] 2 (waggle): bank_deg = 50.1 deg at 1000 m is one too many",

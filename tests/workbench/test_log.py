@@ -456,6 +456,18 @@ def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
         assert "has no truth" in capsys.readouterr().err
 
 
+def test_a_figure_of_the_assumed_datasheet_is_replaced(folder):
+    path = str(folder / "drive.toml")
+    plain = load_log(path)
+    changed = load_log(path, overrides={"sensors.assumed.imu.gyro.noise_deg_sqrt_h": 1.5})
+    assert changed.assumed.imu.gyro.random_walk == pytest.approx(np.deg2rad(1.5) / 60)
+    assert changed.assumed.imu.accel == plain.assumed.imu.accel
+    assert changed.document["sensors"]["assumed"]["imu"] == "imu.toml, modified"
+    assert load_log(path, overrides={"evaluation.withhold": 3}).withhold == 3
+    with pytest.raises(ConfigError, match="no imu is on board"):
+        load_log(path, overrides={"sensors.imu.gyro.noise_deg_sqrt_h": 1.5})
+
+
 # --- statistics and the law ---------------------------------------------------------------------------
 
 

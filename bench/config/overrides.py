@@ -1,0 +1,97 @@
+"""Replace single values of a profile or a log, and single figures of the datasheets that it names."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bench.config.datasheets import MODIFIED, SENSORS
+from bench.errors import ConfigError
+
+Figures = Mapping[str, Mapping[str, Any]]
+"""Kind of sensor -> ``table.key`` of its datasheet -> value, in the unit of the key."""
+
+
+def override(document: Mapping[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return a copy of a document with one dotted key replaced; the entries of a list count from 1.
+
+    Raises
+    ------
+    ConfigError
+        If the key leads nowhere.
+    """
+    copied: dict[str, Any] = copy.deepcopy(dict(document))
+    here: Any = copied
+    *path, last = key.split(".")
+    for part in path:
+        here = here.setdefault(part, {}) if isinstance(here, dict) else here[_parse_index(here, part, key)]
+    here[last if isinstance(here, dict) else _parse_index(here, last, key)] = value
+    return copied
+
+
+def _parse_index(rows: object, part: str, key: str) -> int:
+    if not isinstance(rows, list):
+        raise ConfigError(f"--set {key}: {part!r} is not a key of a table")
+    if not part.isdecimal() or not 1 <= int(part) <= len(rows):
+        raise ConfigError(f"--set {key}: {part!r} must be a number from 1 to {len(rows)}")
+    return int(part) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class DatasheetChanges:
+    """Figures to replace in the datasheets of the units on board, and in those that filters assume."""
+
+    on_board: dict[str, dict[str, Any]] = field(default_factory=dict)
+    assumed: dict[str, dict[str, Any]] = field(default_factory=dict)
+    keys: dict[str, Any] = field(default_factory=dict)  # as they were given
+
+    def name_assumed(self, units: object) -> dict[str, Any]:
+        """Return the datasheets that a [sensors] table assumes; one only changed is that of the unit."""
+        on_board = units if isinstance(units, Mapping) else {}
+        named = on_board.get("assumed")
+        changed = {kind: on_board[kind] for kind in self.assumed if kind in on_board}
+        return changed | (dict(named) if isinstance(named, Mapping) else {})
+
+    def of_assumed(self) -> Figures:
+        """Return the changes of the assumed datasheets: those on board, and then their own."""
+        kinds = {**self.on_board, **self.assumed}
+        return {kind: {**self.on_board.get(kind, {}), **self.assumed.get(kind, {})} for kind in kinds}
+
+    def check(self, on_board: Mapping[str, Any], assumed: Mapping[str, Any]) -> list[str]:
+        """Return one line for each figure of a sensor that is not there."""
+        return [
+            f"--set {key}: no {kind} is on board"
+            for key in self.keys
+            for kind in [key.removeprefix("sensors.").removeprefix("assumed.").partition(".")[0]]
+            if (assumed if key.startswith("sensors.assumed.") else on_board).get(kind) is None
+        ]
+
+    def mark(self, document: dict[str, Any]) -> None:
+        """Mark the units that are changed in a document of what was done, and add the overrides to it."""
+        sensors = document["sensors"]
+        for names, changed in ((sensors["assumed"], self.of_assumed()), (sensors, self.on_board)):
+            names.update({kind: f"{names[kind]}{MODIFIED}" for kind in changed if kind in names})
+        document.update(self.keys)
+
+
+def split_overrides(overrides: Mapping[str, Any]) -> tuple[dict[str, Any], DatasheetChanges]:
+    """Divide overrides into those of the file and those of figures in the datasheets that it names.
+
+    ``sensors.imu.gyro.noise_deg_sqrt_h`` is a figure of the unit on board, which filters then assume, too;
+    ``sensors.assumed.imu.gyro.noise_deg_sqrt_h`` is only what they assume. A table with the name of its
+    sensor may be left out: ``sensors.baro.white_sd_m``.
+    """
+    plain, changes = dict(overrides), DatasheetChanges()
+    for key, value in overrides.items():
+        parts = key.split(".")
+        only_assumed = parts[:2] == ["sensors", "assumed"]
+        rest = parts[2:] if only_assumed else parts[1:]
+        if parts[0] == "sensors" and len(rest) > 1 and rest[0] in SENSORS:
+            kind, *path = rest
+            table = [kind, *path] if len(path) == 1 else path
+            changed = changes.assumed if only_assumed else changes.on_board
+            changed.setdefault(kind, {})[".".join(table)] = value
+            changes.keys[key] = plain.pop(key)
+    return plain, changes
