@@ -18,6 +18,11 @@ def replace_control(text: str) -> str:
     return "".join(c if c == "\n" or c.isprintable() or c in _SPACES else "?" for c in text)
 
 
+def one_line(text: str) -> str:
+    """Return a title or a name from a file on one line, without control characters."""
+    return replace_control(text.replace("\n", " "))
+
+
 _SPACES = "\u00a0\u2002\u2003\u2007\u2009\u202f\u3000"
 """Spaces that Python does not count as printable."""
 

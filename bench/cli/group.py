@@ -131,6 +131,6 @@ def commands(ctx: click.Context) -> None:
 
 def new_console(*, stderr: bool = False) -> Console:
     """Return the console for tables and progress."""
-    from rich.console import Console
+    from bench.workbench.console import PlainConsole
 
-    return Console(stderr=stderr, markup=False, highlight=False)
+    return PlainConsole(stderr=stderr)

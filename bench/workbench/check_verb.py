@@ -15,6 +15,7 @@ from rich.text import Text
 from bench.baselines import checking
 from bench.baselines.junit import write_junit
 from bench.baselines.verdict_rows import Verdict
+from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 
 _STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
@@ -46,8 +47,8 @@ def check(
 @contextlib.contextmanager
 def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
     """Provide a function that shows the current draw of a profile."""
-    with Console(stderr=True).status("") as status:
-        yield lambda name, k, n: status.update(f"{name}: draw {min(k + 1, n)} of {n}")
+    with PlainConsole(stderr=True).status("") as status:
+        yield lambda name, k, n: status.update(Text(f"{name}: draw {min(k + 1, n)} of {n}"))
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:

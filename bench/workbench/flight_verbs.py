@@ -16,6 +16,7 @@ from bench import api, config, store
 from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.workbench import show
+from bench.workbench.console import PlainConsole
 
 RUNS = Path("runs")
 """Default folder for results."""
@@ -84,11 +85,15 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 @contextlib.contextmanager
 def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
     """Provide a function that shows the seconds flown so far; nothing is shown before its first call."""
-    screen = Console(stderr=True)
+    screen = PlainConsole(stderr=True)
     if not screen.is_interactive:
         yield lambda t: None
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[flown]}"))
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[flown]}", markup=False),
+    )
     duration = profile.flight.duration
     of = f" of {duration:.0f}" if duration else ""
     with contextlib.ExitStack() as stack:

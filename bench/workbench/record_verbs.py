@@ -14,6 +14,7 @@ from bench import api, log_pipeline, store
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.specs import TriadSpec
+from bench.wording import one_line
 from bench.workbench import show
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
 
@@ -39,7 +40,8 @@ def navigate_log(
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
     log = log_pipeline.read_log(name, **log_options)
-    console.print(f"{log.spec.title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
+    title = one_line(log.spec.title)
+    console.print(f"{title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
     for check in log.checks:
         mark, style = ("  ", None) if check.good else ("! ", "yellow")
         console.print(mark + check.text, style=style, soft_wrap=True)
@@ -47,7 +49,7 @@ def navigate_log(
         console.print(f"  {note}")
     result = log_pipeline.navigate_log(log, outages=outages, places=places)
     withheld, start = len(result.records["withheld"]), log.spec.evaluation_from
-    console.print(f"{log.spec.title}: {withheld} fixes withheld, from {start:g} s on")
+    console.print(f"{title}: {withheld} fixes withheld, from {start:g} s on")
     show.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
@@ -122,7 +124,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     score = api.score_solution(solution, folder, **options)
     run, label = score.run, score.label
     begun = run.profile["evaluation"]["from_s"]
-    console.print(f"{run.profile['title']}: seed {run.seed}, run {run.run}, from {begun:g} s on")
+    console.print(f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, from {begun:g} s on")
     show.print_metrics(
         console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
     )

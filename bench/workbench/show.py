@@ -20,6 +20,7 @@ from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described
 from bench.run_result import RunResult
 from bench.specs import Profile
+from bench.wording import one_line
 
 _DEG = 180 / math.pi
 _SUMMARY = (
@@ -46,7 +47,9 @@ _COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
 
 def print_result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print the main metrics of one run, one column per estimator, and the errors they do not model."""
-    console.print(f"{profile.title}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on")
+    console.print(
+        f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on"
+    )
     print_metrics(console, run.metrics, run.solutions)
 
 
@@ -115,7 +118,7 @@ def _format_band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
 
 def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any]) -> None:
     """Print the legs of a flight and its extremes, as `bench.pipeline.fly_over` returns them."""
-    console.print(f"{profile.title}: {profile.flight.label}")
+    console.print(f"{one_line(profile.title)}: {profile.flight.label}")
     table = Table()
     for column in ("from", "to"):
         table.add_column(column, justify="right", no_wrap=True)

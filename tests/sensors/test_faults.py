@@ -535,10 +535,9 @@ def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_p
     ideal = 'source = "none"\n[accel]\nnoise_ug_sqrt_hz = 5.0\n'
     (tmp_path / "ideal.toml").write_text(ideal)
     row = {"kind": "noise-burst", "sensor": "gyro", "start_s": 10.0, "duration_s": 5.0, "times": 5.0}
-    with pytest.raises(ConfigError, match="ideal.* has no white noise in its gyro to multiply"):
-        config.load_profile(
-            str(tmp_path / "own.toml"), {"sensors.imu": str(tmp_path / "ideal.toml"), "fault": [row]}
-        )
+    overrides = {"sensors.imu": str(tmp_path / "ideal.toml"), "fault": [row]}
+    with pytest.raises(ConfigError, match=r"ideal.* has no white noise in its gyro to multiply"):
+        config.load_profile(str(tmp_path / "own.toml"), overrides)
 
 
 def test_the_same_fault_twice_at_a_time_is_refused():

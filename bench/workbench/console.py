@@ -1,0 +1,27 @@
+"""The terminal: the one door through which verbs print, which lets no control characters pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from bench.wording import replace_control
+
+
+class PlainConsole(Console):
+    """A console for texts of other people: without markup, and without control and bidirectional characters.
+
+    Titles, names and messages may come from a file. Whatever they hold, they cannot move the cursor, change
+    the colours or turn the direction of writing.
+    """
+
+    def __init__(self, *, stderr: bool = False, **options: Any) -> None:
+        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the pieces of text of a renderable, cleaned; styles and cursor movements are rich's own."""
+        for piece in super().render(renderable, options):
+            yield piece if piece.control else Segment(replace_control(piece.text), piece.style)
