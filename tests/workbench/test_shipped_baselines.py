@@ -8,21 +8,64 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from bench.baselines import checking
+from bench.baselines.baseline_file import read_baseline
+from bench.evaluation import ensemble
 from bench.navigation.fusion import Loose
+from bench.units import unit_of
 
 DIRECTORY = Path(__file__).parents[1] / "baselines"
 SHORT = ("gnss-faults", "high-dynamics")
-pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[2]
+FIGURES = {
+    "horizontal position RMSE": "pos_rmse_h_m",
+    "vertical position RMSE": "pos_rmse_d_m",
+    "velocity RMSE, 3D": "vel_rmse_3d_mps",
+    "tilt RMSE": "tilt_rmse_deg",
+    "heading RMSE": "heading_rmse_deg",
+    "horizontal growth in the outage": "outage_1_growth_h_m",
+    "mean NEES (9 is right)": "nees_mean",
+}
+"""Row of the tables of README and the guide -> the metric that it shows."""
 
 
+def write_figure(name: str, metric: str) -> str:
+    """A metric of loose-15 over the draws of a baseline, with its 95 % interval, as the tables have it."""
+    row = read_baseline(DIRECTORY / f"{name}.json").estimators["loose-15"]
+    values = np.array(row.metrics[metric])
+    if metric == "nees_mean":
+        half = stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values))
+        numbers = [values.mean(), values.mean() - half, values.mean() + half]
+    else:
+        found = ensemble.pool_rmse(values**2)
+        numbers = [found.value, found.low, found.high]
+    unit = unit_of(metric)
+    texts = [f"{x:#.3g}".rstrip(".") for x in numbers]
+    return f"{texts[0]} ({texts[1]} to {texts[2]}){f' {unit}' if unit else ''}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "bench/guide/accuracy.md"])
+def test_the_figures_of_the_tables_are_those_of_the_baselines(page):
+    text = (ROOT / page).read_text()
+    head = "`figure-eight` (catalog units) | `figure-eight-matched` (every error modelled) |\n"
+    table = text[text.index(head) + len(head) :].split("\n\n")[0].splitlines()[1:]
+    assert len(table) >= 4
+    for line in table:
+        title, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        found = [write_figure(name, FIGURES[title]) for name in ("figure-eight", "figure-eight-matched")]
+        assert cells == found, title
+
+
+@pytest.mark.slow
 def test_the_accuracy_of_the_short_profiles_holds():
     found = checking.check(SHORT, directory=DIRECTORY)
     assert [row.sentence for row in found if row.word != "same"] == []
     assert {row.draws for row in found if row.metric == "converged"} == {20}
 
 
+@pytest.mark.slow
 def test_a_lever_arm_left_out_is_found(monkeypatch):
     """A defect of decimetres shows beside an error of metres, draw for draw."""
     run = Loose.run
