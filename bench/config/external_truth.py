@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -63,7 +64,7 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         raise ConfigError(f"{what} is above the {LONGEST_SCRIPT:g} s of a script")
     if name.endswith(".xml"):
         path = (beside / name).resolve()
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise ConfigError(f"script = {name!r}: no such file{tell_where(name)}")
     else:
         root = find_jsbsim_root(table.jsbsim_root, beside)
@@ -104,7 +105,7 @@ def _read_trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
     path = beside / table.trajectory
     if path.suffix.lower() not in _TABLES:
         raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(_TABLES)}")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ConfigError(f"trajectory = {table.trajectory!r}: no such file{tell_where(table.trajectory)}")
     rate, duration = float(table.rate_hz), table.duration_s
     return TableSpec(name=path.stem, path=path.resolve(), rate=rate, duration=duration)

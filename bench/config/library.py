@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
@@ -28,7 +29,7 @@ _PROFILES = PACKAGE / "profiles"
 _CATALOG = PACKAGE / "catalog"
 JSBSIM = "jsbsim:"
 """Prefix of the names of aircraft of the jsbsim wheel."""
-_NAME = re.compile(r"[A-Za-z0-9_-]+")
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,100}")
 
 
 class _Position(Table):
@@ -96,7 +97,7 @@ def find_aircraft(name: str, beside: Path) -> Path:
         If the aircraft is not found; the message lists the folders searched.
     """
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_'")
+        raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_', 100 at most")
     places = _list_aircraft_folders(beside)
     folder = next((place / name for place in places if (place / name).is_dir()), None)
     if folder is None:
@@ -226,7 +227,7 @@ def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
         If there is no such file.
     """
     if name.endswith(".toml"):
-        if not (beside / name).is_file():
+        if not os.path.isfile(beside / name):  # unlike Path.is_file, false for a name that is too long
             raise ConfigError(f"{kind} = {name!r}: no such file{tell_where(name)}")
         return beside / name, name
     known = [path.stem for path in (_CATALOG / kind).glob("*.toml")]

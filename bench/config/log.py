@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -265,13 +266,14 @@ def _find_source(
     if row is None:
         return None
     path = beside / row.file
-    form = row.format or ("rosbag" if path.is_dir() else _ENDINGS.get(path.suffix.lower()))
+    folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
+    form = row.format or ("rosbag" if folder else _ENDINGS.get(path.suffix.lower()))
     what = f"{place}[{kind}] file = {row.file!r}"
-    if not path.exists():
+    if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")
     elif form is None:
         wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
-    elif path.is_dir() and form != "rosbag":
+    elif folder and form != "rosbag":
         wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
     elif form == "table" and path.suffix.lower() not in _TABLES:
         wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")

@@ -28,7 +28,9 @@ _ENTRIES = {
     "week": "week",
 }
 """Beginning of the name of an entry, in small letters -> column."""
-_LIMITS = {"sat": (1, 63), "e": (0.0, 0.2), "t_oe_week": (0.0, WEEK), "sqrt_a": (4900.0, 5400.0)}
+_LIMITS = {
+    "sat": (1, 63), "week": (0, 9999), "e": (0.0, 0.2), "t_oe_week": (0.0, WEEK), "sqrt_a": (4900.0, 5400.0),
+}  # fmt: skip
 
 
 def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
@@ -97,9 +99,9 @@ def _parse_entry(lines: Lines, line: str) -> tuple[str, float]:
         raise lines.error(f"{line.strip()[:30]!r} is not an entry of a YUMA almanac")
     if not re.fullmatch(r"\s*[+-]?\d+(\.\d*)?([EeDd][+-]?\d+)?\s*", text):
         raise lines.error(f"{label.strip()} must be a number; got {text.strip()[:30]!r}")
-    value = float(text.upper().replace("D", "E"))
-    low, high = _LIMITS.get(name, (-np.inf, np.inf))
-    if not low <= value <= high or not np.isfinite(value):
+    value = float(text.strip().upper().replace("D", "E"))
+    low, high = _LIMITS.get(name, (-1e6, 1e6))
+    if not low <= value <= high:
         raise lines.error(f"{label.strip()} = {value:g} is outside {low:g} to {high:g}")
     return name, value
 

@@ -23,6 +23,8 @@ from bench.rotation import from_euler, multiply, rotate
 from bench.specs import AssumedSpecs
 from bench.units import SAME_INSTANT
 
+MOST_INSTANTS = 400_000
+"""Most instants of a solution, each of some kB: 11 hours at 10 Hz."""
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
 
@@ -51,6 +53,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     baro_rows = None if spec.baro is None else _read_rows(spec.baro, "baro")
     origin = float(imu_rows.t[0])
     imu = _make_imu(imu_rows, spec, origin)
+    _check_length(imu, spec)
     fixes = _make_fixes(gnss_rows, spec, origin)
     last = float(np.nanmax(imu.t))
     if not ((fixes.t >= 0) & (fixes.t <= last)).any():
@@ -103,6 +106,18 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
         dtheta, dvel = rows.values["gyro"] * dt[:, None], rows.values["accel"] * dt[:, None]
     good = np.asarray(np.isfinite(np.hstack([dtheta, dvel])).all(axis=1))
     return ImuData(t=t, dt=dt, valid=good, dtheta_b=rotate(q_bs, dtheta), dvel_b=rotate(q_bs, dvel))
+
+
+def _check_length(imu: ImuData, spec: LogSpec) -> None:
+    """Raise ConfigError if the times span so much that the solution would not fit into the memory."""
+    if imu.t.max() * spec.output_rate <= MOST_INSTANTS:
+        return
+    step = np.diff(imu.t)
+    row = int(np.argmax(step))
+    raise ConfigError(
+        f"{spec.imu.path.name}: its times span {imu.t.max():.6g} s, at output_hz = {spec.output_rate:g} more "
+        f"than {MOST_INSTANTS} instants; the longest interval, {step[row]:.6g} s, ends at row {row + 2}"
+    )
 
 
 _LIMITS = (("latitude", "deg", -90.0, 90.0), ("longitude", "deg", -180.0, 360.0), ("height", "m", -1e3, 1e5))

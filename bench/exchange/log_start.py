@@ -56,10 +56,11 @@ def find_start(recording: LogRecords, spec: LogSpec) -> InitialState:
             variance[6:] = np.square([given.tilt_sd, given.tilt_sd, given.heading_sd])
         else:
             variance[:3] += arm_b @ arm_b
-        if not (variance[: 6 if moving else 3] > 0).all():
+        reported = variance[: 6 if moving else 3]
+        if not (np.isfinite(reported) & (reported > 0)).all():
             raise ConfigError(
                 f"{spec.name}.toml: [alignment] the fix at {t:.2f} s reports no standard "
-                "deviation; set at_s to another"
+                "deviation above 0; set at_s to another"
             )
     return InitialState(
         t=t,

@@ -16,7 +16,6 @@ from bench.config import fault_tables
 from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
-from bench.exchange.exports import report_damage
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
@@ -45,7 +44,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
-    with report_damage(folder):
+    with store.report_damage(folder):
         run, truth = store.load(folder), store.load_truth(folder)
         profile = run.profile
         rows = [

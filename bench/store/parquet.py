@@ -16,10 +16,12 @@ from bench.store.columns import Layout, flatten
 
 DAMAGED = (
     pa.ArrowException,
-    KeyError,
+    LookupError,
     TypeError,
     ValueError,
-    OverflowError,
+    ArithmeticError,
+    AttributeError,
+    MemoryError,
     RecursionError,
     OSError,
 )

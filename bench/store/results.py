@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -30,7 +32,8 @@ from bench.data import (
     Trajectory,
     no_sensor_truth,
 )
-from bench.errors import ConfigError
+from bench.errors import BenchError, ConfigError
+from bench.evaluation.metrics import find_metric
 from bench.fields import columns_of
 from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.run_result import RunResult
@@ -164,14 +167,20 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     Raises
     ------
     ConfigError
-        If the folder is not a results folder of bench, or is one of a newer bench.
+        If the folder is not a results folder of bench, is one of a newer bench, or is damaged.
     """
     folder = Path(folder)
     summary = read_summary(folder)
+    with report_damage(folder):
+        errors = {label: _load_errors(path) for label, path in _find_files(folder, "errors")}
+        solutions = {label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")}
+    without = sorted(set(summary["metrics"]) - set(solutions))
+    if without:
+        raise ConfigError(f"{folder}: metrics of {without[0]!r}, but no solution-{without[0]}.parquet")
     return RunResult(
         **{name: summary.pop(name) for name in _SUMMARY},
-        errors={label: _load_errors(path) for label, path in _find_files(folder, "errors")},
-        solutions={label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")},
+        errors=errors,
+        solutions=solutions,
         more=summary,
         records=FolderRecords(folder),
     )
@@ -204,7 +213,57 @@ def read_summary(folder: Path) -> dict[str, Any]:
         )
     if missing:
         raise ConfigError(f"{path}: not written by bench, it has no {missing[0]!r}")
+    wrong = next(_find_wrong_entries(summary), None)
+    if wrong is not None:
+        raise ConfigError(f"{path}: not written by bench, or damaged: {wrong[0]} must be {wrong[1]}")
     return summary
+
+
+def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the entries of ``result.json`` that are of another type, and what they must be."""
+    profile, metrics = summary["profile"], summary["metrics"]
+    if not (isinstance(profile, dict) and isinstance(profile.get("title"), str)):
+        yield "profile.title", "a text"
+    evaluation = profile.get("evaluation", {}) if isinstance(profile, dict) else {}
+    for name in ("from_s", "output_hz"):
+        if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name, 0.0), int | float)):
+            yield f"profile.evaluation.{name}", "a number"
+    for name in ("seed", "run"):
+        if not isinstance(summary[name], int):
+            yield name, "a whole number"
+    by_label = isinstance(metrics, dict) and all(isinstance(values, dict) for values in metrics.values())
+    for label, values in metrics.items() if by_label else ():
+        for name, value in values.items():
+            number = value is None or isinstance(value, int | float)
+            if find_metric(name) is not None and not number:
+                yield f"metrics.{label}.{name}", "a number"
+        for name, kind in (("reason", str), ("unmodelled", list), ("program", dict)):
+            if values.get(name) is not None and not isinstance(values[name], kind):
+                yield f"metrics.{label}.{name}", f"of type {kind.__name__}"
+        if not isinstance(values.get("converged"), bool):
+            yield f"metrics.{label}.converged", "true or false"
+    if not by_label:
+        yield "metrics", "a table for each estimator"
+
+
+@contextlib.contextmanager
+def report_damage(folder: Path) -> Iterator[None]:
+    """Convert what reading a damaged results folder raises to a ConfigError of one line."""
+    try:
+        yield
+    except BenchError:
+        raise
+    except FileNotFoundError as error:
+        missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
+        what = missing[-1] if missing else "file"
+        if what == TRUTH:
+            raise ConfigError(f"{folder}: has no truth, because it comes from a log") from None
+        raise ConfigError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
+    except parquet.DAMAGED as error:
+        reason = " ".join(str(error).split())[:200]
+        if isinstance(error, KeyError):
+            reason = f"{reason} is missing"
+        raise ConfigError(f"{folder}: cannot be read: {reason or type(error).__name__}") from None
 
 
 class FolderRecords(Mapping[str, Any]):
@@ -217,10 +276,8 @@ class FolderRecords(Mapping[str, Any]):
         if name not in self._read:
             if name not in self:
                 raise KeyError(name)
-            try:
+            with report_damage(self._folder):
                 self._read[name] = _READERS[name][1](self._folder)
-            except KeyError as error:
-                raise ConfigError(f"{self._folder}: cannot be read: {error} is missing") from None
         return self._read[name]
 
     def __contains__(self, name: object) -> bool:

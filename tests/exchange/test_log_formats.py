@@ -89,7 +89,7 @@ def rosbag(path: Path, made, ros2=True, plugin=StoragePlugin.SQLITE3, twist=True
     return path
 
 
-def json_mcap(path: Path, made) -> Path:
+def json_mcap(path: Path, made, compression=CompressionType.ZSTD) -> Path:
     def stamp(t):
         return {"sec": int(t), "nanosec": round((t - int(t)) * 1e9)}
 
@@ -97,7 +97,7 @@ def json_mcap(path: Path, made) -> Path:
         return dict(zip("xyz", map(float, v), strict=True))
 
     with path.open("wb") as file:
-        writer = McapWriter(file, compression=CompressionType.ZSTD)
+        writer = McapWriter(file, compression=compression)
         writer.start()
         channels = {}
         for topic, kind in (

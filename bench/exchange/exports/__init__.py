@@ -13,7 +13,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
 
-from bench.exchange.exports.gather import gather, report_damage
+from bench.exchange.exports.gather import gather
 from bench.exchange.exports.outgoing import FRAMES, ExportData
 
 
@@ -83,6 +83,5 @@ __all__ = [
     "ExportData",
     "Format",
     "gather",
-    "report_damage",
     "write",
 ]

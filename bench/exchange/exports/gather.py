@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from bench import store
 from bench.errors import ExportError
 from bench.exchange.exports.outgoing import ExportData, Track
-from bench.store import parquet
 
 TRUTH, SOLUTION = "truth", "solution:"
 
@@ -31,7 +28,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
         If the folder is not a results folder, is damaged, or has no such track.
     """
     store.read_summary(folder)
-    with report_damage(folder):
+    with store.report_damage(folder):
         imu, fixes, instruments = store.load_sensors(folder)
         start = store.load_start(folder)
         observations = store.load_observations(folder)
@@ -57,23 +54,3 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
             run.assumed("accel"),
         )  # read now, so that damage is reported here
     return run
-
-
-@contextmanager
-def report_damage(folder: Path) -> Iterator[None]:
-    """Convert the exceptions of reading a damaged results folder to an ExportError of one line."""
-    try:
-        yield
-    except ExportError:
-        raise
-    except FileNotFoundError as error:
-        missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
-        what = missing[-1] if missing else "file"
-        if what == store.TRUTH:
-            raise ExportError(f"{folder}: has no truth, because it comes from a log") from None
-        raise ExportError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
-    except parquet.DAMAGED as error:
-        reason = " ".join(str(error).split())[:200]
-        if isinstance(error, KeyError):
-            reason = f"{reason} is missing"
-        raise ExportError(f"{folder}: cannot be read: {reason or type(error).__name__}") from None

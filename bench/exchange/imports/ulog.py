@@ -45,7 +45,9 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     found = {
         data.name: data.data
         for data in log.data_list
-        if str(data.multi_id) == (instance or "0") and data.name in wanted and len(data.data["timestamp"])
+        if str(data.multi_id) == (instance or "0")
+        and data.name in wanted
+        and len(data.data.get("timestamp", ()))
     }
     if not found:
         there = ", ".join(sorted(log.message_formats))[:300]

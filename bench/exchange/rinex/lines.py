@@ -16,6 +16,8 @@ from bench.signals.orbits import DAY
 
 LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
 _MOST_REASONS = 20
+MOST_BYTES = 2_000_000_000
+"""Largest file that is read [byte]."""
 _EPOCH = date(1980, 1, 6)
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
 
@@ -131,15 +133,17 @@ def _parse_number(text: str) -> float | None:
 
 @contextmanager
 def open_lines(path: Path, shown: str) -> Iterator[Lines]:
-    """Open a text file and provide its lines; raise ConfigError if it cannot be opened."""
+    """Open a text file and provide its lines; raise ConfigError if it cannot be opened, or is too large."""
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
         with path.open(encoding="latin-1", newline="") as file:
             yield Lines(file, shown)
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except IsADirectoryError:
         raise ConfigError(f"{shown}: is a folder, not a file") from None
-    except PermissionError as error:
+    except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror}") from None
 
 
