@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,9 @@ from bench.exchange.log_start import find_start
 from bench.navigation import estimator
 from bench.run_result import RunResult
 from bench.units import SAME_INSTANT
+
+REPORTED = "fix_accuracy"
+"""Option that logs whose fixes come with standard deviations set to "reported"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +70,34 @@ def read_log(
         If an estimator cannot be built, or needs data that the log does not have.
     """
     spec = load_log(str(path), estimators, allow_commands, overrides)
-    built = {c.label: pipeline.build_estimator(c) for c in spec.estimators}
+    choices = {c.label: c for c in spec.estimators}
+    built = {label: pipeline.build_estimator(choice) for label, choice in choices.items()}
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     records = read_records(spec)
     checks = validity.check_recording(records.imu, records.fixes, records.baro, np.asarray(spec.antenna_b))
+    if records.reported:  # every fix is as good as it says, unless the log asks for something else
+        weighing = {
+            label for label, choice in choices.items() if estimator.takes_option(choice.use, REPORTED)
+        }
+        for label in weighing:
+            choice = choices[label]
+            options = {REPORTED: "reported", **choice.options}
+            built[label] = pipeline.build_estimator(replace(choice, options=options))
+        if weighing:
+            checks.append(_describe_accuracy(records.fixes))
     return RecordedLog(spec, records, tuple(checks), built)
+
+
+def _describe_accuracy(fixes: GnssFixes) -> validity.Check:
+    """Return the line that says by what fixes are weighed."""
+    sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
+    low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0]) if len(sd) else np.full(3, np.nan)
+    text = (
+        f"each fix is weighed by the standard deviation it came with, {low:.3g} to {high:.3g} m "
+        f"horizontally, median {median:.3g} m; option fix_accuracy = 'datasheet' weighs all alike"
+    )
+    return validity.Check("fix_accuracy_m", float(median), text, True)
 
 
 def navigate_log(

@@ -36,6 +36,7 @@ class LogRecords:
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
     baro: BaroData | None
+    reported: bool  # the fixes come with standard deviations of their own
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
 
@@ -66,6 +67,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         imu=imu,
         fixes=fixes,
         baro=None if baro_rows is None else _make_baro(baro_rows, spec.assumed, origin),
+        reported="sd_pos" in gnss_rows.values,
         origin=origin,
         notes=tuple(
             note for rows in (imu_rows, gnss_rows, baro_rows) if rows is not None for note in rows.notes

@@ -173,6 +173,11 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
     return construct(use, factory, {**fixed, **options})
 
 
+def takes_option(use: str, name: str) -> bool:
+    """Return whether a built-in estimator has an option that a profile may set."""
+    return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
+
+
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
     """Build an estimator from the keywords it takes.
 

@@ -67,7 +67,7 @@ class Fusion:
         def forward(piece: SensorData, start: InitialState) -> NavSolution:
             return self.forward(piece, start, keep=False)[0]
 
-        return run_between_gaps(forward, sensors, initial, fixes=self.options.gnss)
+        return run_between_gaps(forward, sensors, initial, self.options.accuracy)
 
     def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
@@ -81,7 +81,12 @@ class Fusion:
             )
         blocks = [b for b in self.blocks() if not b.records or records & set(b.records)]
         model = state_model(initial, specs, blocks)
-        schedule = Schedule(sensors, initial.t, compensate=self.options.compensate_latency)
+        schedule = Schedule(
+            sensors,
+            initial.t,
+            compensate=self.options.compensate_latency,
+            accuracy=self.options.fix_accuracy,
+        )
         schedule.events += aligned
         sky, seen = ranging.empty_sky(), sensors.observations if SATELLITES in used else None
         if seen is not None:

@@ -23,7 +23,7 @@ from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
 from bench.navigation.integrity import nis, nis_limit
-from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining
+from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining, weigh_fixes
 from bench.navigation.options import GnssOnlyOptions, read_options
 from bench.specs import AssumedSpecs
 
@@ -54,9 +54,10 @@ class GnssOnly:
         if given:
             track = FixTrack(self.options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
         used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[EventRow]()
-        r = np.zeros(6)
+        r = np.zeros((0, 6))
         if fixes is not None:
-            r = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
+            white = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
+            r = weigh_fixes(fixes, white, self.options.fix_accuracy)
             used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         m = len(sensors.output_t)
         out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
@@ -68,7 +69,7 @@ class GnssOnly:
                 row = used[next_fix]
                 if track is None:
                     track = FixTrack.begin(
-                        self.options, float(fixes.t[row]), fixes.lla[row], fixes.vel_n[row], r
+                        self.options, float(fixes.t[row]), fixes.lla[row], fixes.vel_n[row], r[row]
                     )
                     moving = np.isfinite(fixes.vel_n[row]).all()
                     origin = "position and velocity" if moving else "position"
@@ -76,7 +77,7 @@ class GnssOnly:
                     events.append((initial.t, float(now), "alignment", text))
                 elif fixes.t[row] > track.t:  # not before the start
                     track.go_to(float(fixes.t[row]))
-                    track.use(fixes.lla[row], fixes.vel_n[row], r)
+                    track.use(fixes.lla[row], fixes.vel_n[row], r[row])
                 next_fix += 1
             if track is not None and now >= track.t - timeline.TIME_TOLERANCE:
                 out[k], P = track.at(float(now))

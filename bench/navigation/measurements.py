@@ -39,6 +39,7 @@ from bench.navigation.aiding import (
     SATELLITE_ROWS,
 )
 from bench.navigation.error_state import StateLayout
+from bench.navigation.options import FixAccuracy
 from bench.signals import air
 from bench.signals.magnetic import field_n
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec
@@ -76,6 +77,26 @@ def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
     v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2
     s = gnss.vel_white_sd**2 + rest * gnss.vel_markov_sd**2
     return np.array([h, h, v, s, s, s])
+
+
+def weigh_fixes(fixes: GnssFixes, white: FloatArray, accuracy: FixAccuracy) -> FloatArray:
+    """Return the variances (M, 6) of the fixes of a record.
+
+    Parameters
+    ----------
+    fixes : GnssFixes
+        Record; what it reports and is not above 0 is not used.
+    white : (6,) array
+        Variances by the datasheet, as :func:`fix_variance` returns them.
+    accuracy : str
+        "datasheet", "reported" by the receiver with each fix, or the "larger" of both.
+    """
+    stated = np.tile(white, (len(fixes), 1))
+    if accuracy == "datasheet":
+        return stated
+    found = np.hstack([np.einsum("mii->mi", cov) for cov in (fixes.cov_pos_n, fixes.cov_vel_n)])
+    found = np.where(np.isfinite(found) & (found > 0), found, stated)
+    return found if accuracy == "reported" else np.maximum(found, stated)
 
 
 def _read_fixes(

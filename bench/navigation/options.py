@@ -55,6 +55,9 @@ class Options(BaseModel):
     )
 
 
+FixAccuracy = Literal["datasheet", "reported", "larger"]
+
+
 class GateOptions(Options):
     """Options of every filter that tests its innovations."""
 
@@ -63,6 +66,14 @@ class GateOptions(Options):
     readmit_after: Count = 10
     """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7); every
     satellite counts for itself."""
+
+
+class FixOptions(GateOptions):
+    """Options of the filters that weigh every fix by itself."""
+
+    fix_accuracy: FixAccuracy = "datasheet"
+    """What the noise of a fix comes from: the datasheet, what the receiver reported with it, or the larger; a
+    log whose fixes come with standard deviations takes "reported"."""
 
 
 class IntegrityOptions(GateOptions):
@@ -77,7 +88,7 @@ class IntegrityOptions(GateOptions):
     """Multiple of the standard deviation of the receiver that "tolerance" grants."""
 
 
-class FusionOptions(IntegrityOptions):
+class FusionOptions(IntegrityOptions, FixOptions):
     """Options of the compiled filters."""
 
     gnss: bool = True
@@ -113,6 +124,11 @@ class FusionOptions(IntegrityOptions):
     """Use the height above the runway of a radar altimeter, with its bias as a state."""
     odometer: bool = False
     """Use the speed of a wheel, with its scale factor as a state."""
+
+    @property
+    def accuracy(self) -> FixAccuracy | None:
+        """How fixes are weighed; None if none are used."""
+        return self.fix_accuracy if self.gnss else None
 
     @property
     def tight(self) -> bool:
@@ -158,7 +174,7 @@ class SmootherOptions(FusionOptions):
         return self.over == "tight"
 
 
-class GnssOnlyOptions(GateOptions):
+class GnssOnlyOptions(FixOptions):
     """Options of the filter without IMU."""
 
     acceleration: Positive = 3.0
@@ -167,7 +183,7 @@ class GnssOnlyOptions(GateOptions):
     """How long a manoeuvre lasts [s]."""
 
 
-class UnscentedOptions(GateOptions):
+class UnscentedOptions(FixOptions):
     """Options of the filter by sigma points."""
 
     gnss: bool = True
@@ -179,6 +195,11 @@ class UnscentedOptions(GateOptions):
     spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "must lie above 0 and not above 1")] = 0.5
     """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
     states."""
+
+    @property
+    def accuracy(self) -> FixAccuracy | None:
+        """How fixes are weighed; None if none are used."""
+        return self.fix_accuracy if self.gnss else None
 
 
 class ClassicOptions(IntegrityOptions):

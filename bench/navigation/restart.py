@@ -35,8 +35,8 @@ from bench.navigation.course import LEAST_SPEED
 from bench.navigation.gnss_only import SENSORS as FIX_SENSORS
 from bench.navigation.gnss_only import FixTrack, unknown_arm
 from bench.navigation.leveling import UNKNOWN_HEADING_SD
-from bench.navigation.measurements import fix_variance
-from bench.navigation.options import GnssOnlyOptions
+from bench.navigation.measurements import fix_variance, weigh_fixes
+from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.specs import ImuSpec, TriadSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
@@ -79,7 +79,9 @@ class _End(NamedTuple):
     cov: FloatArray  # (9, 9)
 
 
-def run_between_gaps(run: Run, sensors: SensorData, initial: InitialState, *, fixes: bool) -> NavSolution:
+def run_between_gaps(
+    run: Run, sensors: SensorData, initial: InitialState, accuracy: FixAccuracy | None
+) -> NavSolution:
     """Return the solution of a filter, started again after each long gap in the IMU record.
 
     Parameters
@@ -88,8 +90,8 @@ def run_between_gaps(run: Run, sensors: SensorData, initial: InitialState, *, fi
         The filter, for a record without gaps longer than `timeline.LONGEST_BRIDGE`.
     sensors, initial : SensorData, InitialState
         Record and start. Without a long gap ``run`` gets them as they are.
-    fixes : bool
-        Whether the filter uses fixes; without them there is nothing to start again from.
+    accuracy : str or None
+        How the filter weighs fixes; None: it uses none, and has nothing to start again from.
 
     Returns
     -------
@@ -102,7 +104,7 @@ def run_between_gaps(run: Run, sensors: SensorData, initial: InitialState, *, fi
         If the record does not allow the alignment asked for at the start.
     """
     gaps, _ = _long_gaps(sensors, initial.t)
-    if not fixes or sensors.fixes is None or not gaps:
+    if accuracy is None or sensors.fixes is None or not gaps:
         return run(sensors, initial)
     start, aligned = alignment.complete(sensors, initial)
     gaps, rows = _long_gaps(sensors, start.t)
@@ -120,7 +122,7 @@ def run_between_gaps(run: Run, sensors: SensorData, initial: InitialState, *, fi
         piece = _cut(sensors, left, begin if first in gaps else start.t, last, biases)
         if first in gaps:
             if coast is None:
-                coast = _Coast(sensors, end)
+                coast = _Coast(sensors, end, accuracy)
             silent = (float(ends[first]), begin)
             joined.take_coast(coast, begin)
             found, text = _start_again(piece, begin, coast)
@@ -178,10 +180,11 @@ def _start_again(piece: SensorData, begin: float, coast: _Coast) -> tuple[Initia
 class _Coast:
     """Position and velocity by the fixes alone, and an attitude that is held."""
 
-    def __init__(self, sensors: SensorData, end: _End) -> None:
+    def __init__(self, sensors: SensorData, end: _End, accuracy: FixAccuracy) -> None:
         assert sensors.fixes is not None
         self.fixes, self.end, self.reached = sensors.fixes, end, end.t
-        self.r = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
+        white = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
+        self.r = weigh_fixes(sensors.fixes, white, accuracy)
         self.arm = unknown_arm(sensors.antenna_b)  # it follows the antenna
         rows, _, _ = timeline.fix_rows(self.fixes, np.array([np.inf]), end.t)
         self.waiting = iter(rows.tolist())
@@ -196,11 +199,12 @@ class _Coast:
         fixes = self.fixes
         while self.next is not None and fixes.t_arrival[self.next] <= t + timeline.TIME_TOLERANCE:
             lla, vel_n, valid = fixes.lla[self.next], fixes.vel_n[self.next], float(fixes.t[self.next])
+            r = self.r[self.next]
             if self.track is None:
-                self.track = FixTrack.begin(GnssOnlyOptions(), valid, lla, vel_n, self.r)
+                self.track = FixTrack.begin(GnssOnlyOptions(), valid, lla, vel_n, r)
             elif valid > self.track.t:
                 self.track.go_to(valid)
-                self.track.use(lla, vel_n, self.r)
+                self.track.use(lla, vel_n, r)
             self.next = next(self.waiting, None)
         cov = np.full((9, 9), np.nan)
         if self.track is None:

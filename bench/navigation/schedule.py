@@ -12,7 +12,8 @@ from bench.navigation import ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
 from bench.navigation.blocks import assumed
 from bench.navigation.error_state import StateLayout
-from bench.navigation.measurements import AidingSensor
+from bench.navigation.measurements import AidingSensor, weigh_fixes
+from bench.navigation.options import FixAccuracy
 from bench.navigation.timeline import TIME_TOLERANCE, Steps
 from bench.specs import GnssSpec
 
@@ -31,12 +32,17 @@ class Schedule:
         Instant of the initial state [s].
     compensate : bool
         Measure at the instant of validity, not at that of arrival.
+    accuracy : str
+        What the variance of a fix comes from, see :func:`bench.navigation.measurements.weigh_fixes`.
     """
 
-    def __init__(self, sensors: SensorData, start: float, *, compensate: bool) -> None:
+    def __init__(
+        self, sensors: SensorData, start: float, *, compensate: bool, accuracy: FixAccuracy = "datasheet"
+    ) -> None:
         self.rows, self.span, self.events = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
         self.imu_t = sensors.imu.t[self.rows]
         self._imu, self._start, self._compensate = sensors.imu, start, compensate
+        self._accuracy = accuracy
         self._end = max(start, float(self.imu_t[-1])) if len(self.imu_t) else start
         self._kinds: list[tuple[int, IntArray, FloatArray, FloatArray]] = []  # kind, row, valid, arrival
         self._values: list[FloatArray] = []
@@ -63,6 +69,7 @@ class Schedule:
         values, white = sensor.read(record, spec, sensors, initial, layout)
         variance = np.broadcast_to(white, values.shape)
         if isinstance(record, GnssFixes):
+            variance = weigh_fixes(record, white, self._accuracy)
             rows, _, events = timeline.fix_rows(record, self.imu_t, self._start)
         else:
             rows, _, events = timeline.aiding_rows(record, values, sensor.spec, self.imu_t, self._start)

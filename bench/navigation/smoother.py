@@ -42,7 +42,7 @@ class Smoother:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate each instant from all measurements of the record, earlier and later."""
-        return run_between_gaps(self._run, sensors, initial, fixes=self.options.gnss)
+        return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         forward, nodes = self.filter.forward(sensors, initial, keep=True)

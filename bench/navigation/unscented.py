@@ -72,13 +72,13 @@ class Unscented:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
-        return run_between_gaps(self._run, sensors, initial, fixes=self.options.gnss)
+        return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, aligned = alignment.complete(sensors, initial)
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
-        schedule = Schedule(sensors, initial.t, compensate=False)
+        schedule = Schedule(sensors, initial.t, compensate=False, accuracy=self.options.fix_accuracy)
         schedule.events += aligned
         for sensor in used:
             schedule.add(sensor, sensors, initial, model.layout)

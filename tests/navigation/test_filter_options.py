@@ -18,9 +18,11 @@ from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation import integrity, standstill
+from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
-from bench.navigation.measurements import airspeed_variance
+from bench.navigation.measurements import airspeed_variance, fix_variance, weigh_fixes
 from bench.signals.magnetic import field_n
+from tests.builders import take
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
 RUNS = 8
@@ -362,3 +364,45 @@ def test_all_wrong_options_are_told_at_once():
         "readmit_after = 0 must be at least 1",
         "mems = 1 must be true or false",
     ]
+
+
+# --- the accuracy of fixes ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["loose-15", "gnss-only", "ukf"])
+def test_a_fix_is_weighed_by_the_accuracy_it_reports(truth, name):
+    """Fixes with 10 m of noise that say so: the position claimed is right; by the datasheet it is not."""
+    squares: dict[str, list[float]] = {"datasheet": [], "reported": [], "larger": []}
+    for run in range(2):
+        drawn = sensors.sense(truth, units(), 14, run)
+        fixes, rng = drawn.data.fixes, np.random.default_rng(5 + run)
+        lla = earth.displace(fixes.lla, rng.normal(scale=10.0, size=(len(fixes), 3)))
+        cov = np.tile(100.0 * np.eye(3), (len(fixes), 1, 1))
+        data = replace(
+            drawn.data,
+            fixes=replace(fixes, lla=lla, cov_pos_n=cov),
+            imu=take(drawn.data.imu, drawn.data.imu.t < 60.0),
+            output_t=drawn.data.output_t[drawn.data.output_t < 59.0],
+        )
+        for accuracy, found in squares.items():
+            options = {"fix_accuracy": accuracy, "gate_probability": 1e-12}
+            solution = load(name, options).run(data, drawn.initial)
+            variance = np.einsum("kii->ki", solution.cov)[:, :2]
+            late = solution.t > 10.0
+            pos_n = judge.error_series(truth, solution).pos_n[:, :2]
+            found.append(float(np.nanmean((pos_n**2 / variance)[late])))
+    assert np.mean(squares["reported"]) < 3.0
+    assert np.mean(squares["datasheet"]) > 4.0 * np.mean(squares["reported"])
+    assert squares["larger"] == pytest.approx(squares["reported"], rel=0.2)
+
+
+def test_a_report_of_nothing_is_the_datasheet(truth):
+    """A variance that is zero or not finite is none."""
+    data = sensors.sense(truth, units(), 14, 0).data
+    white = fix_variance(data.specs.gnss, gnss_markov=False)
+    cov = data.fixes.cov_pos_n.copy()
+    cov[:, 0, 0], cov[:, 1, 1], cov[:, 2, 2] = 0.0, np.nan, 49.0
+    fixes = replace(data.fixes, cov_pos_n=cov)
+    assert_allclose(weigh_fixes(fixes, white, "reported")[:, :3], [[white[0], white[1], 49.0]] * len(fixes))
+    assert_allclose(weigh_fixes(fixes, white, "larger")[:, 2], max(49.0, white[2]))
+    assert_allclose(weigh_fixes(fixes, white, "datasheet"), [white] * len(fixes))

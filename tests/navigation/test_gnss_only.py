@@ -165,7 +165,7 @@ def test_48_an_ins_carries_on_between_fixes_where_a_receiver_alone_cannot(flight
         ({"correlation_s": "long"}, "correlation_s = 'long' must be a number"),
         ({"gate_probability": 1.0}, "gate_probability = 1 must lie between 0 and 1"),
         ({"readmit_after": 0}, "readmit_after = 0 must be at least 1"),
-        ({"gnss": False}, "unknown option 'gnss'\n  known options: acceleration, correlation_s, gate_prob"),
+        ({"gnss": False}, "unknown option 'gnss'\n  known options: acceleration, correlation_s, fix_acc"),
     ],
 )
 def test_a_wrong_option_says_why(options, message):

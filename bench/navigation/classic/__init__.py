@@ -60,7 +60,7 @@ class Classic22:
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
-        return run_between_gaps(self._run, sensors, initial, fixes=True)
+        return run_between_gaps(self._run, sensors, initial, "datasheet")
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, aligned = alignment.complete(sensors, initial)
