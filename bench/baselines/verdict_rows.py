@@ -30,6 +30,9 @@ CONVERGED = "converged"
 FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973}
 """Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
 
+UNPAIRED = "other truth or sensor data: not paired"
+"""Note of a verdict whose draws are no pairs."""
+
 Word = Literal["same", "better", "worse", "undecided"]
 
 
@@ -139,7 +142,7 @@ def _make_row(name: str, label: str, metric: str, paired: bool, draws: int, note
     known = find_metric(metric)
     unit = known.unit if known else "1"
     if not paired:
-        note = ", ".join(filter(None, [note, "other truth or sensor data: not paired"]))
+        note = ", ".join(filter(None, [note, UNPAIRED]))
     return Verdict(
         name, label, metric, unit, "same", None, None, None, None, None, False, draws, paired, note
     )

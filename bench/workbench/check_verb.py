@@ -14,7 +14,7 @@ from rich.text import Text
 
 from bench.baselines import checking
 from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import Verdict
+from bench.baselines.verdict_rows import LOOKS, UNPAIRED, Verdict
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 
@@ -60,9 +60,12 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         counts = Counter[str](row.word for row in rows)
         words = ", ".join(f"{counts[word]} {word}" for word in _STYLES if counts[word])
         draws = max(row.draws for row in rows)
-        console.print(f"{profile}, {estimator}: {words} ({draws} draws)", soft_wrap=True)
+        how = "" if all(row.paired for row in rows) else f"; {UNPAIRED}"
+        console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
         if changed:
             console.print(_make_table(changed))
+    if any(row.word == "undecided" and row.draws < LOOKS[-1] for row in verdicts):
+        console.print(f"Baselines of {LOOKS[-1]} draws would decide more: --record with the code of before.")
     worse = [row for row in verdicts if row.word == "worse"]
     for row in worse[:5]:
         console.print(Text(row.sentence, "red"), soft_wrap=True)
@@ -79,6 +82,6 @@ def _make_table(rows: Sequence[Verdict]) -> Table:
     table.add_column("change, + is worse", overflow="fold")
     for row in rows:
         numbers = ["-" if value is None else f"{value:.4g}" for value in (row.old, row.new)]
-        change = "; ".join(filter(None, [row.format_change(), row.note]))
+        change = "; ".join(filter(None, [row.format_change(), "" if row.note == UNPAIRED else row.note]))
         table.add_row(Text(row.word, _STYLES[row.word]), row.metric, *numbers, change)
     return table

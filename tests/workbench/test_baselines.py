@@ -194,6 +194,18 @@ def test_other_draws_are_compared_unpaired_and_it_is_said(recorded, measure):
     assert words(check(directory=recorded))["pos_rmse_h_m"] == "worse"
 
 
+def test_what_is_not_paired_or_needs_more_draws_is_said_once(measure, tmp_path):
+    measure()
+    record_baselines(["survey.toml"], directory=tmp_path, runs=20)
+    measure(lambda k: usual(k + 1000, 1.2), sensors=lambda k: f"other {k}")
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_verdicts(console, check(directory=tmp_path))
+    text = console.export_text()
+    assert "(20 draws; other truth or sensor data: not paired)" in text
+    assert text.count("not paired") == 1
+    assert "Baselines of 80 draws would decide more" in text
+
+
 def test_a_few_other_draws_are_left_out_of_the_pairs(recorded, measure):
     measure(sensors=lambda k: "other" if k == 3 else str(k))
     rows = check(directory=recorded)
