@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from bench.store.arrow import to_arrow, to_pandas
 from bench.store.cache_size import LIMIT, measure_cache, trim_cache
+from bench.store.damage import RESULT, TRUTH, read_summary, report_damage
 from bench.store.folders import EXPORT, check_file, check_folder, make_folder
 from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
     RECORDING,
-    RESULT,
-    TRUTH,
     add_solution,
     copy_results,
     list_solutions,
@@ -18,8 +17,6 @@ from bench.store.results import (
     load_sensors,
     load_solution,
     load_truth,
-    read_summary,
-    report_damage,
     save,
     to_json,
     write_json,

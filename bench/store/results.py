@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -14,7 +12,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-import bench
 from bench.data import (
     AirData,
     Controls,
@@ -32,20 +29,15 @@ from bench.data import (
     Trajectory,
     no_sensor_truth,
 )
-from bench.errors import BenchError, ConfigError
-from bench.evaluation.metrics import find_metric
+from bench.errors import ConfigError
 from bench.fields import columns_of
 from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.run_result import RunResult
 from bench.store import columns, parquet
+from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
 from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
 
-FORMAT = 1
-"""Number of the layout of a results folder; a change that an older bench cannot read raises it."""
-
-RESULT = "result.json"
 RECORDING = "flight.rrd"
-TRUTH = "truth.parquet"
 OBSERVATIONS = "sensors-observations.parquet"
 DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"
@@ -82,12 +74,8 @@ def save(folder: Path, result: RunResult) -> None:
         _save_solution(folder, label, solution)
     for label, errors in result.errors.items():
         parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
-    summary = {name: getattr(result, name) for name in _SUMMARY}
+    summary = {name: getattr(result, name) for name in SUMMARY}
     write_json(folder / RESULT, {"format": FORMAT, **summary, **result.more})
-
-
-_SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
-"""Fields of a result in ``result.json``; its other entries are `RunResult.more`."""
 
 
 def list_aiding(data: SensorData) -> dict[str, Any]:
@@ -178,92 +166,12 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     if without:
         raise ConfigError(f"{folder}: metrics of {without[0]!r}, but no solution-{without[0]}.parquet")
     return RunResult(
-        **{name: summary.pop(name) for name in _SUMMARY},
+        **{name: summary.pop(name) for name in SUMMARY},
         errors=errors,
         solutions=solutions,
         more=summary,
         records=FolderRecords(folder),
     )
-
-
-def read_summary(folder: Path) -> dict[str, Any]:
-    """Read ``result.json`` of a results folder, without the number of its format.
-
-    Raises
-    ------
-    ConfigError
-        If the folder is not a results folder of bench, or is one of a newer bench.
-    """
-    path = folder / RESULT
-    try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        layout = summary.pop("format", 1)
-        missing = [name for name in _SUMMARY if name not in summary]
-        written_by = summary.get("provenance", {}).get("versions", {}).get("bench", "?")
-    except OSError as error:
-        absent = isinstance(error, FileNotFoundError | NotADirectoryError)
-        what = f"there is no {RESULT} in it" if absent else f"{RESULT}: {error.strerror}"
-        raise ConfigError(f"{folder}: not a results folder, {what}; 'bench run' writes one") from None
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        raise ConfigError(f"{path}: not written by bench, or damaged") from None
-    if not isinstance(layout, int) or layout > FORMAT:
-        raise ConfigError(
-            f"{folder}: written by bench {written_by} in format {layout}; this is bench {bench.__version__}, "
-            f"which reads formats up to {FORMAT}"
-        )
-    if missing:
-        raise ConfigError(f"{path}: not written by bench, it has no {missing[0]!r}")
-    wrong = next(_find_wrong_entries(summary), None)
-    if wrong is not None:
-        raise ConfigError(f"{path}: not written by bench, or damaged: {wrong[0]} must be {wrong[1]}")
-    return summary
-
-
-def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the entries of ``result.json`` that are of another type, and what they must be."""
-    profile, metrics = summary["profile"], summary["metrics"]
-    if not (isinstance(profile, dict) and isinstance(profile.get("title"), str)):
-        yield "profile.title", "a text"
-    evaluation = profile.get("evaluation", {}) if isinstance(profile, dict) else {}
-    for name in ("from_s", "output_hz"):
-        if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name, 0.0), int | float)):
-            yield f"profile.evaluation.{name}", "a number"
-    for name in ("seed", "run"):
-        if not isinstance(summary[name], int):
-            yield name, "a whole number"
-    by_label = isinstance(metrics, dict) and all(isinstance(values, dict) for values in metrics.values())
-    for label, values in metrics.items() if by_label else ():
-        for name, value in values.items():
-            number = value is None or isinstance(value, int | float)
-            if find_metric(name) is not None and not number:
-                yield f"metrics.{label}.{name}", "a number"
-        for name, kind in (("reason", str), ("unmodelled", list), ("program", dict)):
-            if values.get(name) is not None and not isinstance(values[name], kind):
-                yield f"metrics.{label}.{name}", f"of type {kind.__name__}"
-        if not isinstance(values.get("converged"), bool):
-            yield f"metrics.{label}.converged", "true or false"
-    if not by_label:
-        yield "metrics", "a table for each estimator"
-
-
-@contextlib.contextmanager
-def report_damage(folder: Path) -> Iterator[None]:
-    """Convert what reading a damaged results folder raises to a ConfigError of one line."""
-    try:
-        yield
-    except BenchError:
-        raise
-    except FileNotFoundError as error:
-        missing = re.findall(r"[\w.-]+\.(?:parquet|json)", str(error.filename or error))
-        what = missing[-1] if missing else "file"
-        if what == TRUTH:
-            raise ConfigError(f"{folder}: has no truth, because it comes from a log") from None
-        raise ConfigError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
-    except parquet.DAMAGED as error:
-        reason = " ".join(str(error).split())[:200]
-        if isinstance(error, KeyError):
-            reason = f"{reason} is missing"
-        raise ConfigError(f"{folder}: cannot be read: {reason or type(error).__name__}") from None
 
 
 class FolderRecords(Mapping[str, Any]):
