@@ -2,17 +2,23 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test check perf oracle
+.PHONY: run test lint kernels check perf oracle
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
 
 test: .venv/ready
+	$(MAKE) --jobs=2 lint kernels
+	$(BIN)/pytest -n auto --maxprocesses=4 --dist worksteal
+
+lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n auto --maxprocesses=4 --dist worksteal
+
+kernels: .venv/ready
+	$(BIN)/python -m tests.kernels
 
 check: .venv/ready
 	$(BIN)/bench check

@@ -1,8 +1,14 @@
 """What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
+import fcntl
+import hashlib
+import os
+import pickle
 import signal
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +17,60 @@ from bench import pipeline, sensors
 from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
-from bench.specs import stream
-from tests.flight.plans import short_plan
+from bench.flight.truth import Stretch
+from bench.specs import FlightSpec, stream
+from tests.flight.plans import record_whole, short_plan
 from tests.weaving import weaving
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"):  # they change what is printed
+    os.environ.pop(_name, None)
+
+
+SLOWEST = (
+    "test_two_hours_at_200_hz_need_less_than_64_mb",
+    "test_the_limits_hold",
+)
+"""Tests that begin first, so that no worker is left alone with one of them at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the slowest tests first."""
+    items.sort(key=lambda item: item.name not in SLOWEST)
+
+
+@pytest.fixture(scope="session")
+def session_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder that all workers of this session share."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made_once(session_folder: Path) -> Callable[[str, Callable[[], Any]], Any]:
+    """Return a function that makes an object once in a session, whichever worker asks first for its name."""
+
+    def get(name: str, make: Callable[[], Any]) -> Any:
+        kept = session_folder / f"{name}.pickle"
+        with (session_folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed, or its process ends
+            if not kept.exists():
+                kept.with_suffix(".part").write_bytes(pickle.dumps(make()))
+                kept.with_suffix(".part").replace(kept)
+        return pickle.loads(kept.read_bytes())
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def recorded(made_once: Callable[[str, Callable[[], Any]], Any]) -> Callable[[FlightSpec], Stretch]:
+    """Return a function that records a flight as one stretch, each flight once in a session."""
+    return lambda spec: made_once(
+        hashlib.sha256(repr(spec).encode()).hexdigest()[:16], lambda: record_whole(spec)
+    )
 
 
 @pytest.fixture(scope="session")

@@ -41,7 +41,7 @@ def test_the_truth_has_no_error(truth):
     errors = error_series(truth, wrong_solution(truth))
     assert np.abs(errors.pos_n).max() == 0.0
     assert np.abs(errors.vel_n).max() == 0.0
-    assert np.abs(errors.phi_n).max() < 1e-15
+    assert np.abs(errors.phi_n).max() < 1e-14
     assert np.abs(errors.nees).max() < 1e-24
 
 

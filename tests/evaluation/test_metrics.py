@@ -287,19 +287,20 @@ def test_nees_metrics(truth):
 
 
 @pytest.mark.parametrize(
-    ("blocks", "states", "inside"), [((), 9, 8.0), (("phi",), 6, 7.0), (("vel", "phi"), 3, 5.0)]
+    ("blocks", "states", "low", "high"),
+    [((), 9, 5.0, 8.0), (("phi",), 6, 3.0, 7.0), (("vel", "phi"), 3, 1.4, 5.0)],
 )
-def test_nees_is_held_against_the_states_that_are_estimated(truth, blocks, states, inside):
-    """Errors north of 5, 7, 8 and 9 m with 2 m sd: NEES of 6.25, 12.25, 16 and 20.25.
+def test_nees_is_held_against_the_states_that_are_estimated(truth, blocks, states, low, high):
+    """Errors north of 0.8 to 9 m with 2 m sd: NEES of 0.16, 0.49, 2.25, 6.25, 12.25, 16 and 20.25.
 
-    The upper 97.5 % points are 9.35 for three states, 14.45 for six and 19.02 for nine.
+    The 2.5 and 97.5 % points are 0.22 and 9.35 for three states, 1.24 and 14.45 for six, 2.70 and 19.02 for
+    nine.
     """
-    pos_n = np.zeros((201, 3))
-    pos_n[:, 0] = np.resize([5.0, 7.0, 8.0, 9.0], 201)
-    solution = without(wrong_solution(truth, pos_n=pos_n), *blocks)
+    north = np.resize([0.8, 1.4, 3.0, 5.0, 7.0, 8.0, 9.0], 201)
+    solution = without(wrong_solution(truth, pos_n=np.outer(north, [1.0, 0.0, 0.0])), *blocks)
     found = metrics_of(truth, solution)
     assert found["nees_states"] == states
-    assert found["nees_inside_95"] == pytest.approx(np.mean(pos_n[:, 0] <= inside))
+    assert found["nees_inside_95"] == pytest.approx(np.mean((low <= north) & (north <= high)))
 
 
 def test_coverage_is_the_fraction_of_epochs_within_3_sigma_by_axis(truth):

@@ -110,7 +110,7 @@ def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export
     assert good.sum() == 17  # 20 fixes, two of them in the outage, one invalid
     for row in (0, -1):
         lla = data.fixes.lla[good][row]
-        assert_allclose(gnss[row, 1:4], [np.rad2deg(lla[0]), np.rad2deg(lla[1]), lla[2]], rtol=1e-15)
+        assert_allclose(gnss[row, 1:4], [np.rad2deg(lla[0]), np.rad2deg(lla[1]), lla[2]], rtol=1e-14)
         assert_allclose(gnss[row, 4:] ** 2, np.diag(data.fixes.cov_pos_n[good][row]), rtol=1e-12)
     assert nav.shape == (len(truth), 11)
     assert_array_equal(nav[:, 0], 2399)
@@ -209,7 +209,7 @@ def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_th
     assert imu["gyro_y"][0] == imu["gyro_y"][1]
     good = data.fixes.valid
     assert_array_equal(place["time"].to_numpy(), data.fixes.t[good])
-    assert_allclose(place["lon"].to_numpy(), np.rad2deg(data.fixes.lla[good, 1]), rtol=1e-15)
+    assert_allclose(place["lon"].to_numpy(), np.rad2deg(data.fixes.lla[good, 1]), rtol=1e-14)
     assert_array_equal(place["alt"].to_numpy(), data.fixes.lla[good, 2])
     assert_array_equal(speed["VD"].to_numpy(), data.fixes.vel_n[good, 2])
     assert_allclose(track["roll"].to_numpy(), np.rad2deg(0.65))
@@ -371,7 +371,7 @@ def test_rosbag2_is_read_back_by_rosbags(run, export):
     assert_allclose([force.x, -force.y, -force.z], data.imu.dvel_b[-1] / 0.01, rtol=1e-9)
     assert imu.orientation_covariance[0] == -1
     _, fix = messages["/gnss/fix"][0]
-    assert_allclose([fix.latitude, fix.longitude], np.rad2deg(data.fixes.lla[0, :2]), rtol=1e-15)
+    assert_allclose([fix.latitude, fix.longitude], np.rad2deg(data.fixes.lla[0, :2]), rtol=1e-14)
     assert_allclose(fix.position_covariance[8], data.fixes.cov_pos_n[0, 2, 2])
     assert [m.status.status for _, m in messages["/gnss/fix"]] == [0 if v else -1 for v in data.fixes.valid]
     _, velocity = messages["/gnss/vel"][0]

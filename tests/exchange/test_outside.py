@@ -215,14 +215,14 @@ def test_a_program_that_fails_is_a_result_that_says_why(run, tmp_path):
 def test_a_program_that_does_not_end_is_stopped_with_all_it_started(run, tmp_path):
     code = (
         "import subprocess, sys, time\n"
-        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])\n"
         f"open({str(tmp_path / 'pid')!r}, 'w').write(str(child.pid))\n"
-        "time.sleep(60)"
+        "time.sleep(600)"
     )
     begun = time.monotonic()
-    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, timeout_s=1.5)
-    assert why == "failed: stopped after 1.5 s (timeout_s)"
-    assert time.monotonic() - begun < 20
+    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, timeout_s=3.0)
+    assert why == "failed: stopped after 3 s (timeout_s)"
+    assert time.monotonic() - begun < 120  # seconds, on a busy machine too
     pid = int((tmp_path / "pid").read_text())
     for _ in range(100):
         if not alive(pid):

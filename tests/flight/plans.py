@@ -1,9 +1,9 @@
-"""Flight plans for tests: the Aerosonde with the shipped gains, one leg list at a time; how it turned."""
+"""Flight plans for tests: the Aerosonde with the shipped gains, one leg list at a time; what was flown."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians
+from math import inf, radians
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from bench.data import Trajectory
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
+from bench.flight.recorder import record_plan
+from bench.flight.truth import Stretch, make_truth
 from bench.specs import FlightSpec, Leg
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
@@ -43,6 +45,17 @@ def short_plan() -> FlightSpec:
     """A minute at 100 Hz in a west wind of 5 m/s: straight, a 120 deg right turn, a climb, straight."""
     legs = (Straight(10.0), Turn(radians(120.0), radians(30.0)), Climb(1220.0, 2.0), Straight(5.0))
     return plan(*legs, wind_from=radians(270.0), wind_speed=5.0, duration=60.0)
+
+
+def record_whole(spec: FlightSpec) -> Stretch:
+    """Fly a plan, recorded as one stretch."""
+    (stretch,) = record_plan(spec, seconds=inf)
+    return stretch
+
+
+def truth_of(stretch: Stretch, rate: float) -> Trajectory:
+    (truth,) = make_truth([stretch], rate)
+    return truth
 
 
 def turned(truth: Trajectory) -> np.ndarray:

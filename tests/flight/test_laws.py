@@ -1,7 +1,7 @@
 """Laws of mechanics on every shipped profile, found by glob: what is flown is one motion of one body.
 
-Profiles of more than 15 minutes, and those of other aircraft than the Aerosonde, fly with the slow tests; of
-those of more than an hour, the straights are cut to five minutes.
+Profiles of more than 15 minutes, and those of other aircraft than the Aerosonde, fly with the slow tests.
+Straights and stands of more than three minutes are cut to one minute; the flights of SHARED are whole.
 The laws share rotations, normal gravity and the figure of the Earth with the bench, nothing of the flight.
 """
 
@@ -25,10 +25,9 @@ from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
-from bench.flight.legs.turns import Turn
 from bench.specs import FlightSpec
-from tests.flight.plans import plan
-from tests.flight.test_recorder import record_whole, same_form_error, truth_of, two_sample_error
+from tests.flight.plans import record_whole, truth_of
+from tests.flight.test_recorder import same_form_error, two_sample_error
 
 _FLIGHTS = {
     path.stem: load_profile(path.stem).flight
@@ -36,6 +35,9 @@ _FLIGHTS = {
 }
 PROFILES = [name for k, (name, spec) in enumerate(_FLIGHTS.items()) if spec not in [*_FLIGHTS.values()][:k]]
 """Of profiles that differ in sensors only, the first."""
+
+SHARED = {"circuit", "circuit-navion", "climb-cruise-descend", "figure-eight-matched", "high-dynamics"}
+"""Profiles whose flights other test files look at too."""
 
 ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
@@ -64,13 +66,23 @@ def _marked(name: str):
     return pytest.param(name, marks=pytest.mark.slow) if slow else name
 
 
+def _cut(spec: FlightSpec) -> FlightSpec:
+    """Return the flight with a minute of each straight or stand of more than three."""
+    long = [isinstance(leg, Straight | Static) and leg.duration > 180.0 for leg in spec.legs]
+    if not any(long):
+        return spec
+    legs = [replace(leg, duration=60.0) if cut else leg for leg, cut in zip(spec.legs, long, strict=True)]
+    return replace(spec, legs=tuple(legs), duration=None)
+
+
 @pytest.fixture(scope="module", params=[_marked(name) for name in PROFILES])
-def flight(request) -> Flight:
+def flight(request, recorded) -> Flight:
     spec = _FLIGHTS[request.param]
-    if _planned(spec) > 3600:
-        short = (replace(leg, duration=300.0) if isinstance(leg, Straight) else leg for leg in spec.legs)
-        spec = replace(spec, legs=tuple(short), duration=None)
-    stretch = record_whole(spec)
+    if request.param in SHARED:
+        stretch = recorded(spec)
+    else:
+        spec = _cut(spec)
+        stretch = record_whole(spec)
     return Flight(request.param, spec, truth_of(stretch, spec.rate), same_form_error(stretch.motion))
 
 
@@ -223,23 +235,3 @@ def test_the_laws_are_broken_by_a_truth_that_is_wrong(figure_eight_truth):
     assert velocity_error(replace(truth, vel_n=truth.vel_n * [1, -1, 1])) > 1.0
     late = np.roll(truth.dtheta_b, 1, axis=0)
     assert attitude_error(replace(truth, dtheta_b=late))[1] > 5e-9
-
-
-@pytest.mark.slow
-def test_the_flight_converges_with_the_step_of_jsbsim():
-    """First order in the step: the truth is one motion at any step, and nearly the same one.
-
-    Two turns in a minute, flown at 400, 800 and 1600 Hz: each halving halves what is left, and 400 Hz is
-    within a decimetre of the limit. The truth of a run is the flight at its own step, exact by the replay.
-    """
-    ends = []
-    for rate in (400.0, 800.0, 1600.0):
-        legs = Turn(by=1.0, bank=0.5), Turn(by=-1.0, bank=0.5), Straight(20.0)
-        ends.append(record_end(plan(*legs, rate=rate, duration=60.0)))
-    coarse, fine = (float(np.linalg.norm(b - a)) for a, b in pairwise(ends))
-    assert 0.3 < fine / coarse < 0.7
-    assert 2 * coarse < 0.1  # [m]
-
-
-def record_end(spec: FlightSpec) -> FloatArray:
-    return earth.to_ecef(truth_of(record_whole(spec), spec.rate).lla[-1])

@@ -16,7 +16,7 @@ from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.specs import AircraftSpec, Runway
-from tests.flight.plans import AEROSONDE, plan
+from tests.flight.plans import AEROSONDE, plan, truth_of
 
 LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)
 RUNWAY = Runway(LAT, LON, GROUND, ALONG)
@@ -162,10 +162,10 @@ def test_an_approach_rolls_in_without_a_step():
 
 
 @pytest.mark.parametrize("profile", ["circuit", "circuit-navion"])
-def test_a_shipped_circuit_lands_as_it_should(profile):
+def test_a_shipped_circuit_lands_as_it_should(recorded, profile):
     spec = load_profile(profile).flight
     kind = KINDS[spec.aircraft.name]
-    truth = fly(spec)
+    truth = truth_of(recorded(spec), spec.rate)
     _, off, _ = runway_frame(truth)
     height = height_of_cg(truth, spec.aircraft)
     assert np.abs(off[height < kind.wheels]).max() < 5.0

@@ -14,7 +14,7 @@ from bench.flight import fly
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
-from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan, roll, turned
+from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan, roll, truth_of, turned
 
 
 def legs(truth: Trajectory) -> list[tuple[slice, str]]:
@@ -171,8 +171,8 @@ def test_more_severe_turbulence_moves_the_flight_more_and_the_seed_decides_how()
     assert (vertical(3, seed=2) == vertical(3, seed=2)).all()
 
 
-def test_the_whole_flight_is_flown_in_moderate_turbulence():
-    truth = fly(replace(FIGURE_EIGHT, severity=4))
+def test_the_whole_flight_is_flown_in_moderate_turbulence(recorded):
+    truth = truth_of(recorded(replace(FIGURE_EIGHT, severity=4)), 200.0)
     assert truth.t[-1] == 600.0
     assert np.abs(turned(truth)[-1] - turned(truth)[0]) > 1.0
     assert truth.air.airspeed_true.min() > 15.0

@@ -1,0 +1,22 @@
+"""Compile the large kernels into the cache before the tests: each worker would compile them again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bench import pipeline
+from bench.config import load_profile
+from bench.flight.legs.level import Straight
+from bench.navigation import estimator
+
+
+def main() -> None:
+    """Run every sensor and a filter over ten seconds of flight."""
+    profile = load_profile("all-sensors")
+    profile = replace(profile, flight=replace(profile.flight, legs=(Straight(10.0),), duration=None))
+    sensed = pipeline.sense(profile, pipeline.fly(profile, cache=False))
+    estimator.load("loose-15", {}).run(sensed.data, sensed.initial)
+
+
+if __name__ == "__main__":
+    main()
