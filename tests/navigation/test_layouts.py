@@ -16,7 +16,7 @@ from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from tests.builders import band, ensemble, first_rows
 
-RUNS = 100
+RUNS = 50
 
 
 @pytest.fixture(scope="module")
