@@ -10,10 +10,12 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from scipy.special import gammaincinv, ndtri
 
+from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.data import NavSolution, Sensed, Trajectory
+from bench.data import NavSolution, Sensed, Trajectory, no_air, no_controls, no_events
 from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.error_series import error_series
+from bench.navigation import mechanization
 
 TAIL = 0.0005
 """Probability beyond each side of a 99.9 % band."""
@@ -67,6 +69,72 @@ def assert_same_solution(solution: NavSolution, expected: NavSolution) -> None:
     for f in fields(solution.innovations):
         found, wanted = (getattr(s.innovations, f.name) for s in (solution, expected))
         assert_array_equal(found, wanted, err_msg=f.name)
+
+
+# --- truths by formula ----------------------------------------------------------------------------------
+
+
+def at_rest(
+    duration: float, rate: float, lla: Any, roll: float = 0.0, pitch: float = 0.0, heading: float = 0.0
+) -> Trajectory:
+    """Return a truth that stands: what the Earth does to a strapped-down unit, exactly."""
+    n = round(duration * rate)
+    q = rotation.from_euler(roll, pitch, heading)
+    earth_n = earth.EARTH_RATE * np.array([np.cos(lla[0]), 0.0, -np.sin(lla[0])])
+    increments = [
+        np.tile(rotation.rotate(rotation.conjugate(q), v_n) / rate, (n, 1))
+        for v_n in (earth_n, -earth.gravity_n(lla[0], lla[2]))
+    ]
+    columns = [np.tile(column, (n + 1, 1)) for column in (np.asarray(lla, float), np.zeros(3), q)]
+    return Trajectory(np.arange(n + 1) / rate, *columns, *increments, no_air(), no_controls(), no_events())
+
+
+def steered(
+    duration: float,
+    rate: float,
+    lla: Any,
+    heading: float,
+    speed: float = 0.0,
+    *,
+    push: Callable[[FloatArray], FloatArray] = np.zeros_like,
+    turn: Callable[[FloatArray], FloatArray] = np.zeros_like,
+    climb: Callable[[FloatArray], FloatArray] = np.zeros_like,
+) -> Trajectory:
+    """Return a truth that moves along its nose: push [m/s^2], turn [rad/s] and climb [m/s] by time.
+
+    The body stays level. The increments are those of a motion over the ellipsoid, and the truth is what the
+    mechanization makes of them: an error-free navigator returns it exactly, wherever it starts.
+    """
+    n = round(duration * rate)
+    t = np.arange(n + 1) / rate
+    middle, dt = 0.5 * (t[1:] + t[:-1]), 1.0 / rate
+
+    def middles(start: float, slope: FloatArray) -> FloatArray:
+        ends = start + dt * np.concatenate([[0.0], np.cumsum(slope)])
+        return np.asarray(0.5 * (ends[1:] + ends[:-1]))
+
+    pushed, turned, up = push(middle), turn(middle), climb(middle)
+    v, psi = middles(speed, pushed), middles(heading, turned)
+    s, c, zero = np.sin(psi), np.cos(psi), np.zeros(n)
+    lat = middles(lla[0], v * c / (earth.radii(lla[0])[0] + lla[2]))
+    alt = middles(lla[2], up)
+    R_M, R_P = earth.radii(lat)
+    vel_n = np.column_stack([v * c, v * s, -up])
+    w_ie = earth.EARTH_RATE * np.column_stack([np.cos(lat), zero, -np.sin(lat)])
+    w_en = np.column_stack([v * s / (R_P + alt), -v * c / (R_M + alt), -v * s * np.tan(lat) / (R_P + alt)])
+    rise = np.gradient(up, dt) if n > 1 else zero
+    acc_n = np.column_stack([pushed * c - v * turned * s, pushed * s + v * turned * c, -rise])
+    f_n = acc_n + np.cross(2 * w_ie + w_en, vel_n) - earth.gravity_n(lat, alt)
+    back = rotation.conjugate(rotation.from_euler(zero, zero, psi))
+    dtheta = dt * (rotation.rotate(back, w_ie + w_en) + np.column_stack([zero, zero, turned]))
+    dvel = dt * rotation.rotate(back, f_n)
+    vel = speed * np.array([np.cos(heading), np.sin(heading), 0.0]) - [0.0, 0.0, up[0]]
+    q = rotation.from_euler(0.0, 0.0, heading)
+    nav = mechanization.propagate(lla, vel, q, np.full(n, dt), dtheta, dvel)
+    return Trajectory(
+        t, nav[:, :3], nav[:, 3:6], rotation.continuous(nav[:, 6:]), dtheta, dvel, no_air(), no_controls(),
+        no_events(),
+    )  # fmt: skip
 
 
 # --- ensembles ------------------------------------------------------------------------------------------

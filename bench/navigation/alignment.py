@@ -14,8 +14,8 @@ with F the mean specific force in n and e the error of the gain over its time,
 
 The covariances hold the biases, noise and misalignments of the datasheet; ``bias_cov`` is the covariance of
 attitude and biases. Without it the filter treats tilt and accelerometer bias as independent, and halves the
-tilt variance at the first zero-velocity update, which observed nothing new. Where the heading is unknown it
-is zero all the same: a covariance along n would not turn with the heading that is found later.
+tilt variance at the first zero-velocity update, which observed nothing new. What follows when the heading is
+unknown: `bench.navigation.hypotheses`.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import InitialState, NavSolution, SensorData
-from bench.navigation import aiding, alignment, ranging, standstill
+from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench.navigation import aiding, alignment, hypotheses, ranging, standstill
 from bench.navigation.aiding import POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import Block, StateModel, assumed, chosen_blocks, state_model
 from bench.navigation.error_state import POS, VEL
@@ -70,8 +70,25 @@ class Fusion:
         return run_between_gaps(forward, sensors, initial, self.options.accuracy)
 
     def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
-        """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over."""
-        initial, aligned = alignment.complete(sensors, initial)
+        """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over.
+
+        There are none where the heading was unknown and stayed so.
+        """
+        initial, events = alignment.complete(sensors, initial)
+        if not hypotheses.heading_is_unknown(initial):
+            return self._forward(sensors, initial, events, keep)
+        settled = hypotheses.settle_heading(
+            lambda data, start: self._forward(data, start, [], False)[0], sensors, initial
+        )
+        solution, nodes = self._forward(
+            sensors, settled.initial, [*events, settled.event], keep and settled.complete
+        )
+        return settled.join(solution), nodes
+
+    def _forward(
+        self, sensors: SensorData, initial: InitialState, events: list[EventRow], keep: bool
+    ) -> tuple[NavSolution, Nodes]:
+        """Return what :meth:`forward` does, from a complete initial state."""
         specs = sensors.specs
         used = [sensor for sensor in self.aiding() if getattr(sensors, sensor.record) is not None]
         records = {sensor.record for sensor in used}
@@ -87,7 +104,7 @@ class Fusion:
             compensate=self.options.compensate_latency,
             accuracy=self.options.fix_accuracy,
         )
-        schedule.events += aligned
+        schedule.events += events
         sky, seen = ranging.empty_sky(), sensors.observations if SATELLITES in used else None
         if seen is not None:
             sky = schedule.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))

@@ -62,7 +62,6 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     C = rotation.matrix(q_nb)
     bias_cov = np.zeros((9, 6))  # of an error of the bias: estimate, zero, less truth
     bias_cov[6:, 3:] = -common_variance(accel, T) * J[:, :2] @ C[:2]
-    bias_cov[6:, :3] = -common_variance(gyro, T) * J[:, 2:] @ C[1:2]
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
     text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
     given_sd = float(np.sqrt(initial.cov[8, 8]))
@@ -75,14 +74,14 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
         bias_cov[8] = 0.0
         text += f"heading given, sd {np.rad2deg(given_sd):.2g} deg"
     elif heading_sd < UNKNOWN_HEADING_SD:
+        bias_cov[6:, :3] = -common_variance(gyro, T) * J[:, 2:] @ C[1:2]
         text += f"heading gyrocompassed, sd {np.rad2deg(heading_sd):.2g} deg"
     else:
-        phi_cov[2], phi_cov[:, 2] = 0.0, 0.0
+        phi_cov[2], phi_cov[:, 2], bias_cov[8] = 0.0, 0.0, 0.0
         phi_cov[2, 2] = UNKNOWN_HEADING_SD**2
-        bias_cov[:] = 0.0
         text += (
             f"heading is unknown: gyros of {np.rad2deg(rate_sd) * 3600:.2g} deg/h cannot gyrocompass by "
-            f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; a course finds it"
+            f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; motion finds it"
         )
     cov = np.zeros((9, 9))
     cov[:3, :3] = initial.cov[:3, :3]

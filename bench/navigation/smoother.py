@@ -46,6 +46,8 @@ class Smoother:
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         forward, nodes = self.filter.forward(sensors, initial, keep=True)
+        if not len(nodes.t):
+            return forward
         state, P = smooth(nodes)
         served = nodes.output >= 0
         x = np.full((len(forward), state.shape[1]), np.nan)

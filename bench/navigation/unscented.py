@@ -20,8 +20,8 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.compiled import kernel
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
+from bench.navigation import alignment, hypotheses
 from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, moved_state, state_difference
@@ -75,11 +75,19 @@ class Unscented:
         return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        initial, aligned = alignment.complete(sensors, initial)
+        initial, events = alignment.complete(sensors, initial)
+        if not hypotheses.heading_is_unknown(initial):
+            return self._run_from(sensors, initial, events)
+        settled = hypotheses.settle_heading(
+            lambda data, start: self._run_from(data, start, []), sensors, initial
+        )
+        return settled.join(self._run_from(sensors, settled.initial, [*events, settled.event]))
+
+    def _run_from(self, sensors: SensorData, initial: InitialState, events: list[EventRow]) -> NavSolution:
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
         schedule = Schedule(sensors, initial.t, compensate=False, accuracy=self.options.fix_accuracy)
-        schedule.events += aligned
+        schedule.events += events
         for sensor in used:
             schedule.add(sensor, sensors, initial, model.layout)
         steps, entries, _ = schedule.order()

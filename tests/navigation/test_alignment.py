@@ -24,7 +24,7 @@ from bench.navigation.blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.specs import ImuSpec, TriadSpec
-from tests.builders import band
+from tests.builders import at_rest, band
 from tests.weaving import DEG, IMU, units, weaving
 
 FINE = ImuSpec(
@@ -36,19 +36,7 @@ LAT, ROLL, PITCH, HEADING = 50 * DEG, 2 * DEG, -5 * DEG, 140 * DEG
 
 
 def standing(duration, rate=50.0, roll=ROLL, pitch=PITCH, heading=HEADING, lat=LAT):
-    """At rest on the ground: what the Earth does to a strapped-down unit, exactly."""
-    n = round(duration * rate)
-    t = np.arange(n + 1) / rate
-    lla = np.array([lat, 0.3, 250.0])
-    q = rotation.from_euler(roll, pitch, heading)
-    back = rotation.conjugate(q)
-    w_b = rotation.rotate(back, earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)]))
-    f_b = rotation.rotate(back, -earth.gravity_n(lat, lla[2]))
-    one = np.ones((n + 1, 1))
-    return Trajectory(
-        t, one * lla, one * np.zeros(3), one * q, one[1:] * w_b / rate, one[1:] * f_b / rate, no_air(),
-        no_controls(), no_events(),
-    )  # fmt: skip
+    return at_rest(duration, rate, (lat, 0.3, 250.0), roll, pitch, heading)
 
 
 def then(first, second):

@@ -1,0 +1,144 @@
+"""A start with an unknown heading: honest while the aircraft stands, and once motion has told the heading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import rotation, sensors
+from bench.evaluation.error_series import error_series
+from bench.navigation import hypotheses
+from bench.navigation.estimator import load
+from tests.builders import band, steered
+from tests.navigation.test_tight import MATCHED
+from tests.weaving import DEG, units
+
+REST, AWAY = 60.0, 60.0
+DRAWS = 20
+"""Headings around the circle, one draw of the sensors each."""
+
+
+def take_off(heading, rest=REST, away=AWAY):
+    """Stand, roll for 15 s to 30 m/s, climb, weave."""
+    return steered(
+        rest + away, 25.0, (47 * DEG, 0.3, 250.0), heading,
+        push=lambda t: 2.0 * ((t > rest) & (t < rest + 15)),
+        turn=lambda t: 3 * DEG * np.sin(2 * np.pi * (t - rest - 20) / 40) * (t > rest + 20),
+        climb=lambda t: 3.0 * (1 - np.exp(-(t - rest - 20) / 5)) * (t > rest + 20),
+    )  # fmt: skip
+
+
+def squares(estimator, spec, draws=DRAWS, options=None, **motion):
+    """Instants (M,), and the NEES (draws, M, 3) of tilt, heading and all nine states."""
+    found = []
+    for draw in range(draws):
+        truth = take_off(2 * np.pi * draw / draws + 0.1, **motion)
+        sensed = sensors.sense(truth, spec, 7, draw)
+        solution = load(estimator, options or {}).run(sensed.data, sensed.initial)
+        errors = error_series(truth, solution)
+        tilt, cov = errors.phi_n[:, :2], solution.cov[:, 6:8, 6:8]
+        found.append(
+            np.column_stack(
+                [
+                    np.einsum("ki,kij,kj->k", tilt, np.linalg.inv(cov), tilt),
+                    errors.phi_n[:, 2] ** 2 / solution.cov[:, 8, 8],
+                    errors.nees,
+                ]
+            )
+        )
+    return solution.t, np.array(found)
+
+
+def spec_of(start, gnss=None, **changes):
+    spec = replace(units() if gnss is None else units(gnss=gnss), output_rate=1.0, **changes)
+    if start == "level":
+        return replace(spec, alignment="level", align_for=30.0)
+    return replace(spec, initial_heading_sd=180 * DEG)
+
+
+def assert_honest(t, found, at_rest=(35.0, 45.0, 55.0, 59.0), later=(65.0, 70.0, 80.0, 100.0, 119.0)):
+    for instant in (*at_rest, *later):
+        k = int(np.argmin(np.abs(t - instant)))
+        for column, states in ((0, 2), (1, 1), (2, 9)):
+            low, high = band(len(found), states)
+            mean = np.mean(found[:, k, column])
+            assert mean < high, (instant, states, mean)
+            if instant not in at_rest or column == 0:  # an angle on a circle is no normal variable
+                assert mean > low, (instant, states, mean)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "start", "options"),
+    [
+        ("loose-15", "level", {}),
+        ("loose-22", "given", {"standstill": True}),
+        pytest.param("loose-mems", "level", {}, marks=pytest.mark.slow),
+        pytest.param("loose-15", "given", {}, marks=pytest.mark.slow),
+        pytest.param("tight", "level", {}, marks=pytest.mark.slow),
+        pytest.param("ukf", "level", {}, marks=pytest.mark.slow),
+    ],
+)
+def test_tilt_is_honest_at_rest_and_the_heading_is_after_the_first_motion(estimator, start, options):
+    """20 draws, 99.9 % bands. One linear filter: tilt NEES of 16 while it stands, 900 once it moves."""
+    t, found = squares(estimator, spec_of(start, MATCHED if estimator == "tight" else None), options=options)
+    assert_honest(t, found)
+
+
+def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
+    """What the hypotheses are for: with them off the same draws are far out of the band."""
+    monkeypatch.setattr(hypotheses, "heading_is_unknown", lambda initial: False)
+    t, found = squares("loose-15", spec_of("level"), draws=6)
+    late = t > REST + 20
+    assert found[:, late, 2].mean() > 10 * 9
+
+
+def test_an_outlier_while_the_heading_is_found_decides_nothing():
+    """The fix one second into the take-off is 300 m off: refused, and the heading is found all the same."""
+    truth = take_off(2.2)
+    sensed = sensors.sense(truth, spec_of("level"), 7, 0)
+    fixes = sensed.data.fixes
+    lla = fixes.lla.copy()
+    lla[int(np.argmin(np.abs(fixes.t - REST - 1.0)))] += [300.0 / 6.4e6, 0.0, 0.0]
+    solution = load("loose-15", {}).run(replace(sensed.data, fixes=replace(fixes, lla=lla)), sensed.initial)
+    errors = error_series(truth, solution)
+    assert abs(errors.phi_n[-1, 2]) < 4 * np.sqrt(solution.cov[-1, 8, 8])
+
+
+def test_without_motion_the_heading_stays_unknown():
+    """Free of aiding as well: the solution says so from start to end, and names the hypotheses."""
+    truth = take_off(1.0, rest=90.0, away=0.0)
+    sensed = sensors.sense(truth, spec_of("level"), 7, 0)
+    for name in ("loose-15", "free-inertial"):
+        solution = load(name, {}).run(sensed.data, sensed.initial)
+        answered = np.isfinite(solution.lla[:, 0])
+        assert (np.sqrt(solution.cov[answered, 8, 8]) > 40 * DEG).all()
+        texts = [text for _, _, text in solution.events.select("alignment")]
+        assert texts[-1].startswith("heading unknown: 16 hypotheses; no motion")
+
+
+def test_a_turned_start_is_the_same_aircraft_on_another_heading():
+    """Tilt errors belong to the instrument: their covariance with its biases is the same in b."""
+    truth = take_off(0.4, away=0.0)
+    sensed = sensors.sense(truth, spec_of("level"), 7, 0)
+    from bench.navigation import alignment
+
+    initial, _ = alignment.complete(sensed.data, sensed.initial)
+    other = hypotheses.turn_heading(initial, 1.3)
+    roll, pitch, heading = rotation.to_euler(initial.q_nb)
+    assert_allclose(rotation.to_euler(other.q_nb), (roll, pitch, np.mod(heading + 1.3, 2 * np.pi)), atol=1e-9)
+    in_b = [rotation.matrix(start.q_nb)[:2].T @ start.bias_cov[6:8, 3:] for start in (initial, other)]
+    assert np.abs(in_b[0]).max() > 0
+    assert_allclose(in_b[1], in_b[0], rtol=1e-9, atol=1e-12 * np.abs(in_b[0]).max())
+
+
+def test_the_jacobian_carries_an_error_over_a_large_rotation():
+    rng = np.random.default_rng(3)
+    d = rng.normal(size=(50, 3))
+    d *= (rng.uniform(0.01, 3.1, 50) / np.linalg.norm(d, axis=1))[:, None]
+    e = 1e-6 * rng.normal(size=(50, 3))
+    both = rotation.multiply(rotation.from_rotvec(d), rotation.from_rotvec(e))
+    J = hypotheses._inverse_jacobian(d)
+    assert_allclose(rotation.to_rotvec(both) - d, np.einsum("kij,kj->ki", J, e), rtol=1e-3, atol=1e-9)
