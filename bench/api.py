@@ -56,7 +56,7 @@ def run(
         Number of the noise draw of this seed.
     estimators : sequence of str or None
         Built-in names, ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
-        None takes those of the profile, but no programs; `load_profile` with ``allow_commands`` permits them.
+        None takes those of the profile, but no code; `load_profile` with ``allow_code`` permits that.
     sensors : mapping or None
         Sensors to replace, for example ``{"imu": "icm-42688-p"}``.
     progress : callable or None
@@ -385,4 +385,5 @@ def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> Non
 
 
 def _read_profile(profile: str | Path | Profile) -> Profile:
-    return profile if isinstance(profile, Profile) else load_profile(str(profile))
+    """Read a profile of which no estimator is run."""
+    return profile if isinstance(profile, Profile) else load_profile(str(profile), allow_code=True)

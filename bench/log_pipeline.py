@@ -45,7 +45,7 @@ def read_log(
     path: str | Path,
     *,
     estimators: Sequence[str] | None = None,
-    allow_commands: bool = False,
+    allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
 ) -> RecordedLog:
     """Read a recording of real sensors and check its consistency; nothing is repaired.
@@ -57,8 +57,8 @@ def read_log(
         assume.
     estimators : sequence of str or None
         As for `bench.run`; None takes those of the log.
-    allow_commands : bool
-        Let the log start the programs it names.
+    allow_code : bool
+        Let the log run the code it names, a class or a program.
     overrides : mapping or None
         Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
 
@@ -69,7 +69,7 @@ def read_log(
     bench.errors.EstimatorError
         If an estimator cannot be built, or needs data that the log does not have.
     """
-    spec = load_log(str(path), estimators, allow_commands, overrides)
+    spec = load_log(str(path), estimators, allow_code, overrides)
     choices = {c.label: c for c in spec.estimators}
     built = {label: pipeline.build_estimator(choice) for label, choice in choices.items()}
     for label, one in built.items():

@@ -24,6 +24,9 @@ NAMES: Mapping[str, str] = {
 }
 """Name that is gone from a module -> the name that replaced it."""
 
+OPTIONS: Mapping[str, str] = {"--allow-commands": "--allow-code"}
+"""Option that is gone from the command line -> the option that replaced it."""
+
 
 class MovedModules:
     """The last finder of ``sys.meta_path``: it finds nothing, and names the replacement of a module."""

@@ -162,7 +162,7 @@ def run(
         metrics={
             label: {
                 **judged[label][1],
-                "unmodelled": _list_unmodelled(profile, one),
+                "unmodelled": _list_unmodelled(profile, label, one),
                 **_describe_program(solutions[label]),
             }
             for label, one in built.items()
@@ -205,11 +205,12 @@ def _describe_program(solution: NavSolution) -> dict[str, Any]:
     return {"program": {kind: " ".join(parts) for kind, parts in texts.items()}} if texts["program"] else {}
 
 
-def _list_unmodelled(profile: Profile, built: estimator.Estimator) -> list[str] | None:
+def _list_unmodelled(profile: Profile, label: str, built: estimator.Estimator) -> list[str] | None:
     """Return the sensor errors that an estimator reports to have no state for; None if it reports nothing."""
     list_errors = getattr(built, "unmodelled", None)
     if list_errors is None:
         return None
     on_board = profile.sensors
     specs = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
-    return list(list_errors(AssumedSpecs(**specs)))
+    with estimator.catch_exit(label, "unmodelled()"):
+        return list(list_errors(AssumedSpecs(**specs)))

@@ -16,6 +16,7 @@ from bench.baselines.baseline_file import (
 )
 from bench.baselines.experiments import Draw, Experiment, make_baseline, open_experiment
 from bench.baselines.verdict_rows import LOOKS, Candidate, Verdict, compare, decide
+from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.wording import suggest
 
@@ -65,7 +66,7 @@ def record_baselines(
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
     reason: str = "",
-    allow_commands: bool = False,
+    allow_code: bool = False,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
@@ -83,8 +84,8 @@ def record_baselines(
         Number of draws, at least `LEAST_DRAWS`; default `DRAWS`.
     reason : str
         Why the numbers moved, for ``CHANGES.md``.
-    allow_commands : bool
-        Let profiles and baselines start the programs they name.
+    allow_code : bool
+        Let profiles and baselines run the code they name, programs and classes.
     progress : callable
         Called before each draw and after the last one, as `Progress` says.
 
@@ -107,7 +108,7 @@ def record_baselines(
         old = before.get(name)
         source = old.profile if old and source == name else source
         requested = old.requested if old and estimators is None else estimators
-        measured.append(_open(source, requested, estimators, allow_commands, progress))
+        measured.append(_open(source, requested, estimators, allow_code, progress))
     paths = []
     for one in measured:
         count = one.experiment.draws or runs or DRAWS
@@ -121,17 +122,17 @@ def _open(
     source: str,
     requested: Sequence[str] | None,
     named: Sequence[str] | None,
-    allow_commands: bool,
+    allow_code: bool,
     progress: Progress | None,
 ) -> _Measured:
-    """Open a profile with the estimators of its baseline; programs need permission or the user's own -e."""
-    programs = [use for use in requested or () if use.startswith("command:") and use not in (named or ())]
-    if programs and not allow_commands:
+    """Open a profile with the estimators of its baseline; code needs permission or the user's own -e."""
+    code = [use for use in requested or () if is_code(use) and use not in (named or ())]
+    if code and not allow_code:
         raise ConfigError(
-            f"{source}: its baseline names {programs[0][:60]!r}, which starts a program on this machine; "
-            "--allow-commands permits it"
+            f"{source}: its baseline names {code[0][:60]!r}, which runs code on this machine; "
+            "--allow-code permits it"
         )
-    return _Measured(open_experiment(source, requested, allow_commands), requested, progress)
+    return _Measured(open_experiment(source, requested, allow_code), requested, progress)
 
 
 def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
@@ -169,7 +170,7 @@ def check(
     directory: str | Path = DIRECTORY,
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
-    allow_commands: bool = False,
+    allow_code: bool = False,
     progress: Progress | None = None,
 ) -> list[Verdict]:
     """Fly the profiles that have a baseline and compare every metric with it, draw by draw.
@@ -187,7 +188,7 @@ def check(
         Check only these estimators of the baselines, by label or by the name they were recorded with.
     runs : int or None
         Number of draws of the first look; more are flown only to decide.
-    allow_commands, progress
+    allow_code, progress
         As for :func:`record_baselines`.
 
     Returns
@@ -218,7 +219,7 @@ def check(
     for name, baseline in baselines.items():
         chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")
         baselines[name] = chosen
-        measured[name] = _open(chosen.profile, requested, estimators, allow_commands, progress)
+        measured[name] = _open(chosen.profile, requested, estimators, allow_code, progress)
     looks = sorted({runs or LOOKS[0], *LOOKS})
     found: dict[str, list[Candidate]] = {}
     words: dict[tuple[str, str, str], Verdict] = {}

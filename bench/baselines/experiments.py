@@ -63,7 +63,7 @@ class Experiment(Protocol):
 
 
 def open_experiment(
-    source: str, requested: Sequence[str] | None = None, allow_commands: bool = False
+    source: str, requested: Sequence[str] | None = None, allow_code: bool = False
 ) -> Experiment:
     """Read a profile or a log and check it; nothing is flown yet.
 
@@ -73,8 +73,8 @@ def open_experiment(
         If it is missing or wrong.
     """
     if source.endswith(".toml") and isinstance(read_toml(Path(source), source).get("imu"), Mapping):
-        return Recording(source, requested, allow_commands)
-    return Flight(source, requested, allow_commands)
+        return Recording(source, requested, allow_code)
+    return Flight(source, requested, allow_code)
 
 
 class Flight:
@@ -82,9 +82,9 @@ class Flight:
 
     draws = None
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_commands: bool) -> None:
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool) -> None:
         self.source, self.name = source, get_name(source)
-        self.profile = load_profile(source, estimators=requested, allow_commands=allow_commands)
+        self.profile = load_profile(source, estimators=requested, allow_code=allow_code)
         self.seed = self.profile.seed
 
     @cached_property
@@ -133,9 +133,9 @@ class Recording:
     seed = 0
     truth_digest = ""
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_commands: bool) -> None:
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool) -> None:
         self.source, self.name = source, get_name(source)
-        self.log = log_pipeline.read_log(source, estimators=requested, allow_commands=allow_commands)
+        self.log = log_pipeline.read_log(source, estimators=requested, allow_code=allow_code)
 
     @cached_property
     def result(self) -> RunResult:

@@ -11,13 +11,13 @@ import click
 from bench.cli.group import (
     FILE,
     STATUS,
+    code_option,
     commands,
     estimator_option,
     force_option,
     json_option,
     new_console,
     out_option,
-    programs_option,
     recording_option,
     seed_option,
     set_option,
@@ -43,7 +43,7 @@ from bench.errors import DONE, NEGATIVE
 @json_option("the metrics")
 @recording_option
 @force_option()
-@programs_option("profile")
+@code_option("profile")
 def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
@@ -162,7 +162,7 @@ def new(kind: str, name: str | None) -> int:
     \b
     Examples:
       bench new estimator mine && bench run figure-eight -e mine:Mine
-      bench new check mine:Mine && bench check
+      bench new check mine:Mine && bench check --allow-code
     """
     from bench.workbench.new import new_check, new_estimator
 
@@ -205,7 +205,7 @@ def view(folder: Path | None, web: bool) -> int:
 @click.option("--strict", is_flag=True, help="status 1 if a metric is undecided, too")
 @click.option("--junit", type=FILE, metavar="FILE", help="write the verdicts as a JUnit file")
 @json_option("the verdicts")
-@programs_option("profile or baseline")
+@code_option("profile or baseline")
 def check(
     profiles: tuple[str, ...],
     estimators: tuple[str, ...] | None,
@@ -216,7 +216,7 @@ def check(
     strict: bool,
     junit: Path | None,
     as_json: bool,
-    allow_commands: bool,
+    allow_code: bool,
 ) -> int:
     """Find out whether a change of the code made a filter worse.
 
@@ -228,7 +228,7 @@ def check(
     \b
     Examples:
       bench check figure-eight -e mine:Mine --record   record a filter of your own
-      bench check                                      and check it after a change
+      bench check --allow-code                         and check it after a change
     """
     from bench.store import to_json
     from bench.workbench import check_verb
@@ -238,7 +238,7 @@ def check(
         "directory": baselines,
         "estimators": estimators,
         "runs": runs,
-        "allow_commands": allow_commands,
+        "allow_code": allow_code,
     }
     if record:
         if strict or junit or as_json:

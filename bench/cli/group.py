@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench import __version__
+from bench.moved import OPTIONS
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -93,10 +94,21 @@ def json_option(what: str) -> Decorator:
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
-def programs_option(file: str) -> Decorator:
-    """Return the option --allow-commands of a verb that reads this kind of file."""
-    text = f"let the {file} start the programs it names (use = 'command:...')"
-    return click.option("--allow-commands", is_flag=True, help=text)
+def _refuse_replaced(ctx: click.Context, param: click.Parameter, given: bool) -> None:
+    if given:
+        raise click.UsageError(f"{param.opts[0]} is now {OPTIONS[param.opts[0]]}", ctx)
+
+
+def code_option(file: str) -> Decorator:
+    """Return the option --allow-code of a verb that reads this kind of file."""
+    text = f"let the {file} run the code it names (use = 'module:Class' or 'command:...')"
+    old: dict[str, Any] = {"is_flag": True, "hidden": True, "expose_value": False}
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        replaced = click.option("--allow-commands", callback=_refuse_replaced, **old)(function)
+        return click.option("--allow-code", is_flag=True, help=text)(replaced)
+
+    return decorate
 
 
 def estimator_option(which: str) -> Decorator:

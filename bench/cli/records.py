@@ -10,6 +10,7 @@ import click
 from bench.cli.group import (
     FILE,
     STATUS,
+    code_option,
     commands,
     estimator_option,
     force_option,
@@ -17,7 +18,6 @@ from bench.cli.group import (
     new_console,
     out_option,
     parse_durations,
-    programs_option,
     recording_option,
     set_option,
 )
@@ -49,7 +49,7 @@ class _LogCommand(click.Command):
 )
 @recording_option
 @force_option()
-@programs_option("log")
+@code_option("log")
 @set_option
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")

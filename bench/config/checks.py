@@ -156,13 +156,21 @@ def check_options(document: Mapping[str, Any]) -> list[str]:
     return wrong
 
 
-def check_commands(choices: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
-    """Refuse the programs that a profile would start, so that a foreign profile starts none unnoticed."""
+def is_code(use: str) -> bool:
+    """Return whether an estimator is a program or a Python class that is not built in."""
+    return ":" in use and not use.startswith("file:") and use not in BUILT_IN
+
+
+def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
+    """Refuse the code that a file would run, so that a foreign file runs none unnoticed.
+
+    ``own`` are the estimators of the file, ``run`` those to run: with -e the user names code himself.
+    """
     return [
-        f"[[estimator]] {number}: {choice.use[:60]!r} starts a program on this machine; "
-        "--allow-commands lets a profile do so; with -e 'command:...' you name the program yourself"
-        for number, choice in enumerate(choices, 1)
-        if choice in run and choice.use.startswith("command:")
+        f"[[estimator]] {number}: {choice.use[:60]!r} is code that would run on this machine; "
+        "--allow-code lets a file do so; code that you name with -e runs without it"
+        for number, choice in enumerate(own, 1)
+        if is_code(choice.use) and any(choice is one for one in run)
     ]
 
 

@@ -183,7 +183,7 @@ class LogSpec:
 def load_log(
     name: str,
     estimators: Sequence[str] | None = None,
-    allow_commands: bool = False,
+    allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
 ) -> LogSpec:
     """Read and check a log file; the files it names are searched beside it.
@@ -192,7 +192,7 @@ def load_log(
     ----------
     name : str
         Path of the ``.toml`` file.
-    estimators, allow_commands, overrides
+    estimators, allow_code, overrides
         As `bench.config.load_profile` takes them; the figures of a log are those of ``sensors.assumed``.
 
     Raises
@@ -235,7 +235,7 @@ def load_log(
     wrong += [f"{place}{line}" for line in across]
     if wrong:
         raise ConfigError(*wrong)
-    choices = choose_estimators(name, choices, estimators, allow_commands)
+    choices = choose_estimators(name, choices, estimators, allow_code)
     imu = sources["imu"]
     assert imu is not None
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m

@@ -59,7 +59,7 @@ def load_profile(
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
     estimators: Sequence[str] | None = None,
-    allow_commands: bool = False,
+    allow_code: bool = False,
 ) -> Profile:
     """Read and check a profile; return it in SI.
 
@@ -77,8 +77,8 @@ def load_profile(
     estimators : sequence of str
         Estimators to evaluate instead of all of the profile's: labels of the profile, built-in names or
         ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
-    allow_commands : bool
-        Let the file name a ``command:``, a program that is started; ``estimators`` may always name one.
+    allow_code : bool
+        Let the file name a ``module:Class`` or a ``command:``, code that is run; ``estimators`` may always.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def load_profile(
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
-    choices = choose_estimators(shown, choices, estimators, allow_commands)
+    choices = choose_estimators(shown, choices, estimators, allow_code)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -188,14 +188,14 @@ def _find_sensors(
 
 
 def choose_estimators(
-    shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_commands: bool
+    shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_code: bool
 ) -> tuple[EstimatorChoice, ...]:
     """Return the estimators to run: those of a file, or those requested instead.
 
     Raises
     ------
     ConfigError
-        If two share a label, the request is empty, or the file would start a program without permission.
+        If two share a label, the request is empty, or the file would run code without permission.
     """
     choices = tuple(own)
     if estimators is not None:
@@ -207,7 +207,7 @@ def choose_estimators(
         if not choices:
             hint = "leave the list out to run those of the profile"
             raise ConfigError(f"{shown}: no estimator is requested; {hint}")
-    if not allow_commands and (wrong := checks.check_commands(own, choices)):
+    if not allow_code and (wrong := checks.check_code(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return choices
 

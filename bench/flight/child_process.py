@@ -165,6 +165,7 @@ def _cpu_time(pid: int) -> float:
 
 
 def _last_line(trouble: Path, status: int) -> str:
-    lines = trouble.read_text(encoding="utf-8", errors="replace").split("\n")
+    text = trouble.read_text(encoding="utf-8", errors="replace") if trouble.is_file() else ""
+    lines = text.split("\n")
     said = [line.strip() for line in lines if line.strip()]
     return f" with status {status}" + (f": {said[-1][:200]}" if said else "")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -160,7 +161,8 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
     module_name, _, class_name = place.partition(":")
     try:
-        module = importlib.import_module(module_name)
+        with catch_exit(use, "its module"):
+            module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise
@@ -178,6 +180,20 @@ def takes_option(use: str, name: str) -> bool:
     return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
 
 
+@contextmanager
+def catch_exit(name: str, part: str) -> Iterator[None]:
+    """Raise EstimatorFailedError if an estimator raises SystemExit or the like, which would end bench.
+
+    KeyboardInterrupt is the user's own.
+    """
+    try:
+        yield
+    except (Exception, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise EstimatorFailedError(f"estimator {name!r}: {part} raised {error!r}") from error
+
+
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
     """Build an estimator from the keywords it takes.
 
@@ -193,7 +209,8 @@ def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str,
         what = f"estimator {use!r}: unknown option"
         raise EstimatorError(*(f"{what} {name!r}{suggest(name, known, 'options')}" for name in unknown))
     try:
-        return factory(**options)
+        with catch_exit(use, "its constructor"):
+            return factory(**options)
     except (ValueError, TypeError) as error:
         raise EstimatorError(f"estimator {use!r}: {error}") from error
 
@@ -229,7 +246,9 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
         solution = estimator.run(sensors, initial)
     except EstimatorError as error:  # from the initial alignment
         raise EstimatorError(f"estimator {name!r}: {error}") from error
-    except Exception as error:
+    except KeyboardInterrupt:  # of the user
+        raise
+    except BaseException as error:  # sys.exit() of an estimator does not end bench
         raise EstimatorFailedError(f"estimator {name!r}: run() raised {error!r}") from error
     if not isinstance(solution, NavSolution):
         found = type(solution).__name__

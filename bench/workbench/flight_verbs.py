@@ -65,8 +65,8 @@ def find_own_estimators() -> None:
 
 
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
-    """Fly the truth of one profile into the cache, and print its legs and extremes."""
-    profile = config.load_profile(name, **profile_options)
+    """Fly the truth of one profile into the cache, and print its legs and extremes; no estimator is run."""
+    profile = config.load_profile(name, allow_code=True, **profile_options)
     with _show_progress(profile) as progress:
         summary = api.describe_flight(profile, progress)
     show.print_flight(console, profile, summary)

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.baselines.checking import DIRECTORY
+from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.workbench import check_verb
 
@@ -87,7 +88,7 @@ jobs:
         with:
           python-version: "3.12"
       - run: pip install ins-gnss-bench  # or where you install bench from
-      - run: bench check --junit accuracy.xml
+      - run: bench check --junit accuracy.xml{option}
       - uses: actions/upload-artifact@v4
         if: always()
         with:
@@ -114,15 +115,16 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
     profile, workflow = DIRECTORY / "short.toml", Path(".github/workflows/accuracy.yml")
     if not re.fullmatch(r"[A-Za-z0-9_.:-]+", use):
         raise ConfigError(f"{use!r}: must be a built-in estimator or module:Class")
-    texts = {profile: _PROFILE.format(use=use), workflow: _WORKFLOW}
+    option = " --allow-code" if is_code(use) else ""
+    texts = {profile: _PROFILE.format(use=use), workflow: _WORKFLOW.format(option=option)}
     for path in (*texts, profile.with_suffix(".json")):
         if path.exists() or path.is_symlink():
             raise ConfigError(f"{path}: exists already and is not replaced")
     for path in texts:
         path.parent.mkdir(parents=True, exist_ok=True)
-    _write_all(texts, lambda: check_verb.record([str(profile)], console=console, runs=draws))
+    _write_all(texts, lambda: check_verb.record([str(profile)], console=console, runs=draws, allow_code=True))
     console.print(f"Wrote {profile} and {workflow}. Keep them in your repository.")
-    console.print("Next: bench check")
+    console.print(f"Next: bench check{option}")
 
 
 def new_estimator(name: str, *, console: Console) -> None:

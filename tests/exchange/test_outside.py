@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -18,10 +19,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, pipeline, store
 from bench.cli import main
-from bench.errors import ConfigError, EstimatorError
+from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import metrics
 from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
+from bench.navigation import estimator
 from bench.specs import EstimatorChoice
 from tests.cli.test_cli import PROFILE
 
@@ -299,22 +301,57 @@ def test_it_pickles(tmp_path):
 # --- profiles -----------------------------------------------------------------------------------------
 
 
+def test_a_profile_runs_no_class_unless_told(tmp_path, monkeypatch, capsys):
+    """Wherever the module is from; the one that the user names with -e is his own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "his.toml").write_text(PROFILE + "[[estimator]]\nuse = 'his:Filter'\nlabel = 'loose-22'\n")
+    (tmp_path / "his.py").write_text("open('ran', 'w')\n")
+    for options in ([], ["-e", "loose-22"]):  # the label does not make it built in
+        assert main(["run", "his.toml", *options]) == 2
+        assert re.fullmatch(
+            r"error: his.toml: \[\[estimator\]\] 2: 'his:Filter' is code that would run on this machine; "
+            r"--allow-code .*\n",
+            capsys.readouterr().err,
+        )
+    assert not (tmp_path / "ran").exists()
+    assert config.load_profile("his.toml", allow_code=True).estimators[1].use == "his:Filter"
+    assert config.load_profile("his.toml", estimators=["his:Filter"]).estimators[0].use == "his:Filter"
+    assert main(["run", "his.toml", "--allow-commands"]) == 2
+    assert "--allow-commands is now --allow-code" in capsys.readouterr().err
+
+
+def test_a_class_that_ends_the_interpreter_is_a_failed_estimator(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "leaves_at_import.py").write_text("raise SystemExit(0)\n")
+    assert main(["run", "static", "-e", "leaves_at_import:Filter"]) == 70
+    said = "estimator 'leaves_at_import:Filter': its module raised SystemExit(0)"
+    assert said in capsys.readouterr().err
+
+    class Leaves:
+        def run(self, sensors, initial):
+            sys.exit()
+
+    with pytest.raises(EstimatorFailedError, match=r"^estimator 'x': run\(\) raised SystemExit\(\)$"):
+        estimator.answer(Leaves(), "x", None, None)
+
+
 def test_a_profile_starts_no_program_unless_told(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     profile = PROFILE + "[[estimator]]\nuse = 'command:sh -c touch {sensors} {solution}'\n"
     (tmp_path / "his.toml").write_text(profile)
     assert main(["run", "his.toml"]) == 2
     assert capsys.readouterr().err == (
-        "error: his.toml: [[estimator]] 2: 'command:sh -c touch {sensors} {solution}' starts a "
-        "program on this machine; --allow-commands lets a profile do so; with -e 'command:...' you name the "
-        "program yourself\n"
+        "error: his.toml: [[estimator]] 2: 'command:sh -c touch {sensors} {solution}' is code that would run "
+        "on this machine; --allow-code lets a file do so; code that you name with -e runs without it\n"
     )
     assert main(["run", "his.toml", "-e", "sh"]) == 2  # its label does not make it yours
-    assert "--allow-commands" in capsys.readouterr().err
+    assert "--allow-code" in capsys.readouterr().err
     assert [c.label for c in config.load_profile("his.toml", estimators=["loose-15"]).estimators] == [
         "loose-15"
     ]
-    assert config.load_profile("his.toml", allow_commands=True).estimators[1].label == "sh"
+    assert config.load_profile("his.toml", allow_code=True).estimators[1].label == "sh"
 
 
 def test_relative_paths_begin_at_the_profile_or_for_e_where_one_stands(tmp_path, monkeypatch):

@@ -54,9 +54,7 @@ def measure(monkeypatch):
                 row = EstimatorDraw(converged(k), metrics_of(k), {"nees_mean": 9.0}, 500)
                 return Draw(sensors(k), dict.fromkeys(labels, row))
 
-        monkeypatch.setattr(
-            checking, "open_experiment", lambda source, requested, allow_commands: Made(source)
-        )
+        monkeypatch.setattr(checking, "open_experiment", lambda source, requested, allow_code: Made(source))
         measured.clear()
         return measured
 
@@ -250,9 +248,9 @@ def test_programs_of_a_baseline_need_permission(measure, tmp_path):
     measure()
     program = ["command:./filter {sensors} {solution}"]
     record_baselines(["survey.toml"], directory=tmp_path, estimators=program, runs=20)
-    with pytest.raises(ConfigError, match="starts a program on this machine"):
+    with pytest.raises(ConfigError, match="runs code on this machine"):
         check(directory=tmp_path)
-    assert check(directory=tmp_path, allow_commands=True)
+    assert check(directory=tmp_path, allow_code=True)
     assert check(directory=tmp_path, estimators=program)
 
 

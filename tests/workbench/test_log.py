@@ -591,7 +591,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (("from_s = 40.0", "from_s = 25.0"), None),
         (
             ("[evaluation]", '[[estimator]]\nuse = "command:touch {sensors}"\n[evaluation]'),
-            "--allow-commands",
+            "--allow-code",
         ),
         (("[evaluation]", '[[estimator]]\nuse = "loos-15"\n[evaluation]'), "Did you mean 'loose-15'"),
         (("from_s = 40.0", "from_s = 400.0"), "outside the recording"),
