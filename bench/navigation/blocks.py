@@ -18,6 +18,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import InitialState
 from bench.navigation.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.options import FusionOptions
+from bench.signals.allan import fit_flat_deviation
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, TriadSpec
 
@@ -27,6 +28,10 @@ WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s 
 TEMPERATURE_SD = 20.0  # of an IMU about its reference temperature, in flight or on a cold day [K]
 TEMPERATURE_CORRELATION = 1000.0  # time in which it changes by as much: a climb of 3 km [s]
 
+STEADY = 6  # the "rate" of a state that adds to an error as it is
+FLICKER_STAGES = (0.05, 0.55, 6.0)
+"""Correlation times of Gauss-Markov processes whose sum is flicker noise, over that of the triad [1]."""
+
 _Figure = float | FloatArray  # the same for every state of a block, or one for each
 
 
@@ -34,8 +39,8 @@ _Figure = float | FloatArray  # the same for every state of a block, or one for 
 class States:
     """One to three states of one name and the process they follow.
 
-    A drive ``(state, error, rate)`` adds a state (0 to 2) times a measured rate (0 to 2) or specific force
-    (3 to 5) to an error of the gyros (0 to 2) or accelerometers (3 to 5).
+    A drive ``(state, error, rate)`` adds a state (0 to 2) times a measured rate (0 to 2), specific force
+    (3 to 5) or 1 (`STEADY`) to an error of the gyros (0 to 2) or accelerometers (3 to 5).
     """
 
     name: str
@@ -167,7 +172,13 @@ def _core(specs: AssumedSpecs, *, changing: bool) -> list[States]:
 
 
 def _changing_bias(bias: States, triad: TriadSpec) -> States:
-    """Return bias states with the change by temperature and a rate random walk added."""
+    """Return bias states with the slow stage of flicker, temperature and a rate random walk."""
+    if stages := _flicker_stages(triad):
+        time, slow2 = stages[-1]
+        decay = 0.0 if triad.turn_on_bias_sd > 0 else 1.0 / time
+        bias = replace(
+            bias, variance=triad.turn_on_bias_sd**2 + slow2, density=2.0 * slow2 / time, decay_time=decay
+        )
     heat2 = (triad.temperature_sd * TEMPERATURE_SD) ** 2
     more = 2.0 * heat2 / TEMPERATURE_CORRELATION + triad.rate_random_walk**2
     if more == 0.0:
@@ -257,7 +268,26 @@ def _every_error(specs: AssumedSpecs) -> list[States]:
         elif scale > 0:
             drives = tuple((i, at + i, at + i) for i in range(3))
             found.append(States(f"{name}_scale", "1", 3, scale, drives=drives))
+    found += _flicker("gyro", "rad_s", specs.imu.gyro, 0) + _flicker("accel", "m_s2", specs.imu.accel, 3)
     return found + (_g_sensitivity(specs) if specs.imu.gyro.g_sensitivity_sd > 0 else [])
+
+
+def _flicker_stages(triad: TriadSpec) -> list[tuple[float, float]]:
+    """Return correlation time [s] and variance of the stages of a flicker bias, the slowest last."""
+    if triad.bias_model != "flicker" or triad.bias_instability == 0:
+        return []
+    sd = triad.bias_instability * fit_flat_deviation(FLICKER_STAGES, 0.1, 10.0, 81)
+    times = triad.bias_correlation * np.array(FLICKER_STAGES)
+    return list(zip(times.tolist(), np.square(sd).tolist(), strict=True))
+
+
+def _flicker(name: str, unit: str, triad: TriadSpec, at: int) -> list[States]:
+    """Return the fast stages of a flicker bias; the slowest one is part of the bias."""
+    drives = tuple((i, at + i, STEADY) for i in range(3))
+    return [
+        States(f"{name}_flicker_{k}", unit, 3, variance, 0.0, 1.0 / time, stationary=variance, drives=drives)
+        for k, (time, variance) in enumerate(_flicker_stages(triad)[:-1], 1)
+    ]
 
 
 def _scale_variance(triad: TriadSpec) -> float:
@@ -285,12 +315,14 @@ EVERY_ERROR = Block(
             "g-sensitivity",
             "temperature bias",
             "rate random walk",
+            "bias instability as flicker noise",
         )
     ),
 )
 """Scale factors and misalignments as the 3 x 3 matrix of each triad, g-sensitivity; what is 0 has no state.
 
-With it the biases also hold what the temperature and a rate random walk do to them.
+With it the biases also hold what the temperature and a rate random walk do to them, and flicker noise is a
+sum of processes: its fast stages are states, the slowest is part of the bias.
 """
 
 

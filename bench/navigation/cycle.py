@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
-from bench.navigation.blocks import Index, Process
+from bench.navigation.blocks import STEADY, Index, Process
 from bench.navigation.error_state import (
     GYRO,
     PHI,
@@ -131,7 +131,7 @@ def increments_kernel(
     for d in range(drives.shape[0]):
         error, by = drives[d, 1] - GYRO, drives[d, 2]
         if error != by:
-            part = state[drives[d, 0] + 1] * (dth[by] if by < 3 else dv[by - 3])
+            part = state[drives[d, 0] + 1] * (dt if by == STEADY else dth[by] if by < 3 else dv[by - 3])
             if error < 3:
                 dth[error] -= part
             else:
@@ -260,7 +260,7 @@ def advance_kernel(
                 C_mean[i, j] /= T
         for d in range(driven):
             by = drives[d, 2]
-            factor[d] = (w_sum[by] if by < 3 else f_sum[by - 3]) / T
+            factor[d] = 1.0 if by == STEADY else (w_sum[by] if by < 3 else f_sum[by - 3]) / T
         speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
         noise_kernel(T, process, clock, speed, lost, decay, noise)
         for i in range(GYRO, n):

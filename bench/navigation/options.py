@@ -105,8 +105,8 @@ class FusionOptions(IntegrityOptions, FixOptions):
     mems: bool = False
     """Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9)."""
     every_error: bool = False
-    """States for scale factors and misalignments (9 + 9) and g-sensitivity (9) as far as the datasheet of the
-    IMU names them, and biases that hold temperature and rate random walk."""
+    """States for scale factors and misalignments (9 + 9), g-sensitivity (9) and flicker noise (12) as far as
+    the datasheet of the IMU names them, and biases that hold temperature and rate random walk."""
     compensate_latency: bool = True
     """Compare a measurement with the state at its validity, else with that at its arrival."""
     adaptive_noise: Count | None = None

@@ -7,7 +7,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Trajectory
-from bench.sensors.processes import fit_flat_deviation
+from bench.signals import allan
 from bench.signals.orbits import C
 from bench.specs import SkySpec, stream
 
@@ -82,7 +82,7 @@ def simulate_receiver_clock(
         level = C * float(np.sqrt(2.0 * np.log(2.0) * sky.clock_h_m1))
         noise = stream(seed, run, "gnss.sky.clock.flicker").standard_normal((len(t), len(_STAGES), 2))
         flicker = np.zeros((len(t), 2))
-        sd = level * fit_flat_deviation(_STAGES, *_FLAT)
+        sd = level * allan.fit_flat_deviation(_STAGES, *_FLAT)
         _flicker_kernel(np.diff(t), np.array(_STAGES), sd, noise, flicker)
         offset += flicker[:, 0]
         drift += flicker[:, 1]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from bench.arrays import FloatArray
@@ -41,23 +39,6 @@ def simulate_gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) 
     return out
 
 
-@lru_cache(maxsize=2)
-def fit_flat_deviation(stages: tuple[float, ...], first: float, last: float, count: int) -> FloatArray:
-    """Fit the sds of Gauss-Markov stages so that the Allan deviation of their sum is 1 (least squares).
-
-    Parameters
-    ----------
-    stages : tuple of float
-        Correlation times [s].
-    first, last, count
-        Averaging times of the fit: from first to last [s], at equal ratios.
-    """
-    tau = np.geomspace(first, last, count)
-    curves = np.column_stack([allan.gauss_markov_deviation(tau, 1.0, c) ** 2 for c in stages])
-    sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(count), rcond=None)[0])
-    return sd
-
-
 def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
     """Return the correlation times (K,) [s] and sds (K,) [unit/s] of the stages of a bias instability.
 
@@ -83,7 +64,7 @@ def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
             f"bias_instability needs a bias_correlation above 0 s; got {triad.bias_correlation:g} s"
         )
     if triad.bias_model == "flicker":
-        sd = fit_flat_deviation(_FLICKER_STAGES, 0.1, 10.0, 81)
+        sd = allan.fit_flat_deviation(_FLICKER_STAGES, 0.1, 10.0, 81)
         return triad.bias_correlation * np.array(_FLICKER_STAGES), triad.bias_instability * sd
     if triad.bias_model == "gauss-markov":
         return np.array([triad.bias_correlation]), np.array([triad.instability_sd])

@@ -9,6 +9,7 @@ differences, from which the effective degrees of freedom of an estimate follow.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -220,3 +221,20 @@ def gauss_markov_deviation(tau: ArrayLike, sd: float, correlation: ArrayLike) ->
     variance = 2 * sd**2 / x * (1 - (3 - 4 * np.exp(-x) + np.exp(-2 * x)) / (2 * x))
     adev: FloatArray = np.sqrt(variance)
     return adev
+
+
+@lru_cache(maxsize=2)
+def fit_flat_deviation(stages: tuple[float, ...], first: float, last: float, count: int) -> FloatArray:
+    """Fit the sds of Gauss-Markov stages so that the Allan deviation of their sum is 1 (least squares).
+
+    Parameters
+    ----------
+    stages : tuple of float
+        Correlation times [s].
+    first, last, count
+        Averaging times of the fit: from first to last [s], at equal ratios.
+    """
+    tau = np.geomspace(first, last, count)
+    curves = np.column_stack([gauss_markov_deviation(tau, 1.0, c) ** 2 for c in stages])
+    sd: FloatArray = np.sqrt(np.linalg.lstsq(curves, np.ones(count), rcond=None)[0])
+    return sd

@@ -10,7 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import sensors
-from bench.navigation.blocks import Block, States, index_of, state_model
+from bench.navigation import cycle
+from bench.navigation.blocks import STEADY, Block, States, index_of, state_model
+from bench.navigation.error_state import GYRO
 from bench.navigation.fusion import Loose
 from bench.navigation.measurements import AIDING
 from tests.weaving import units, weaving
@@ -74,3 +76,15 @@ def test_kernels_find_the_blocks_of_a_layout_and_no_others(drawn):
 def test_every_sensor_of_the_table_belongs_to_an_option_of_the_filter():
     for sensor in AIDING:
         assert hasattr(Loose().options, sensor.option)
+
+
+def test_a_steady_drive_is_taken_off_the_increments_as_the_bias_is():
+    """The fast stages of flicker add to an error as they are, whatever the motion."""
+    drives = np.array([[15 + i, GYRO + e, STEADY] for i, e in enumerate((0, 1, 2, 3, 4, 5))])
+    rng = np.random.default_rng(4)
+    state = np.zeros(22)
+    state[10:16], state[16:22] = rng.normal(size=6), rng.normal(size=6)
+    dth, dv = rng.normal(size=3), rng.normal(size=3)
+    wanted = np.concatenate([dth, dv]) - (state[10:16] + state[16:22]) * 0.02
+    cycle.increments_kernel.py_func(state, 0.02, drives, dth, dv)
+    np.testing.assert_allclose(np.concatenate([dth, dv]), wanted, rtol=1e-12)

@@ -18,8 +18,8 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
-from bench.sensors.processes import fit_flat_deviation
 from bench.signals import allan, delays, orbits, receiver
+from bench.signals.allan import fit_flat_deviation
 from bench.specs import SkySpec
 from tests.builders import band
 from tests.data import gnss_file
