@@ -20,6 +20,7 @@ from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines, observations
+from bench.signals.orbits import KEPLER
 from tests.data import gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
@@ -298,6 +299,18 @@ def test_yuma_week_follows_the_date(tmp_path):
     path = written(tmp_path, YUMA)
     for year, week in ((2003, 1173), (2022, 2197)):
         assert almanac.read_yuma(path, lines.gps_seconds(year, 2, 17)).t[0] // 604800 == week
+
+
+def test_each_entry_of_a_yuma_almanac_has_its_column(tmp_path):
+    t_oe = 2197 * 604800.0 + 405504.0
+    given = {
+        "t_oe": t_oe, "t_oe_week": 405504.0, "t_oc": t_oe, "e": 0.01139211655, "i_0": 0.9867355387,
+        "node_rate": -0.7886042771e-8, "sqrt_a": 5153.623047, "node_0": -1.912602899, "perigee": 0.881498914,
+        "mean_anomaly": -2.769097477, "af_0": 0.4291534424e-3, "af_1": -0.1091393642e-10,
+    }  # fmt: skip
+    sets = almanac.read_yuma(written(tmp_path, YUMA), lines.gps_seconds(2022, 2, 17))
+    found = dict(zip(KEPLER, sets.elements[0].tolist(), strict=True))
+    assert found == pytest.approx(dict.fromkeys(KEPLER, 0.0) | given, rel=1e-14, abs=0.0)
 
 
 def broken(text, line, old, new):

@@ -85,7 +85,7 @@ def test_where_the_heading_is_hardly_known_it_beats_the_linear_filter():
 
     What makes a filter of sigma points worth its time: large errors before the first turns.
     """
-    truth, spec = weaving(60.0, rate=100.0), replace(units(), initial_heading_sd=60.0 * DEG)
+    truth, spec = weaving(60.0, rate=50.0), replace(units(), initial_heading_sd=60.0 * DEG)
     found = {"ukf": [], "loose-15": []}
     for run in range(40):
         sensed = sensors.sense(truth, spec, 2, run)
