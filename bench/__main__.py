@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 from types import FrameType
 
+from bench.errors import INTERRUPTED
+
 
 def main() -> None:
     """Run the command line of this process and exit with its status."""
+    os.environ.setdefault("RUST_LOG", "error")  # rerun warns of what it drops when interrupted
     numbers = (signal.SIGINT, signal.SIGTERM)
     for number in numbers:
         if signal.getsignal(number) != signal.SIG_IGN:  # ignored: started in the background
@@ -19,13 +23,17 @@ def main() -> None:
     status = cli.main()
     for number in numbers:  # all is done; Python itself ends
         signal.signal(number, signal.SIG_IGN)
+    if status == INTERRUPTED:  # Python would end by SIGINT if the interruption came within an exec()
+        with contextlib.suppress(OSError):  # nobody reads any more
+            sys.stdout.flush()
+        os._exit(status)
     sys.exit(status)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
     """End the process at once: nothing has been begun that would have to be taken back."""
     os.write(2, b"error: interrupted\n")
-    os._exit(130)
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

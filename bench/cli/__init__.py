@@ -32,11 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str or None
         The arguments behind ``bench``; None takes those of this process.
     """
-    interrupted = threading.Event()
+    interrupted, over = threading.Event(), threading.Event()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         interrupted.set()
-        raise KeyboardInterrupt
+        if not over.is_set():
+            raise KeyboardInterrupt
 
     numbers = [
         n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN
@@ -45,17 +46,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     hook, threshold = sys.unraisablehook, gc.get_threshold()
     sys.unraisablehook = lambda event: _raise_again(event, hook)
     gc.set_threshold(1_000_000, 9, 9)  # collecting during imports takes a tenth of a run and frees nothing
+    status = DONE
     try:
         status = _run(arguments, interrupted)
-        if interrupted.is_set() and status != INTERRUPTED:  # somebody has caught the exception
-            status = _fail(INTERRUPTED, "interrupted")
+        over.set()
     except KeyboardInterrupt:  # in the last line of `_run`
-        status = _fail(INTERRUPTED, "interrupted")
+        over.set()
     finally:
+        over.set()
         gc.set_threshold(*threshold)
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+    if interrupted.is_set() and status != INTERRUPTED:
+        return _fail(INTERRUPTED, "interrupted")
     return status
 
 

@@ -89,9 +89,8 @@ def wait_for(command: Sequence[str]) -> int:
     It is ended too when the process that started this one ends, unless SIGHUP is ignored (nohup), and on
     Linux when this process is killed.
     """
-    quiet = {"RUST_LOG": "warn", **os.environ}
     parent, stays = os.getppid(), signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    child = subprocess.Popen(command, start_new_session=True, env=quiet, preexec_fn=_end_with_parent)
+    child = subprocess.Popen(command, start_new_session=True, preexec_fn=_end_with_parent)
     try:
         while stays or os.getppid() == parent:
             with contextlib.suppress(subprocess.TimeoutExpired):

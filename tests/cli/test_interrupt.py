@@ -43,12 +43,13 @@ def used(process: subprocess.Popen[str]) -> float:
 
 
 def measure(folder: Path, kernels: str) -> float:
-    """Return the processor time of a whole run [s]."""
+    """Return the processor time of a run until its results are written [s]."""
     process, last = start(folder, kernels), 0.0
-    while process.poll() is None:
+    while process.poll() is None and not (folder / "here" / "runs" / "short-5").exists():
         last = max(last, used(process))
-        time.sleep(0.01)
-    assert process.returncode == 0, process.communicate()[1]
+        time.sleep(0.005)
+    _, err = process.communicate()
+    assert process.returncode == 0, err
     return last
 
 
@@ -57,8 +58,11 @@ def interrupt(folder: Path, kernels: str, after: float) -> list[str]:
     process = start(folder, kernels)
     while process.poll() is None and used(process) < after:
         time.sleep(0.002)
+    ended = process.poll() is not None
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=120)
+    if ended:  # a little faster than the one that was measured
+        return interrupt(folder / "again", kernels, 0.95 * after)
     wrong = []
     if (process.returncode, err.strip()) != (130, "error: interrupted"):
         wrong.append(f"{after:.2f} s: status {process.returncode}: {err.strip()[-300:]}")
@@ -88,7 +92,7 @@ def test_a_run_is_interrupted_at_twenty_instants(tmp_path):
     whole = measure(tmp_path / "whole", warm)
     wrong = []
     for k in range(14):
-        after = START + (whole - START - 0.05) * k / 13
+        after = START + (whole - START) * k / 13
         wrong += interrupt(tmp_path / f"warm-{k}", warm, after)
     for k in range(6):
         after = whole * 0.5 + 1.5 * k
