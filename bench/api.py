@@ -114,10 +114,14 @@ def navigate(
 
 
 def judge(
-    profile: str | Path | Profile, truth: Trajectory, solution: NavSolution
+    profile: str | Path | Profile, truth: Trajectory, solution: NavSolution, sensed: Sensed | None = None
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution relative to a truth, and its metrics."""
-    return pipeline.judge(_read_profile(profile), truth, solution)
+    """Return the errors of a solution relative to a truth, and its metrics.
+
+    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned.
+    """
+    drawn = None if sensed is None else sensed.truth
+    return pipeline.judge(_read_profile(profile), truth, solution, drawn)
 
 
 def save(

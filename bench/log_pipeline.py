@@ -18,6 +18,7 @@ from bench.errors import ConfigError
 from bench.evaluation import validity
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
+from bench.evaluation.verdict import add_verdict
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
@@ -142,6 +143,7 @@ def navigate_log(
         errors[label], metrics[label] = judge(solutions[label], withheld, data, spec.evaluation_from)
         if list_errors := getattr(one, "unmodelled", None):
             metrics[label]["unmodelled"] = list(list_errors(spec.assumed))
+        metrics[label] = add_verdict(label, metrics[label])
         for duration in outages:
             outage_drifts = session.run_outages(one, label, duration, places)
             drifts.append(make_drift_row(label, duration, outage_drifts, spec.assumed.imu))

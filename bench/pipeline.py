@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from bench import store
-from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
+from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
@@ -100,8 +100,10 @@ def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
     return estimator.load(choice.use, choice.options)
 
 
-def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution and its metrics."""
+def judge(
+    profile: Profile, truth: Trajectory, solution: NavSolution, drawn: SensorTruth | None = None
+) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return the errors of a solution and its metrics; those of biases if the true ones are given."""
     from bench.evaluation import metrics
 
     return metrics.judge(
@@ -110,6 +112,8 @@ def judge(profile: Profile, truth: Trajectory, solution: NavSolution) -> tuple[E
         evaluation_from=profile.evaluation_from,
         outages=profile.sensors.gnss_outages,
         faults=profile.sensors.faults,
+        assumed=profile.sensors.assumed,
+        drawn=drawn,
     )
 
 
@@ -148,7 +152,18 @@ def run(
         label: estimator.answer(one, label, sensed.data, sensed.initial) for label, one in built.items()
     }
     clock["judge"] = time.process_time()
-    judged = {label: judge(profile, truth, solution) for label, solution in solutions.items()}
+    from bench.evaluation.verdict import add_verdict
+
+    judged = {label: judge(profile, truth, solution, sensed.truth) for label, solution in solutions.items()}
+    metrics = {
+        label: {
+            **judged[label][1],
+            "unmodelled": _list_unmodelled(profile, label, one),
+            **_describe_program(solutions[label]),
+        }
+        for label, one in built.items()
+    }
+    metrics = {label: add_verdict(label, values) for label, values in metrics.items()}
     clock["end"] = time.process_time()
     hashes = {
         "truth": None if own_truth else store.truth_key(profile.flight),
@@ -159,14 +174,7 @@ def run(
         profile=profile.document,
         seed=profile.seed,
         run=run,
-        metrics={
-            label: {
-                **judged[label][1],
-                "unmodelled": _list_unmodelled(profile, label, one),
-                **_describe_program(solutions[label]),
-            }
-            for label, one in built.items()
-        },
+        metrics=metrics,
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
         provenance={**store.provenance(), "inputs": hashes, "cpu_s": cpu_s},

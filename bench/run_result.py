@@ -57,16 +57,28 @@ class RunResult(Rebuilt):
         return f"<RunResult {heading}: {', '.join(found)}>"
 
     def _repr_html_(self) -> str:
-        """Return the metrics without ``_all`` as an HTML table with a column for each estimator."""
+        """Return the verdicts, and the metrics without ``_all`` as a table, a column for each estimator."""
         names = {name: None for values in self.metrics.values() for name in values}
-        rows = [["", *self.metrics]]
+        rows = [f"<td></td>{''.join(f'<td>{escape(label)}</td>' for label in self.metrics)}"]
         for name in names:
             values = [one.get(name) for one in self.metrics.values()]
             if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
-                rows.append([name, *(_format_value(value) for value in values)])
-        cells = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
+                cells = "".join(_make_cell(name, one) for one in self.metrics.values())
+                rows.append(f"<td>{escape(name)}</td>{cells}")
         head = escape(f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}")
-        return f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+        table = f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+        texts = [
+            text
+            for values in self.metrics.values()
+            for text in (values.get("verdict_text", ""), *values.get("drift_text", ()))
+        ]
+        return "".join(f"<p>{escape(text)}</p>" for text in texts if text) + table
+
+
+def _make_cell(name: str, values: Mapping[str, Any]) -> str:
+    """Return the cell of a metric, marked and red if it is outside its bounds."""
+    text = escape(_format_value(values.get(name)))
+    return f'<td style="color:red">{text} !</td>' if name in values.get("outside", ()) else f"<td>{text}</td>"
 
 
 def _format_value(value: Any) -> str:

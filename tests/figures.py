@@ -103,7 +103,7 @@ def compare(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
 
 
 def _moved(old: dict[str, Any], new: dict[str, Any], share: float, place: str) -> list[str]:
-    lines = [f"{place}: {key} is only in one recording" for key in sorted(old.keys() ^ new.keys())]
+    lines = [f"{place}: {key} is gone" for key in sorted(old.keys() - new.keys())]
     for key in sorted(old.keys() & new.keys()):
         a, b = old[key], new[key]
         if isinstance(a, float) and isinstance(b, float) and not key.startswith(COUNTS):

@@ -48,10 +48,13 @@ def test_run_is_fly_sense_navigate_judge(profile):
     truth = bench.fly(profile)
     sensed = bench.sense(profile, truth)
     solution = bench.navigate("loose-15", sensed.data, sensed.initial)
-    errors, metrics = bench.judge(profile, truth, solution)
+    errors, metrics = bench.judge(profile, truth, solution, sensed)
     np.testing.assert_array_equal(result.solutions["loose-15"].lla, solution.lla)
     np.testing.assert_array_equal(result.errors["loose-15"].pos_n, errors.pos_n)
-    assert {k: v for k, v in result.metrics["loose-15"].items() if k != "unmodelled"} == metrics
+    judged = result.metrics["loose-15"]
+    assert {name: judged[name] for name in metrics} == metrics
+    words = {"unmodelled", "verdict", "verdict_text", "drift_text", "outside"}
+    assert judged.keys() - metrics.keys() == words
     assert result.seed == 3
     assert result.provenance["inputs"]["truth"]
     given = pipeline.run(profile, truth=truth).provenance["inputs"]

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import ErrorSeries, Events, NavSolution
+from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
 from bench.evaluation.consistency import SensorNis, nis_by_sensor
-from bench.evaluation.error_series import heading_sd
-from bench.specs import Fault
-from bench.units import SAME_INSTANT
+from bench.evaluation.error_series import heading_sd, select_epochs
+from bench.evaluation.poses import Poses
+from bench.fields import XYZ
+from bench.specs import AssumedSpecs, Fault
+from bench.units import SAME_INSTANT, split_unit
 
 Outages = Sequence[tuple[float, float]]
 
@@ -29,6 +31,14 @@ class Alarms:
     name: str  # of the innovation, or "integrity"
     sensors: tuple[str, ...]  # the name of the innovation, or the sensors of the event
     t: FloatArray  # (K,) [s]
+
+
+@dataclass(frozen=True, slots=True)
+class BiasError:
+    """Error of one bias state and its standard deviation, in the unit of the state."""
+
+    error: FloatArray  # (M,)
+    sd: FloatArray  # (M,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +62,44 @@ class Case:
     alarms: tuple[Alarms, ...]  # of the whole run
     from_s: float  # [s]
     asked: int  # number of epochs asked for; t holds those with a solution
+    solution: NavSolution  # these epochs; all its innovations and events
+    biases: Mapping[str, BiasError]  # of the bias states, "gyro_bias_x" ...; empty if the truth is unknown
+    poses: Poses | None  # None if a position is not finite
+    start: NavSolution  # first epoch of the whole run
+    assumed: AssumedSpecs | None  # the datasheets to expect drift from
+
+
+def find_outage_rows(case: Case) -> dict[str, tuple[int, int]]:
+    """Return the first and last row inside each outage [start, end), by number, if it has any row."""
+    rows = {}
+    for number, start, end in case.outages:
+        first = int(np.searchsorted(case.t, start - SAME_INSTANT))
+        last = int(np.searchsorted(case.t, end - SAME_INSTANT)) - 1
+        if first <= last:
+            rows[str(number)] = first, last
+    return rows
+
+
+def bias_errors(solution: NavSolution, drawn: SensorTruth) -> dict[str, BiasError]:
+    """Return the errors of the bias states of a solution and their standard deviations, by name.
+
+    Biases that the estimator does not estimate, or that have no standard deviation, are left out.
+    """
+    if not len(drawn.t):
+        return {}
+    found = {}
+    for k, full in enumerate(solution.extra_names):
+        name, _ = split_unit(full)
+        stem, _, axis = name.rpartition("_")
+        if stem in ("gyro_bias", "accel_bias") and axis in XYZ:
+            truth = getattr(drawn, f"{stem}_b")[:, XYZ.index(axis)]
+        elif axis == "bias" and stem in drawn.bias and drawn.bias[stem].shape[1] == 1:
+            truth = drawn.bias[stem][:, 0]
+        else:
+            continue
+        error = solution.extra[:, k] - np.interp(solution.t, drawn.t, truth)
+        found[name] = BiasError(error, solution.extra_sd[:, k])
+    return found
 
 
 def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
@@ -72,6 +120,9 @@ def build_case(
     outages: Outages,
     faults: Sequence[Fault] = (),
     missing: FloatArray = NO_TIMES,
+    assumed: AssumedSpecs | None = None,
+    drawn: SensorTruth | None = None,
+    poses: Poses | None = None,
 ) -> Case:
     """Collect what the metrics need of a run from an instant on.
 
@@ -87,19 +138,26 @@ def build_case(
         Scripted faults, as the profile numbers them.
     missing : (K,) array
         Instants that were asked for and have no solution [s].
+    assumed : AssumedSpecs or None
+        The datasheets to expect drift from.
+    drawn : SensorTruth or None
+        The true biases.
+    poses : Poses or None
+        Those of the solution.
     """
     rows = errors.t >= from_s - SAME_INSTANT
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
+    inside = select_epochs(solution, rows)
     with np.errstate(invalid="ignore"):
-        sd = np.sqrt(np.einsum("kii->ki", solution.cov))
+        sd = np.sqrt(np.einsum("kii->ki", inside.cov))
     return Case(
         t=errors.t[rows],
         pos_n=errors.pos_n[rows],
         vel_n=errors.vel_n[rows],
         phi_n=errors.phi_n[rows],
         heading=errors.heading[rows],
-        heading_sd=heading_sd(solution)[rows],
-        sd=sd[rows],
+        heading_sd=heading_sd(inside),
+        sd=sd,
         nees=errors.nees[rows],
         states=errors.states,
         nis=nis_by_sensor(solution.innovations, from_s - SAME_INSTANT),
@@ -114,4 +172,9 @@ def build_case(
         alarms=collect_alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
         from_s=from_s,
         asked=int(rows.sum() + np.sum(missing >= from_s - SAME_INSTANT)),
+        solution=inside,
+        biases=bias_errors(inside, drawn) if drawn is not None else {},
+        poses=None if poses is None else poses.select(rows),
+        start=select_epochs(solution, slice(0, 1)),
+        assumed=assumed,
     )

@@ -25,6 +25,13 @@ _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
 """Faulty sensor -> how the names in its alarms begin; a sensor that is not listed can raise any alarm."""
 
 
+POSITION_UPDATES = ("gnss_position", "pseudorange")
+"""Updates that a filter cannot refuse for long and still count as converged."""
+
+LONGEST_REFUSAL = 60.0
+"""Longest time over which a converged filter refuses all position fixes without a pause [s]."""
+
+
 def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
     """Return the time from the start of a fault to its first alarm [s]; None if there is no alarm."""
     first = [
@@ -85,3 +92,35 @@ def false_alarms(case: Case) -> dict[str, float | None]:
         return {}
     count = partial(count_false_alarms, case.scripted, case.alarms, from_s=case.from_s - SAME_INSTANT)
     return {name: float(count(name)) for name in dict.fromkeys(one.name for one in case.alarms)}
+
+
+# --- fixes refused for long -------------------------------------------------------------------------------
+
+
+def find_refusals(case: Case) -> dict[str, tuple[float, float]]:
+    """Return the longest time over which each sensor was refused without a pause: first and last update [s].
+
+    Updates during a scripted fault of the sensor do not count.
+    """
+    found = {}
+    for name, updates in case.nis.items():
+        one = Alarms(name, (name,), updates.t)
+        struck = np.zeros(len(updates.t), np.bool_)
+        for fault in case.scripted:
+            if _concerns(fault, one):
+                struck |= _is_active(fault, updates.t)
+        refused = np.concatenate([[False], ~updates.accepted & ~struck, [False]])
+        edges = np.flatnonzero(refused[1:] != refused[:-1]).reshape(-1, 2)
+        if len(edges):
+            lasting = updates.t[edges[:, 1] - 1] - updates.t[edges[:, 0]]
+            k = int(np.argmax(lasting))
+            found[name] = float(updates.t[edges[k, 0]]), float(updates.t[edges[k, 1] - 1])
+    return found
+
+
+def find_lost_aiding(case: Case) -> str | None:
+    """Return the reason why a filter that refuses its position fixes for long did not converge, or None."""
+    for name, (start, end) in find_refusals(case).items():
+        if name in POSITION_UPDATES and end - start > LONGEST_REFUSAL:
+            return f"{name} was refused from t = {start:g} to {end:g} s, {end - start:.0f} s without a pause"
+    return None

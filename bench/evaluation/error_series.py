@@ -199,14 +199,17 @@ def heading_sd(solution: NavSolution) -> FloatArray:
     return sd
 
 
-def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool, str | None]:
+def check_convergence(
+    errors: ErrorSeries, solution: NavSolution, *, factored: bool = False
+) -> tuple[bool, str | None]:
     """Return whether a solution converged, and the reason if it did not.
 
     It did not converge if a state or covariance is not finite, the covariance is not positive definite, or
     the horizontal error exceeds both 10 sigma (root of the sum of the two horizontal variances) and 1 km at
     some epoch. A block that is NaN throughout, values and covariance, is not estimated and is not checked.
     A covariance that is not claimed is not checked either. An event of kind `FAILED` means that there is no
-    solution; its text is the reason.
+    solution; its text is the reason. ``factored`` says that NEES comes from the covariance of the solution;
+    then it is finite where that is positive definite.
     """
     failed = solution.events.select(FAILED)
     if failed:
@@ -227,7 +230,7 @@ def check_convergence(errors: ErrorSeries, solution: NavSolution) -> tuple[bool,
         if bad.any():
             return False, f"{title} is not finite at {_describe_epochs(solution, bad)}"
     claimed = claimed_blocks(solution)
-    if claimed:
+    if claimed and not (factored and np.isfinite(errors.nees).all()):
         counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in claimed])
         cov = solution.cov[:, counted][:, :, counted]
         bad = _not_finite(cov)
@@ -267,6 +270,11 @@ def find_covered_epochs(solution: NavSolution) -> BoolArray:
 
 def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Series:
     """Return the given epochs of a solution or error series; all innovations and events are kept."""
+    if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows):
+        first = int(np.argmax(rows))
+        rows = slice(first, None) if rows[first:].all() else rows  # a view and no copy
+    if isinstance(rows, slice) and rows == slice(0, None):
+        return record
     columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
     selected: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
     return replace(record, **selected)

@@ -17,6 +17,9 @@ from bench.evaluation.error_series import normalized_squares, select_epochs
 from bench.evaluation.metrics import METRICS, judge_epochs
 from bench.units import SAME_INSTANT
 
+_OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
+"""How the names of metrics begin that the errors of the fixes themselves would spoil."""
+
 
 def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
     """Return estimate minus fix at the antenna, for every fix at an instant of the solution.
@@ -86,8 +89,8 @@ def judge(
         left_out = {"phi", "vel"} if np.isnan(errors.vel_n).all() else {"phi"}
         wanted = [
             metric
-            for metric in METRICS  # fixes have no attitude, and their own errors would break the coverage
-            if metric.block not in left_out and not metric.name.startswith(("outage", "coverage"))
+            for metric in METRICS
+            if metric.block not in left_out and not metric.name.startswith(_OF_TRUTH)
         ]
         values = judge_epochs(errors, select_epochs(solution, rows), evaluation_from, metrics=wanted)
     return errors, {**values, "withheld_fixes": len(rows)}

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import ErrorSeries, NavSolution, Trajectory
-from bench.evaluation import detection
-from bench.evaluation.case import NO_TIMES, Case, Outages, build_case
+from bench.data import ErrorSeries, NavSolution, SensorTruth, Trajectory
+from bench.evaluation import claims, detection, drift_laws, path_errors
+from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, find_outage_rows
 from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
@@ -28,7 +28,8 @@ from bench.evaluation.error_series import (
     find_covered_epochs,
     select_epochs,
 )
-from bench.specs import Fault
+from bench.evaluation.poses import Poses
+from bench.specs import AssumedSpecs, Fault
 from bench.units import SAME_INSTANT, unit_of
 
 Value = float | None
@@ -125,27 +126,16 @@ def pos_95_v(case: Case) -> float:
 # --- outages and convergence --------------------------------------------------------------------------
 
 
-def _find_outage_rows(case: Case) -> dict[str, tuple[int, int]]:
-    """Return the first and last row inside each outage [start, end), by number, if it has any row."""
-    rows = {}
-    for number, start, end in case.outages:
-        first = int(np.searchsorted(case.t, start - SAME_INSTANT))
-        last = int(np.searchsorted(case.t, end - SAME_INSTANT)) - 1
-        if first <= last:
-            rows[str(number)] = first, last
-    return rows
-
-
 def outage_drift_h(case: Case) -> Values:
     """Horizontal error at the last instant of each outage [m]."""
-    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in _find_outage_rows(case).items()}
+    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in find_outage_rows(case).items()}
 
 
 def outage_growth_h(case: Case) -> Values:
     """Growth of the horizontal error over each outage: length of (last minus first error) [m]."""
     return {
         key: float(np.hypot(*(case.pos_n[last, :2] - case.pos_n[first, :2])))
-        for key, (first, last) in _find_outage_rows(case).items()
+        for key, (first, last) in find_outage_rows(case).items()
     }
 
 
@@ -169,10 +159,7 @@ def heading_convergence(case: Case) -> Value:
 
 
 def nees_mean(case: Case) -> float:
-    """Mean NEES, expected to be nees_states.
-
-    There is no band for one run because its errors are correlated in time.
-    """
+    """Mean NEES, expected to be nees_states; nees_low to nees_high is its band in one run."""
     return float(np.mean(case.nees))
 
 
@@ -211,6 +198,11 @@ def updates(case: Case) -> Values:
 def rejected(case: Case) -> Values:
     """Number of updates of each sensor with at least one component rejected by the gate."""
     return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
+
+
+def refused(case: Case) -> Values:
+    """Longest time over which each sensor was refused without a pause [s], outside its scripted faults."""
+    return {name: end - start for name, (start, end) in detection.find_refusals(case).items()}
 
 
 def events(case: Case) -> Values:
@@ -252,6 +244,27 @@ METRICS: tuple[Metric, ...] = (
     Metric("updates_{}", updates, ""),
     Metric("rejected_{}", rejected, ""),
     Metric("events_{}", events, ""),
+    Metric("refused_{}_s", refused, ""),
+    Metric("pos_claimed_h_m", claims.claimed_error_h, "pos cov"),
+    Metric("error_over_sigma_{}", claims.error_over_sigma, "cov"),
+    Metric("nees_low", partial(claims.nees_band, "low"), "cov"),
+    Metric("nees_high", partial(claims.nees_band, "high"), "cov"),
+    Metric("nees_samples", claims.nees_samples, "cov"),
+    Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov"),
+    Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov"),
+    Metric("coverage_low_phi_{}", partial(claims.coverage_low, "phi"), "phi cov"),
+    Metric("gyro_bias_rmse_{}_deg_h", partial(claims.bias_rmse, "gyro_bias"), ""),
+    Metric("accel_bias_rmse_{}_mg", partial(claims.bias_rmse, "accel_bias"), ""),
+    Metric("coverage_3sigma_bias_{}", claims.bias_coverage, ""),
+    Metric("nees_bias_{}", claims.nees_bias, ""),
+    Metric("outage_{}_law_h_m", partial(drift_laws.outage_law, "rms"), "phi"),
+    Metric("outage_{}_law_95_h_m", partial(drift_laws.outage_law, "95"), "phi"),
+    Metric("inertial_{}_h_m", drift_laws.inertial_law, "phi"),
+    Metric("ape_aligned_rmse_m", path_errors.ape_aligned, "pos"),
+    Metric("rpe_{}_m", partial(path_errors.rpe, "m"), "pos"),
+    Metric("rpe_{}_deg", partial(path_errors.rpe, "deg"), "phi"),
+    Metric("drift_{}_percent", path_errors.drift_percent, "pos"),
+    Metric("time_offset_ms", path_errors.time_offset, "vel"),
 )
 
 
@@ -265,6 +278,8 @@ def judge(
     evaluation_from: float,
     outages: Outages,
     faults: Sequence[Fault] = (),
+    assumed: AssumedSpecs | None = None,
+    drawn: SensorTruth | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Compare a solution with the truth: return the errors and the metrics of one estimator in one run.
 
@@ -281,6 +296,10 @@ def judge(
         Scripted GNSS outages, [start, end) [s], in order.
     faults : sequence of Fault
         Scripted faults, as the profile numbers them.
+    assumed : AssumedSpecs or None
+        The datasheets to expect drift from.
+    drawn : SensorTruth or None
+        The true biases.
 
     Returns
     -------
@@ -288,8 +307,8 @@ def judge(
         Estimate minus truth.
     metrics : dict
         ``converged`` (bool), ``reason`` (text, or None when converged), then a float or None by
-        metric name. A metric of a block that is not estimated is absent. All are None if the solution
-        did not converge; ``x`` is also None if it has no value after the alignment window.
+        metric name. A metric of a block that is not estimated is absent; one that is not finite, or has no
+        value after the alignment window, is None.
 
     Raises
     ------
@@ -302,7 +321,15 @@ def judge(
     rows = find_covered_epochs(solution)
     judged, covered = select_epochs(errors, rows), select_epochs(solution, rows)
     return errors, judge_epochs(
-        judged, covered, evaluation_from, outages=outages, faults=faults, missing=solution.t[~rows]
+        judged,
+        covered,
+        evaluation_from,
+        outages=outages,
+        faults=faults,
+        missing=solution.t[~rows],
+        assumed=assumed,
+        drawn=drawn,
+        factored=True,
     )
 
 
@@ -314,28 +341,36 @@ def judge_epochs(
     outages: Outages = (),
     faults: Sequence[Fault] = (),
     missing: FloatArray = NO_TIMES,
+    assumed: AssumedSpecs | None = None,
+    drawn: SensorTruth | None = None,
+    factored: bool = False,
     metrics: Sequence[Metric] = METRICS,
 ) -> dict[str, Any]:
     """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.
 
     ``missing`` holds the instants (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
-    of :data:`METRICS` to compute.
+    of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`.
     """
     aligned = slice(count_aligning_epochs(solution, evaluation_from), None)
     errors, solution = select_epochs(errors, aligned), select_epochs(solution, aligned)
-    sound, reason = check_convergence(errors, solution)
+    sound, reason = check_convergence(errors, solution, factored=factored)
     late = count_aligning_epochs(solution, np.inf)
     if late:
         first = solution.t[late]
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
-        whole, window = (
-            _compute_metrics(build_case(errors, solution, start, outages, faults, missing), solution, metrics)
+        poses = Poses.from_errors(solution, errors)
+        cases = [
+            build_case(errors, solution, start, outages, faults, missing, assumed, drawn, poses)
             for start in (-np.inf, evaluation_from)
-        )
+        ]
+        whole, window = (_compute_metrics(case, solution, metrics) for case in cases)
+    lost = detection.find_lost_aiding(cases[0])
+    if sound and lost is not None:
+        sound, reason = False, lost
     values: dict[str, Any] = {"converged": sound, "reason": reason}
-    values.update({name: window.get(name) if sound else None for name in whole})
-    values.update({f"{name}_all": whole[name] if sound else None for name in whole})
+    values.update({name: window.get(name) for name in whole})
+    values.update({f"{name}_all": value for name, value in whole.items()})
     return values
 
 
@@ -352,7 +387,8 @@ def _compute_metrics(case: Case, solution: NavSolution, metrics: Sequence[Metric
             named = result if isinstance(result, Mapping) else {"": result}
             values.update({metric.name.format(key): value for key, value in named.items()})
     return {
-        name: value if value is not None and np.isfinite(value) else None for name, value in values.items()
+        name: float(value) if value is not None and np.isfinite(value) else None
+        for name, value in values.items()
     }
 
 

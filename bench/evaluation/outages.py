@@ -13,14 +13,9 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.evaluation.drift_laws import RAYLEIGH_95, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.ensemble import estimate_quantile
 from bench.specs import ImuSpec
-from bench.units import STANDARD_GRAVITY
-
-RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-"""Median of the length of a normal horizontal error, over its standard deviation by axis [1]."""
-RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
-"""95 % quantile of the length of a normal horizontal error, over its standard deviation by axis [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,43 +42,13 @@ def place_outages(first: float, last: float, duration: float, count: int) -> Flo
     return np.linspace(first, last - duration, count)
 
 
-def closed_form_sd(imu: ImuSpec, duration: float) -> float:
-    """Return the standard deviation by axis of the drift of a calibrated IMU without aiding [m].
-
-    Position and velocity are known when the aiding ends; the bias errors are the bias instabilities::
-
-        s^2 = (b_a T^2 / 2)^2 + (g b_g T^3 / 6)^2 + N_a^2 T^3 / 3 + g^2 N_g^2 T^5 / 20
-
-    with the bias instabilities b and the random walks N of the datasheet: double and triple integrals of a
-    constant and of white noise. Valid for T far below 84 minutes. Scale factor errors, misalignments, initial
-    tilt and heading errors and timing errors are not included.
-
-    Parameters
-    ----------
-    imu : ImuSpec
-        The datasheet.
-    duration : float
-        Time without aiding, T [s].
-    """
-    T, g = duration, STANDARD_GRAVITY
-    accel, gyro = imu.accel, imu.gyro
-    return float(
-        np.sqrt(
-            (0.5 * accel.bias_instability * T**2) ** 2
-            + (g * gyro.bias_instability * T**3 / 6.0) ** 2
-            + accel.random_walk**2 * T**3 / 3.0
-            + (g * gyro.random_walk) ** 2 * T**5 / 20.0
-        )
-    )
-
-
 def make_drift_row(
     label: str, duration: float, drifts: Sequence[OutageDrift], imu: ImuSpec
 ) -> dict[str, Any]:
     """Return a row of the drift table: quantiles of the horizontal drift, measured and expected [m]."""
     drift = np.array([one.drift for one in drifts])
     median, most = estimate_quantile(drift, 0.5), estimate_quantile(drift, 0.95)
-    expected = closed_form_sd(imu, duration)
+    expected = drift_sd(duration, imu)
     return {
         "estimator": label,
         "duration_s": duration,

@@ -16,6 +16,7 @@ from bench.config import fault_tables
 from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
+from bench.evaluation.verdict import add_verdict
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
@@ -46,6 +47,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
     with store.report_damage(folder):
         run, truth = store.load(folder), store.load_truth(folder)
+        sensed = run.sensed
         profile = run.profile
         rows = [
             (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
@@ -59,8 +61,15 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     check_unit(foreign, float(truth.t[0]), truth.lla[0])
     solution = resample(foreign, t, longest)
     errors, measured = metrics.judge(
-        truth, solution, evaluation_from=evaluation["from_s"], outages=outages, faults=faults
+        truth,
+        solution,
+        evaluation_from=evaluation["from_s"],
+        outages=outages,
+        faults=faults,
+        assumed=sensed.data.specs if sensed else None,
+        drawn=sensed.truth if sensed else None,
     )
+    measured = add_verdict(label, measured)
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))

@@ -96,8 +96,8 @@ def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str
     )
     lines = [f"# {profile.title}", "", *lines_above]
     for label, values in metrics.items():
-        if values.get("reason"):
-            lines += ["", f"**{label}** did not converge: {values['reason']}."]
+        for text in (values.get("verdict_text"), *values.get("drift_text", ())):
+            lines += ["", text] if text else []
         if values.get("unmodelled"):
             lines += ["", f"On board, but not modelled by **{label}**: {', '.join(values['unmodelled'])}."]
     lines += [

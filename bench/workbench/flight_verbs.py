@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from bench import api, config, store
 from bench.run_result import RunResult
 from bench.specs import Profile
-from bench.workbench import show
+from bench.workbench import result_table, show
 from bench.workbench.console import PlainConsole
 
 RUNS = Path("runs")
@@ -45,7 +45,7 @@ def run(
     with _show_progress(profile) as progress:
         result = api.run(profile, run=draw, progress=progress)
     api.save(result, folder, recording=recording, force=force)
-    show.print_result(console, profile, result)
+    result_table.print_result(console, profile, result)
     show.print_sanity(console, result.events.select("sanity"))
     print_end(console, folder, begun)
     return result, folder

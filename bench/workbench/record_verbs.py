@@ -15,7 +15,7 @@ from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, fo
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.specs import TriadSpec
 from bench.wording import one_line
-from bench.workbench import show
+from bench.workbench import result_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
 
 
@@ -50,7 +50,7 @@ def navigate_log(
     result = log_pipeline.navigate_log(log, outages=outages, places=places)
     withheld, start = len(result.records["withheld"]), log.spec.evaluation_from
     console.print(f"{title}: {withheld} fixes withheld, from {start:g} s on")
-    show.print_metrics(console, result.metrics, result.solutions)
+    result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
         for row in result.more["outages"]:
@@ -125,7 +125,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     run, label = score.run, score.label
     begun = run.profile["evaluation"]["from_s"]
     console.print(f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, from {begun:g} s on")
-    show.print_metrics(
+    result_table.print_metrics(
         console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
     )
     instants = f"{len(score.solution)} instants, {score.rows} rows"

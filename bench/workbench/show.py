@@ -1,4 +1,4 @@
-"""Print results, flights and catalogs as tables in the terminal."""
+"""Print flights and catalogs as tables in the terminal."""
 
 from __future__ import annotations
 
@@ -6,114 +6,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from bench import api, config
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
-from bench.data import NavSolution
-from bench.evaluation.error_series import FAILED
-from bench.evaluation.metrics import find_metric
 from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described
-from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.wording import one_line
 
 _DEG = 180 / math.pi
-_SUMMARY = (
-    "pos_rmse_h_m",
-    "pos_rmse_d_m",
-    "cep50_m",
-    "cep95_m",
-    "vel_rmse_3d_mps",
-    "tilt_rmse_deg",
-    "heading_rmse_deg",
-    "heading_convergence_s",
-    "outage_",
-    "fault_",
-    "false_alarms_",
-    "nees_mean",
-    "nees_states",
-    "nees_inside_95",
-    "coverage_3sigma_",
-    "nis_mean_",
-)
-"""Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
-_COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
-
-
-def print_result(console: Console, profile: Profile, run: RunResult) -> None:
-    """Print the main metrics of one run, one column per estimator, and the errors they do not model."""
-    console.print(
-        f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, from {profile.evaluation_from:g} s on"
-    )
-    print_metrics(console, run.metrics, run.solutions)
-
-
-def print_metrics(
-    console: Console, measured: Mapping[str, Mapping[str, Any]], solutions: Mapping[str, NavSolution]
-) -> None:
-    """Print the main metrics, one column per estimator, its alignment and the errors it does not model."""
-    names = list(dict.fromkeys(name for values in measured.values() for name in values))
-    table = _make_metrics_table(measured, names, narrow=False)
-    if console.measure(table, options=console.options.update(max_width=10_000)).maximum > console.width:
-        table = _make_metrics_table(measured, names, narrow=True)
-    console.print(table)
-    if any(name.startswith("nis_low_") for name in names):
-        console.print("nis_mean: the range is the 99.9 % band of a matched filter.")
-    remarks: dict[str, list[str]] = {}
-    for label, values in measured.items():
-        for begun, end, text in solutions[label].events.select("alignment"):
-            remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
-        for begun, end, text in solutions[label].events.select("restart"):
-            remarks.setdefault(f"{begun:g} to {end:g} s: {text}", []).append(label)
-        if not values["converged"]:
-            failed = solutions[label].events.select(FAILED)
-            text = values["reason"] if failed else f"diverged: {values['reason']}"
-            console.print(f"{label} {text}", style="bold red")
-        elif values.get("program"):
-            stderr = values["program"]["stderr"]
-            last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""
-            console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
-        if values.get("unmodelled"):
-            remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
-    for text, labels in remarks.items():
-        console.print(f"{', '.join(labels)}: {text}")
-
-
-def _make_metrics_table(
-    results: Mapping[str, Mapping[str, Any]], names: Sequence[str], *, narrow: bool
-) -> Table:
-    """Return the table of the main metrics; if narrow, without lines and with bands below their values."""
-    table = _make_table("metric", *results)
-    if narrow:
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-        table.add_column("metric", no_wrap=True)
-        for label in results:
-            table.add_column(label.replace("-", "-\n", 1), justify="right", overflow="fold")
-    for start in _SUMMARY:
-        for name in names:
-            if name.startswith(start) and not name.endswith("_all") and find_metric(name) is not None:
-                cells = [
-                    _format_number(values.get(name)) + _format_band(name, values, narrow=narrow)
-                    for values in results.values()
-                ]
-                table.add_row(name, *cells)
-    if any(values.get(_COVERAGE) not in (None, 1.0) for values in results.values()):
-        table.add_row(_COVERAGE, *(_format_number(values.get(_COVERAGE)) for values in results.values()))
-    return table
-
-
-def _format_band(name: str, metrics: Mapping[str, Any], *, narrow: bool) -> str:
-    """Return the 99.9 % band of a mean NIS for a matched filter, as text."""
-    sensor = name.removeprefix("nis_mean_")
-    low, high = metrics.get(f"nis_low_{sensor}"), metrics.get(f"nis_high_{sensor}")
-    if sensor == name or low is None:
-        return ""
-    return f"\n{low:.2f}-{high:.2f}" if narrow else f" ({low:.3g} to {high:.3g})"
 
 
 def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any]) -> None:
@@ -243,15 +147,3 @@ def _print_options(console: Console) -> None:
         rows = [option for option in described(model) if option not in known]
         shared = f": those of {owners[base][0]}{', and' if rows else ''}" if base else ""
         _print_grid(console, f"Options of {', '.join(names)}{shared}", rows)
-
-
-def _make_table(first: str, *others: str) -> Table:
-    table = Table()
-    table.add_column(first, no_wrap=True)
-    for name in others:
-        table.add_column(name, justify="right" if name else "left", no_wrap=bool(name))
-    return table
-
-
-def _format_number(value: Any) -> str:
-    return "-" if value is None else f"{value:.4g}"

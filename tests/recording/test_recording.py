@@ -30,6 +30,7 @@ from bench.data import (
     no_innovations,
 )
 from bench.evaluation.error_series import error_series
+from bench.evaluation.verdict import add_verdict
 from bench.flight.legs.turns import FigureEight
 from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
 from bench.recording import drawing, words
@@ -633,8 +634,9 @@ def test_summary_gives_the_numbers_and_what_the_filter_leaves_out(run):
     assert "pos_rmse_h_m_all" not in text
     assert f"not modelled by **{MAIN}**: gyro scale factor, GNSS Markov errors." in text
     assert "GNSS outage 20 to 26 s" in text
-    lost = {"drift": {"converged": False, "reason": "covariance is not finite at t = 3 s", "nees_mean": None}}
-    assert "**drift** did not converge: covariance is not finite" in words.make_summary(profile, truth, lost)
+    lost = {"converged": False, "reason": "covariance is not finite at t = 3 s", "nees_mean": None}
+    summary = words.make_summary(profile, truth, {"drift": add_verdict("drift", lost)})
+    assert "drift did not converge: covariance is not finite" in summary
 
 
 def test_events_are_told_in_order_of_time(run, flight):

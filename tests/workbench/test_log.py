@@ -23,7 +23,8 @@ from bench.config.log import load_log
 from bench.data import ImuData
 from bench.earth import difference_n
 from bench.errors import ConfigError
-from bench.evaluation import outages, validity
+from bench.evaluation import validity
+from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.fixes import judge
 from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.log_start import find_start
@@ -487,7 +488,7 @@ def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
     )
     tilt = np.cumsum(rate, axis=1) * dt
     position = np.cumsum(np.cumsum(force + 9.80665 * tilt, axis=1), axis=1)[:, -1] * dt**2
-    expected = outages.closed_form_sd(imu, T)
+    expected = drift_sd(T, imu)
     band = 3.3 * np.sqrt(2.0 / draws) + 3 * dt / T  # and the step of the sums
     assert abs(np.var(position) / expected**2 - 1.0) < band
 

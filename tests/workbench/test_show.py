@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from bench.data import Events, NavSolution
-from bench.workbench import show
+from bench.workbench import result_table
 
 
 def test_a_restart_after_a_gap_is_reported():
@@ -18,5 +18,7 @@ def test_a_restart_after_a_gap_is_reported():
         np.zeros(1), one, one, np.ones((1, 4)), one, one, np.ones((1, 9, 9)), (), none, none, events=events
     )
     out = StringIO()
-    show.print_metrics(Console(file=out, width=150), {"mine": {"converged": True}}, {"mine": solution})
+    result_table.print_metrics(
+        Console(file=out, width=150), {"mine": {"converged": True}}, {"mine": solution}
+    )
     assert "mine: 40 to 56 s: IMU silent for 5 s: started again" in out.getvalue()

@@ -1,0 +1,137 @@
+"""Metrics of what an estimator claims: bands of NEES and coverage in one run, errors of its bias states.
+
+The errors of one run last: a run of ten minutes with an error that wanders over two minutes tells as much as
+five independent values. A band for one run therefore counts independent values, not epochs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.evaluation.case import Case
+from bench.evaluation.consistency import chi2_quantile
+from bench.evaluation.error_series import BLOCKS
+from bench.units import DEG, HOUR, STANDARD_GRAVITY
+
+AXES = ("n", "e", "d")
+NEES_PROBABILITY = 0.999
+"""Probability of the band of NEES in one run [1]."""
+COVERAGE_PROBABILITY = 0.995
+"""Probability that the coverage of an honest filter in one run is not below its bound [1]."""
+INSIDE_3_SIGMA = 0.9973
+"""Probability that a normal error is within 3 sigma [1]."""
+_UNITS = {"gyro_bias": DEG / HOUR, "accel_bias": 1e-3 * STANDARD_GRAVITY}  # deg/h and mg in SI
+
+
+def count_independent(deviation: FloatArray) -> float:
+    """Return the number of independent values that have the same information about the mean of a series.
+
+    ``deviation`` (M,) is the distance from the mean that is expected, not from the mean of the series: an
+    error that lasts the whole run counts as one value. The autocorrelation is summed over pairs of lags as
+    long as their sum is positive (Geyer, Practical Markov chain Monte Carlo, Statistical Science 7, 1992).
+    0 if a value is not finite.
+
+    Examples
+    --------
+    >>> count_independent(np.ones(1000))
+    1.0
+    """
+    count = len(deviation)
+    if not np.isfinite(deviation).all() or not deviation.any():
+        return 0.0
+    spectrum = (
+        np.abs(np.fft.rfft(deviation / np.abs(deviation).max(), 1 << (2 * count - 1).bit_length())) ** 2
+    )
+    correlation = np.fft.irfft(spectrum)[:count]
+    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1) / correlation[0]
+    ended = np.flatnonzero(pairs <= 0.0)
+    length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0
+    return float(np.clip(count / max(length, 1.0), 1.0, count))
+
+
+def nees_samples(case: Case) -> float:
+    """Number of independent values of NEES in the run, see :func:`count_independent`."""
+    return count_independent(case.nees - case.states)
+
+
+def nees_band(edge: Literal["low", "high"], case: Case) -> float | None:
+    """Edge of the 99.9 % band of the mean NEES in this run.
+
+    The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
+    one epoch to the whole run, an honest filter is outside in at most 0.5 % of the runs.
+    """
+    samples = nees_samples(case)
+    if not samples:
+        return None
+    tail = 0.5 * (1.0 - NEES_PROBABILITY)
+    dof = case.states * samples
+    return chi2_quantile(tail if edge == "low" else 1.0 - tail, dof) / samples
+
+
+def coverage_low(block: str, case: Case) -> dict[str, float | None]:
+    """Smallest coverage of a block that this run allows an honest filter, by axis of n.
+
+    So many of the independent values of the error over its sigma lie outside 3 sigma with 0.5 % at most. Half
+    a value more is allowed, because their number is estimated: honest filters are below in at most 0.4 % of
+    simulated runs.
+    """
+    with np.errstate(all="ignore"):
+        ratios = getattr(case, f"{block}_n") / case.sd[:, BLOCKS[block]]
+    return {axis: _least_inside(count_independent(ratios[:, k])) for k, axis in enumerate(AXES)}
+
+
+def _least_inside(samples: float) -> float | None:
+    from scipy.special import bdtr
+
+    count = int(samples)
+    if not count:
+        return None
+    outside = np.arange(count + 1)
+    allowed = outside[bdtr(outside, count, 1.0 - INSIDE_3_SIGMA) >= COVERAGE_PROBABILITY][0]
+    return max(0.0, float(1.0 - (allowed + 0.5) / count))
+
+
+def claimed_error_h(case: Case) -> float:
+    """Horizontal error that the covariance claims, root mean square [m]."""
+    return float(np.sqrt(np.mean(np.sum(case.sd[:, :2] ** 2, axis=1))))
+
+
+def error_over_sigma(case: Case) -> Mapping[str, float | None]:
+    """Root mean square of the errors of each block over their sigma; 1 is expected."""
+    return {
+        block: float(np.sqrt(np.mean((getattr(case, f"{block}_n") / case.sd[:, rows]) ** 2)))
+        for block, rows in BLOCKS.items()
+        if not np.isnan(case.sd[:, rows]).all()
+    }
+
+
+# --- biases -----------------------------------------------------------------------------------------------
+
+
+def bias_rmse(stem: str, case: Case) -> Mapping[str, float | None]:
+    """Root mean square of the error of the gyro [deg/h] or accelerometer [mg] biases, by axis of b."""
+    return {
+        name.removeprefix(f"{stem}_"): float(np.sqrt(np.mean(one.error**2))) / _UNITS[stem]
+        for name, one in case.biases.items()
+        if name.startswith(f"{stem}_")
+    }
+
+
+def bias_coverage(case: Case) -> Mapping[str, float | None]:
+    """Fraction of epochs with the error of a bias within 3 sigma, by bias; 0.9973 is expected."""
+    return {name: float(np.mean(np.abs(one.error) <= 3.0 * one.sd)) for name, one in case.biases.items()}
+
+
+def nees_bias(case: Case) -> Mapping[str, float | None]:
+    """Mean sum of the squared errors of all bias states over their variances, and the number of states.
+
+    That number is expected, whatever the correlation between the states, which a solution does not hold.
+    """
+    if not case.biases:
+        return {}
+    squares = [np.mean((one.error / one.sd) ** 2) for one in case.biases.values()]
+    return {"mean": float(np.sum(squares)), "states": float(len(squares))}

@@ -1,0 +1,96 @@
+"""Metrics of the path as other tools define them: absolute and relative pose error, drift in percent.
+
+APE is the position error of each epoch; without alignment its root mean square is pos_rmse_3d_m. RPE compares
+the displacement over a time or a distance, seen from the attitude at its start, and the rotation. Both are
+defined by Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems (IROS 2012), and computed by
+programs such as evo; drift over segments of 100 to 800 m by Geiger et al., Are we ready for autonomous
+driving? (KITTI, CVPR 2012). What does not fit into a run is absent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.evaluation.case import Case
+from bench.evaluation.poses import Poses, align
+from bench.units import DEG
+
+TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
+"""Part of a name -> time between the poses of a relative error [s]."""
+DISTANCES = {"100m": 100.0, "1km": 1000.0}
+"""Part of a name -> distance travelled between the poses [m]."""
+SEGMENTS = np.arange(100.0, 801.0, 100.0)
+"""Lengths of the segments of KITTI [m]."""
+_STILL = 10.0  # a shorter path has no drift in percent [m]
+
+
+def _rms(lengths: FloatArray) -> float:
+    return float(np.sqrt(np.mean(lengths**2)))
+
+
+def ape_aligned(case: Case) -> float | None:
+    """Root mean square of the 3D position error after the best rotation and shift of the whole path [m]."""
+    if case.poses is None:
+        return None
+    apart = align(case.poses.estimate_e, case.poses.truth_e) - case.poses.truth_e
+    return _rms(np.linalg.norm(apart, axis=1))
+
+
+def _relative(
+    poses: Poses,
+    steps: Iterable[tuple[FloatArray, float]],
+    measure: Callable[[IntArray, IntArray], FloatArray],
+) -> list[FloatArray]:
+    """Return what differs over the pieces of each step (along, length), one array each."""
+    pairs = [poses.pairs(along, step) for along, step in steps]
+    first, last = (np.concatenate(rows) for rows in zip(*pairs, strict=True))
+    return np.split(measure(first, last), np.cumsum([len(rows) for rows, _ in pairs])[:-1])
+
+
+def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
+    """Root mean square of the relative pose error over times and distances, in m or deg."""
+    poses = case.poses
+    if poses is None:
+        return {}
+    steps = [(poses.t, step) for step in TIMES.values()]
+    steps += [(poses.travelled, step) for step in DISTANCES.values()]
+    errors = _relative(poses, steps, poses.distance if unit == "m" else poses.angle)
+    scale = 1.0 if unit == "m" else 1.0 / DEG
+    return {
+        name: scale * _rms(error)
+        for name, error in zip((*TIMES, *DISTANCES), errors, strict=True)
+        if len(error)
+    }
+
+
+def drift_percent(case: Case) -> Mapping[str, float | None]:
+    """Drift over the distance travelled [%]: of segments of 100 to 800 m, and at the end, horizontal."""
+    if case.poses is None:
+        return {}
+    travelled, found = case.poses.travelled, {}
+    errors = _relative(case.poses, [(travelled, length) for length in SEGMENTS], case.poses.distance)
+    rates = np.concatenate([error / length for error, length in zip(errors, SEGMENTS, strict=True)])
+    if len(rates):
+        found["segments"] = float(100.0 * rates.mean())
+    if travelled[-1] > _STILL:
+        found["end"] = float(100.0 * np.hypot(*case.pos_n[-1, :2]) / travelled[-1])
+    return found
+
+
+def time_offset(case: Case) -> float | None:
+    """Time by which the estimate runs ahead of the truth [ms], as the position errors show it.
+
+    Least squares of ``error = constant + velocity * offset``. None if that explains less than a tenth of the
+    error, or the velocity hardly changes.
+    """
+    velocity = case.solution.vel_n - case.vel_n
+    velocity = velocity - velocity.mean(axis=0)
+    error = case.pos_n - case.pos_n.mean(axis=0)
+    power, common = np.sum(velocity**2), np.sum(error * velocity)
+    if power <= len(velocity) or common**2 < 0.1 * power * np.sum(error**2):  # 1 m/s on average
+        return None
+    return float(1e3 * common / power)

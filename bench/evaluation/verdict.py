@@ -1,0 +1,173 @@
+"""The verdict of one run in words: does an estimator's error fit its claim, and is its drift normal?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.evaluation.drift_laws import RAYLEIGH_95
+from bench.navigation.remedies import explain
+
+OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
+"""Verdicts by the errors: larger than claimed, smaller, neither is shown by this run."""
+FAILED, DIVERGED, NO_CLAIM = "failed", "diverged", "no claim"
+"""Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy."""
+
+BLOCKS = {"pos": "position", "vel": "velocity", "phi": "attitude"}
+_SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
+
+
+def is_outside(name: str, values: Mapping[str, Any]) -> bool:
+    """Tell whether a metric lies outside its bounds in one run; False if it has none."""
+    value, bounds = values.get(name), find_bounds(name, values)
+    if value is None or bounds is None:
+        return False
+    low, high = bounds
+    return bool((low is not None and value < low) or (high is not None and value > high))
+
+
+def find_bounds(name: str, values: Mapping[str, Any]) -> tuple[float | None, float | None] | None:
+    """Return the bounds of a metric in one run; None if it has none."""
+    low = high = None
+    if name == "nees_mean":
+        low, high = values.get("nees_low"), values.get("nees_high")
+    elif name.startswith("nis_mean_"):
+        sensor = name.removeprefix("nis_mean_")
+        low, high = values.get(f"nis_low_{sensor}"), values.get(f"nis_high_{sensor}")
+    elif name.startswith("coverage_3sigma_"):
+        low = values.get(name.replace("3sigma", "low", 1))
+    elif name.startswith("outage_") and name.endswith("_growth_h_m"):
+        high = values.get(name.replace("growth_h", "law_95_h", 1))
+    elif name == "inertial_end_h_m":
+        high = values.get("inertial_law_95_h_m")
+    return None if low is None and high is None else (low, high)
+
+
+def add_verdict(label: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the metrics of an estimator with its verdict.
+
+    Parameters
+    ----------
+    label : str
+        Of the estimator.
+    values : dict
+        Its metrics, with ``unmodelled`` if it names the errors that it does not model.
+
+    Returns
+    -------
+    values : dict
+        First ``verdict`` (a word), ``verdict_text`` (a sentence or two), ``drift_text`` (a sentence for each
+        outage, and for a run without horizontal aiding) and ``outside`` (the names of the metrics outside
+        their bounds), then ``values``.
+    """
+    word, text = _judge(label, values)
+    outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
+    judged = {"verdict": word, "verdict_text": text, "drift_text": _judge_drift(label, values)}
+    return {**judged, "outside": outside, **values}
+
+
+def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
+    reason = str(values.get("reason"))
+    if reason.startswith(FAILED):
+        return FAILED, f"{label} {reason}"
+    error = _describe_error(values)
+    if not values["converged"]:
+        return DIVERGED, f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(
+            " ."
+        ) + "."
+    mean, states = values.get("nees_mean"), values.get("nees_states")
+    low, high = values.get("nees_low"), values.get("nees_high")
+    if mean is None or states is None or low is None or high is None:
+        return NO_CLAIM, f"{label} claims no accuracy that could be compared: {error}."
+    shown = f"{mean:.0f}" if mean >= 100 else f"{mean:.3g}"
+    figures = f"NEES {shown}, {states:g} expected, {low:.3g} to {high:.3g} possible in this run"
+    narrow = [values.get(f"coverage_3sigma_pos_{axis}") for axis in "ne"]
+    inside = [value for value in narrow if value is not None]
+    if inside and min(inside) < 0.99:
+        figures += f"; position inside 3 sigma {100 * min(inside):.0f} % of the time"
+    outside = [
+        name
+        for name in values
+        if name.startswith("coverage_3sigma_") and is_outside(name, values)
+        if not name.endswith("_all") and not name.startswith("coverage_3sigma_bias")
+    ]
+    if mean > high or outside:
+        if values.get("pos_rmse_h_m", 0.0) > values.get("pos_claimed_h_m", np.inf):
+            return OVERCONFIDENT, f"{label} is overconfident: {error} ({figures}).{_explain(values)}"
+        return OVERCONFIDENT, f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
+    if mean < low:
+        return UNDERCONFIDENT, f"{label} is underconfident, its covariance is too large: {error} ({figures})."
+    wrong = [
+        name.removeprefix("nis_mean_")
+        for name in values
+        if name.startswith("nis_mean_") and not name.endswith("_all") and is_outside(name, values)
+    ]
+    text = f"{label} is consistent with its covariance as far as one run can tell: {error} ({figures})."
+    if wrong:
+        text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."
+    return CONSISTENT, text
+
+
+def _explain(values: Mapping[str, Any]) -> str:
+    """Return why the block with the largest error over its sigma is overconfident, as far as it is known."""
+    ratios = {block: values.get(f"error_over_sigma_{block}") for block in BLOCKS}
+    known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
+    for block in sorted(known, key=lambda block: known[block], reverse=True):
+        if known[block] > 1.0 and (why := explain(list(values.get("unmodelled") or ()), block)):
+            return f" Why: {why}."
+    worst = max(known, key=lambda block: known[block], default=None)
+    return f" Worst is the {BLOCKS[worst]}: {known[worst]:.3g} times what it claims." if worst else ""
+
+
+def _describe_error(values: Mapping[str, Any]) -> str:
+    """Return the horizontal error and what is claimed, or the tilt of an estimator without position."""
+    error, claimed = values.get("pos_rmse_h_m"), values.get("pos_claimed_h_m")
+    if error is None:
+        tilt = values.get("tilt_rmse_deg")
+        return "no finite horizontal error" if tilt is None else f"tilt error {tilt:.3g} deg"
+    if "withheld_fixes" in values:
+        return f"withheld fixes lie {format_distance(error)} away"
+    where = "" if claimed is None else f" where it claims {format_distance(claimed)}"
+    return f"horizontal error {format_distance(error)}{where}"
+
+
+def _judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for each outage, and for a run without horizontal aiding, if the law is known."""
+    found = []
+    for name, most in values.items():
+        if name.startswith("outage_") and name.endswith("_law_95_h_m"):
+            number = name.removeprefix("outage_").removesuffix("_law_95_h_m")
+            grown, end = values.get(f"outage_{number}_growth_h_m"), values.get(f"outage_{number}_drift_h_m")
+            law = values.get(f"outage_{number}_law_h_m")
+            if grown is not None and end is not None and law is not None and most is not None:
+                found.append(
+                    f"{label}, outage {number}: the error moved by {format_distance(grown)} and ended at "
+                    f"{format_distance(end)}; its datasheets give {format_distance(law)} rms, "
+                    f"{format_distance(most)} at 95 %: {_compare(grown, most)}."
+                )
+    end, law, most = (values.get(f"inertial_{key}_h_m") for key in ("end", "law_rms", "law_95"))
+    if end is not None and law is not None and most is not None:
+        found.append(
+            f"{label}, unaided: {format_distance(end)} off at the end; its datasheet gives "
+            f"{format_distance(law)} rms, {format_distance(most)} at 95 %: {_compare(end, most)}."
+        )
+    return found
+
+
+def _compare(value: float, most: float) -> str:
+    if value > most:
+        return f"more than normal, {value / most:.2g} times the 95 % radius"
+    return "normal" if value > _SMALLEST * most else "less than normal"
+
+
+def format_distance(metres: float) -> str:
+    """Return a distance with three digits.
+
+    Examples
+    --------
+    >>> format_distance(13.69), format_distance(12048.0)
+    ('13.7 m', '12 km')
+    """
+    return f"{metres / 1000:.3g} km" if abs(metres) >= 1000 else f"{metres:.3g} m"
