@@ -405,7 +405,7 @@ def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, caps
         assert metrics["pos_rmse_h_m"] < 0.05
         assert metrics["nees_states"] == 3
         assert 2.0 < metrics["nees_mean"] < 4.0
-        assert "vel_rmse_3d_mps" not in metrics
+        assert metrics.get("vel_rmse_3d_mps") is None
         assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
     events = store.load(tmp_path / "out").solutions["loose-15"].events.select("timeline")
     assert sum("fixes without velocity" in text for _, _, text in events) == 1
@@ -605,7 +605,7 @@ def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys,
     status = main(["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd"])
     if words is None:  # a result, but one that says it cannot be judged
         assert status == 1
-        assert "no solution before the metrics begin at 25 s" in capsys.readouterr().out
+        assert "metrics begin at 25 s" in " ".join(capsys.readouterr().out.split())
         return
     assert status == 2
     assert words in capsys.readouterr().err
