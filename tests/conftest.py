@@ -27,10 +27,11 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: c
 for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"):  # they change what is printed
     os.environ.pop(_name, None)
 
-
 SLOWEST = (
     "test_two_hours_at_200_hz_need_less_than_64_mb",
-    "test_the_limits_hold",
+    "test_where_the_heading_is_hardly_known_it_beats_the_linear_filter",
+    "test_36_josephs_form_stays_positive_over_1e5_updates",
+    "test_the_filter_and_its_twin_agree_on_the_whole_figure_eight",
 )
 """Tests that begin first, so that no worker is left alone with one of them at the end."""
 

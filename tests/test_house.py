@@ -11,6 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import bench
+from tests.conftest import SLOWEST
 
 PACKAGE = Path(bench.__file__).parent
 MOST_LINES = 450
@@ -85,3 +86,9 @@ def test_imports_are_not_circular():
 def test_a_circle_is_found():
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) is not None
     assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
+
+
+def test_the_tests_that_begin_first_are_there():
+    sources = [path.read_text(encoding="utf-8") for path in Path(__file__).parent.rglob("test_*.py")]
+    missing = [name for name in SLOWEST if not any(f"def {name}(" in source for source in sources)]
+    assert missing == [], "take them out of SLOWEST"
