@@ -131,6 +131,7 @@ def steered(
     vel = speed * np.array([np.cos(heading), np.sin(heading), 0.0]) - [0.0, 0.0, up[0]]
     q = rotation.from_euler(0.0, 0.0, heading)
     nav = mechanization.propagate(lla, vel, q, np.full(n, dt), dtheta, dvel)
+    nav[:, 1] = np.mod(nav[:, 1] + np.pi, 2 * np.pi) - np.pi
     return Trajectory(
         t, nav[:, :3], nav[:, 3:6], rotation.continuous(nav[:, 6:]), dtheta, dvel, no_air(), no_controls(),
         no_events(),

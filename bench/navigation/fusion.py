@@ -42,6 +42,7 @@ from bench.navigation.schedule import Schedule
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
+_LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]
 
 
 class Fusion:
@@ -181,7 +182,10 @@ class Fusion:
         taken = {words for block in self.blocks() for words in block.takes}
         if self.options.compensate_latency:
             taken.add(LATENCY)
-        return unmodelled(specs, self.aiding(), taken)
+        found = unmodelled(specs, self.aiding(), taken)
+        if not self.options.gnss and specs.imu.gyro.turn_on_bias_sd > _LINEAR_DRIFT:
+            found += ("second order of a free drift by degrees of tilt",)
+        return found
 
 
 class Loose(Fusion):
