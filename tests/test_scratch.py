@@ -50,6 +50,7 @@ def test_only_folders_of_killed_processes_of_this_machine_are_removed(tmp_path, 
     other.mkdir()
     (tmp_path / f"{scratch.PREFIX}mine").mkdir()
     before = set(tmp_path.iterdir())
+    assert len(before) == 4  # starting the second process has not removed the folder of the first
     end(killed, signal.SIGKILL)
     assert set(tmp_path.iterdir()) == before
     with scratch.make_scratch(tmp_path) as own:
