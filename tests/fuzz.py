@@ -53,7 +53,7 @@ from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats
 
 PROFILES, CATALOG, AIRCRAFT = PACKAGE / "profiles", PACKAGE / "catalog", PACKAGE.parent / "aircraft"
-LONGEST = 20.0  # CPU time that reading a small file may take [s]
+LONGEST = 90.0  # CPU time that reading a small file may take [s]
 MEMORY = 8_000_000_000  # address space of a process of this script [byte]
 
 

@@ -241,7 +241,7 @@ class _Joined:
         columns["accel_bias_b"] += biases.accel
         columns["extra"][:, :6] += both
         if not self.extra_names:
-            self.extra_names, self.sensor = solution.extra_names, solution.innovations.sensor
+            self.extra_names = solution.extra_names
             for name in ("extra", "extra_sd"):
                 self.columns[name] = np.full((len(self.t), len(self.extra_names)), np.nan)
         answered = np.isfinite(solution.cov).any(axis=(1, 2))
@@ -249,7 +249,9 @@ class _Joined:
         answered &= np.isin(solution.t, self.t)
         for name, column in columns.items():
             self.columns[name][rows[answered]] = column[answered]
-        self.tables.append(solution.innovations)
+        if len(solution.innovations.t):  # a piece without any names no sensors
+            self.sensor = solution.innovations.sensor
+            self.tables.append(solution.innovations)
         self.events += solution.events.rows()
 
     def take_coast(self, coast: _Coast, until: float) -> None:

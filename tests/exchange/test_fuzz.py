@@ -38,6 +38,15 @@ def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, na
     assert not failures
 
 
+@pytest.mark.parametrize(
+    ("name", "seed", "number"),
+    [("log-navego", 2, 7260)],  # an IMU gap before the first fix
+)
+def test_an_input_that_has_failed(tmp_path, name, seed, number):
+    _, failures = fuzz.run(name, seed, range(number, number + 1), tmp_path)
+    assert not failures
+
+
 def test_the_fuzz_sees_what_is_no_bench_error(tmp_path):
     def fail(path):
         raise KeyError("a bug")
