@@ -103,16 +103,18 @@ class CommandEstimator:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Run the program; return its solution at ``sensors.output_t``, or NaN and an event "failed"."""
         with make_scratch() as scratch:
-            folder = scratch / "sensors"
+            place = scratch / "program"  # it sees this folder and not the lock beside it
+            place.mkdir()
+            folder = place / "sensors"
             folder.mkdir()
             document = make_start_document(sensors, initial)
             out = ExportData(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
             write_tables(folder, out, "csv")
             np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
-            solution = scratch / "solution.csv"
+            solution = place / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]
-            ended, stderr, status = self._run_program(arguments, scratch, solution)
+            ended, stderr, status = self._run_program(arguments, place, solution)
             events: list[EventRow] = [(0.0, 0.0, PROGRAM, ended)]
             if stderr:
                 events.append((0.0, 0.0, STDERR, stderr))
