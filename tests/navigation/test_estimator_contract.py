@@ -346,7 +346,11 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
 @pytest.mark.parametrize(
     ("use", "options", "message"),
     [
-        ("lose-15", {}, "no estimator 'lose-15'; there are loose-15, loose-22, loose-mems, tight, smoother,"),
+        (
+            "lose-15",
+            {},
+            "no estimator 'lose-15'; there are loose-15, loose-22, loose-mems, loose-full, tight,",
+        ),
         ("", {}, "no estimator ''; there are"),
         (":Class", {}, "no estimator ':Class'; there are"),
         (".here:Class", {}, "no estimator '.here:Class'; there are"),
