@@ -20,6 +20,7 @@ from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, find_outa
 from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
+    FAILED,
     check_convergence,
     claimed_blocks,
     count_aligning_epochs,
@@ -306,9 +307,9 @@ def judge(
     errors : ErrorSeries
         Estimate minus truth.
     metrics : dict
-        ``converged`` (bool), ``reason`` (text, or None when converged), then a float or None by
-        metric name. A metric of a block that is not estimated is absent; one that is not finite, or has no
-        value after the alignment window, is None.
+        ``converged`` (bool), ``reason`` (text, or None when converged), ``failed`` (True, only where
+        there is no solution), then a float or None by metric name. A metric of a block that is not
+        estimated is absent; one that is not finite, or has no value after the alignment window, is None.
 
     Raises
     ------
@@ -369,6 +370,8 @@ def judge_epochs(
     if sound and lost is not None:
         sound, reason = False, lost
     values: dict[str, Any] = {"converged": sound, "reason": reason}
+    if solution.events.select(FAILED):
+        values["failed"] = True
     values.update({name: window.get(name) for name in whole})
     values.update({f"{name}_all": value for name, value in whole.items()})
     return values

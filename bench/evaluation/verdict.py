@@ -69,8 +69,8 @@ def add_verdict(label: str, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
-    reason = str(values.get("reason"))
-    if reason.startswith(FAILED):
+    reason = values.get("reason")
+    if values.get("failed"):
         return FAILED, f"{label} {reason}"
     error = _describe_error(values)
     if not values["converged"]:

@@ -61,7 +61,7 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
         ({"nees_mean": 9.0}, "overconfident", "NEES 9, 9 expected"),  # by its coverage
         ({"unmodelled": []}, "overconfident", "Worst is the position: 20 times what it claims."),
         ({"nees_mean": None}, "no claim", "claims no accuracy"),
-        ({"converged": False, "reason": "failed: boom"}, "failed", "loose-15 failed: boom"),
+        ({"converged": False, "failed": True, "reason": "failed: boom"}, "failed", "loose-15 failed: boom"),
         (
             {"converged": False, "reason": "gnss_position was refused from t = 60 to 300 s"},
             "diverged",
