@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test lint kernels check perf oracle
+.PHONY: run test long lint kernels check perf oracle
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -10,6 +10,9 @@ run: .venv/ready
 test: .venv/ready
 	$(MAKE) --jobs=2 lint kernels
 	$(BIN)/pytest -n auto --maxprocesses=4 --dist worksteal
+
+long: .venv/ready
+	$(BIN)/pytest -m long -n auto --maxprocesses=4 --dist worksteal
 
 lint: .venv/ready
 	$(BIN)/ruff check .

@@ -84,7 +84,7 @@ def test_a_run_is_interrupted_at_three_instants(tmp_path):
     assert wrong == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_run_is_interrupted_at_twenty_instants(tmp_path):
     """Imports, flight, filter, writing and recording with compiled kernels; then while they are compiled."""

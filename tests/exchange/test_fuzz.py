@@ -30,7 +30,7 @@ def test_a_damaged_file_is_read_or_refused_by_one_line(tmp_path, name):
     assert not failures
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", fuzz.FORMATS)
 def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, name):
     """Logs are also navigated, receivers' files solved, and solutions judged on damaged results."""

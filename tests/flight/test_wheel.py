@@ -9,7 +9,7 @@ import pytest
 from tests.flight.wheel import fly, list_names
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", list_names())
 def test_what_others_wrote_flies_or_says_in_one_line_why_not(name, tmp_path, monkeypatch):
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path))

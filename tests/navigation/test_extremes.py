@@ -69,7 +69,7 @@ def assert_positive_definite(solution):
     "estimator",
     [
         "loose-15",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("loose-22", "loose-mems", "tight")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("loose-22", "loose-mems", "tight")),
     ],
 )
 @pytest.mark.parametrize("place", PLACES)
@@ -88,7 +88,7 @@ def test_every_covariance_stays_positive_definite_next_to_the_pole(estimator):
 
 @pytest.mark.parametrize(
     ("estimator", "duration"),
-    [("loose-15", 86400.0), ("loose-22", 86400.0), pytest.param("ukf", 86400.0, marks=pytest.mark.slow)],
+    [("loose-15", 86400.0), ("loose-22", 86400.0), pytest.param("ukf", 86400.0, marks=pytest.mark.long)],
 )
 def test_a_day_at_rest(estimator, duration):
     """Tactical grade, IMU at 1 Hz, a fix every 10 s. A MEMS unit has lost its heading after an hour."""

@@ -67,7 +67,7 @@ def test_loose_stays_honest(flight):
     check("loose-15", flight)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("estimator", ["loose-15", "loose-22", "loose-mems"])
 @settings(max_examples=150, derandomize=True, deadline=None, database=None)
 @given(flight=FLIGHTS)

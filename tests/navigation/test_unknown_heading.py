@@ -74,8 +74,8 @@ def assert_honest(t, found, at_rest=(35.0, 45.0, 55.0, 59.0), later=(65.0, 70.0,
     [
         ("loose-15", "level", {}),
         ("loose-22", "given", {"standstill": True}),
-        pytest.param("loose-mems", "level", {}, marks=pytest.mark.slow),
-        pytest.param("loose-15", "given", {}, marks=pytest.mark.slow),
+        pytest.param("loose-mems", "level", {}, marks=pytest.mark.long),
+        pytest.param("loose-15", "given", {}, marks=pytest.mark.long),
     ],
 )
 def test_tilt_is_honest_at_rest_and_the_heading_is_after_the_first_motion(estimator, start, options):
