@@ -67,7 +67,7 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     assert isinstance(record, row.record)
     assert sensed.truth.bias[name].shape == (len(sensed.truth.t), row.width)
     records = {"truth": truth, "sensed": sensed}
-    store.save(tmp_path, RunResult({}, 1, 0, {}, {}, {}, {}, records=records))
+    store.save(tmp_path, RunResult({"title": "x"}, 1, 0, {}, {}, {}, {}, records=records))
     again = store.load_sensors(tmp_path)[2][name]
     assert_array_equal(row.values(again), row.values(record))
     out = exports.gather(tmp_path)

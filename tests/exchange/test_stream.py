@@ -88,7 +88,7 @@ def compare(run, data: bytes) -> None:
 
 @contextmanager
 def streaming(run, *options: str):
-    command = [sys.executable, "-m", "bench.cli", "stream", str(run), *options]
+    command = [sys.executable, "-m", "bench", "stream", str(run), *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **pipes) as process:
         try:

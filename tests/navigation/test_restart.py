@@ -247,7 +247,7 @@ def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
         return FILTER.forward(data, initial, keep=False)[0]
 
     data = with_gap(drawn.data, 40.0, 0.5)
-    restart.run_between_gaps(run, data, drawn.initial, fixes=True)
+    restart.run_between_gaps(run, data, drawn.initial, "datasheet")
     assert len(seen) == 1
     assert seen[0][0] is data
     assert seen[0][1] is drawn.initial

@@ -107,5 +107,5 @@ def test_the_smoother_knows_its_errors(five_minutes):  # noqa: F811
     """50 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
     every_second = load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
     result = claims("smoother", every_second, five_minutes, 50)
-    assert result.verdict, result.reasons
-    assert not 2 * result.mean - 9 < 3.3 * 2 * result.standard_error
+    assert not result.rejected, result.reasons
+    assert 2 * result.low > 1.25
