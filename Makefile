@@ -27,7 +27,7 @@ check: .venv/ready
 	$(BIN)/bench check
 
 perf: .venv/perf
-	$(BIN)/python tests/perf/ratios.py
+	$(BIN)/python -m tests.perf.ratios
 
 oracle: .venv/ready
 	$(BIN)/python tests/oracle.py

@@ -57,6 +57,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "check": "bench.baselines.checking",
+    "campaign": "bench.campaigns.running",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
     "fly": "bench.api",
@@ -69,6 +70,7 @@ _PUBLIC = {
     "list_sensors": "bench.config",
     "load": "bench.store",
     "load_profile": "bench.config",
+    "make_card": "bench.campaigns.card",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
     "navigate_log": "bench.log_pipeline",
@@ -82,8 +84,12 @@ _PUBLIC = {
     "stream_run": "bench.api",
     "to_arrow": "bench.store",
     "to_pandas": "bench.store",
+    "plot_result": "bench.report.paper",
+    "write_figures": "bench.report.writing",
+    "write_report": "bench.report.writing",
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",
+    "tune": "bench.campaigns.tuning",
     "track_solution": "bench.navigation.wrapping",
     "BenchError": "bench.errors",
     "ConfigError": "bench.errors",

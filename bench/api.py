@@ -45,6 +45,9 @@ def run(
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
+    An estimator that raises has failed: its metrics hold the ``reason`` and the ``traceback``, and the others
+    go on.
+
     Parameters
     ----------
     profile : str, Path or Profile
@@ -129,6 +132,7 @@ def save(
     folder: str | Path,
     *,
     recording: bool = True,
+    report: bool = True,
     force: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> Path:
@@ -140,6 +144,8 @@ def save(
         As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
     recording : bool
         Also write ``flight.rrd``; not possible for a result that was read back.
+    report : bool
+        Also write ``report.html``.
     force : bool
         Replace an existing results folder.
     say : callable
@@ -168,6 +174,10 @@ def save(
                 viewer.write(partial / store.RECORDING, result.records["spec"], result.truth, sensed, *made)
             except NothingToShowError as error:
                 say(f"No recording: {error}.")
+        if report:
+            from bench.report import page
+
+            page.write(partial / store.REPORT, folder.name, result)
     return folder
 
 
@@ -197,14 +207,14 @@ def measure_allan(
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
         each term of the datasheet.
     """
-    from bench import report
     from bench.config.datasheets import read_imu
     from bench.config.library import find_datasheet
     from bench.evaluation import noise_curves
     from bench.exchange.resting_log import read_resting_log
+    from bench.report import allan_picture
 
     if picture is not None:
-        report.check_picture(Path(picture))
+        allan_picture.check_picture(Path(picture))
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)
@@ -218,7 +228,7 @@ def measure_allan(
         raise ConfigError(f"{name}: has no random error to measure")
     measured = noise_curves.AllanResult(name, tuple(curves), spec, simulated=log is None)
     if picture is not None:
-        report.draw_allan(Path(picture), measured)
+        allan_picture.draw_allan(Path(picture), measured)
     return measured
 
 

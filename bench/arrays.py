@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,6 +65,13 @@ def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[n
     if given.size and not (array == given).all():
         raise ValueError(f"{name} must hold values of type {dtype.__name__}")
     return array
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view: columns of records are such, and kernels are compiled once, for them."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _check_shape(name: str, got: tuple[int, ...], shape: Shape) -> None:

@@ -1,8 +1,8 @@
-"""The only module that imports numba: ``@kernel``, and the folder where compiled code is cached.
+"""The door to numba: ``@kernel``, and the folder where compiled code is cached.
 
 numba's own cache does not notice a change in another module and would return stale results. The name of the
-cache folder is therefore a hash of the sources that import this module, the versions of numba, numpy and
-Python, and the CPU.
+cache folder is therefore a hash of the sources that import this module and of all that they import, the
+versions of numba, numpy and Python, and the CPU.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import shutil
 import sys
 import time
@@ -23,6 +24,8 @@ import numpy as np
 from bench.places import PACKAGE, cache_folder
 
 _UNUSED_DAYS = 30
+_IMPORT = re.compile(r"^\s*from (bench[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_WORD = re.compile(r"\w+")
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -44,11 +47,28 @@ def _hash_sources() -> str:
     digest = hashlib.sha256()
     for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _name_cpu()):
         digest.update(part.encode())
-    for source in sorted(PACKAGE.rglob("*.py")):
-        text = source.read_bytes()
-        if b"bench.compiled" in text:
-            digest.update(str(source.relative_to(PACKAGE)).encode() + text)
+    for name, text in sorted(_compiled_sources().items()):
+        digest.update(name.encode() + text)
     return digest.hexdigest()[:24]
+
+
+def _compiled_sources() -> dict[str, bytes]:
+    """Return by name the modules that import this one, and those whose values they may have compiled in."""
+    sources = {_name_module(path): path.read_bytes() for path in PACKAGE.rglob("*.py")}
+    found: dict[str, bytes] = {}
+    waiting = [name for name, text in sources.items() if b"bench.compiled" in text]
+    while waiting:
+        name = waiting.pop()
+        if name in sources and name not in found:
+            found[name] = sources[name]
+            for module, names in _IMPORT.findall(sources[name].decode()):
+                waiting += [module, *(f"{module}.{one}" for one in _WORD.findall(names))]
+    return found
+
+
+def _name_module(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def _name_cpu() -> str:
@@ -60,12 +80,13 @@ def _name_cpu() -> str:
 def _choose_cache() -> None:
     """Set the cache folder of numba and remove folders unused for 30 days.
 
-    If the user sets ``NUMBA_CACHE_DIR``, nothing is changed.
+    With ``NUMBA_CACHE_DIR`` the folder is made there, and none is removed.
     """
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        return
-    folder = cache_folder("kernels") / _hash_sources()
+    own = os.environ.get("NUMBA_CACHE_DIR")
+    folder = (Path(own) if own else cache_folder("kernels")) / _hash_sources()
     setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba types its settings as constants
+    if own:
+        return
     if folder.exists():
         try:
             os.utime(folder)

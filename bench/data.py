@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, as_float
+from bench.arrays import BoolArray, FloatArray, IntArray, as_float, read_only
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.instruments import INSTRUMENTS, InstrumentReports
 from bench.moved import moved_from
@@ -276,9 +276,7 @@ class SensorTruth(Record):
             name: as_float(f"SensorTruth.bias[{name!r}]", values, (len(self.t), INSTRUMENTS[name].width))
             for name, values in self.bias.items()
         }
-        for values in shaped.values():
-            values.flags.writeable = False
-        object.__setattr__(self, "bias", shaped)
+        object.__setattr__(self, "bias", {name: read_only(values) for name, values in shaped.items()})
 
 
 def no_sensor_truth() -> SensorTruth:

@@ -48,7 +48,7 @@ class EstimatorError(BenchError):
 
 
 class EstimatorFailedError(BenchError):
-    """An estimator's ``run`` raised; what it raised is the cause."""
+    """An estimator raised, and what it raised is the cause; or its ``run`` returned no solution."""
 
     status = BUG
 
@@ -61,5 +61,11 @@ class FlightError(BenchError):
 
 class ViewerError(BenchError):
     """The viewer cannot be started on this machine."""
+
+    status = MACHINE
+
+
+class WorkersLostError(BenchError):
+    """The machines that should do the work are gone."""
 
     status = MACHINE

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
-from bench.arrays import Shape, as_float, as_kind
+from bench.arrays import Shape, as_float, as_kind, read_only
 from bench.units import unit_of
 
 _T = TypeVar("_T")
@@ -59,6 +59,7 @@ class TriadFigure:
     key: str  # beginning of its key; empty: the name of the field
     sought: str  # name of the figure on a datasheet; several figures may share it
     error: str  # name of the error if a filter does not model it; empty: white noise and biases
+    by_axis: bool  # its axes may differ
 
     def keys(self, name: str, triad: str) -> list[str]:
         """Return the possible keys of the field ``name`` in the table "gyro" or "accel"."""
@@ -136,9 +137,10 @@ def triad_figure(
     key: str = "",
     sought: str = "",
     error: str = "",
+    by_axis: bool = False,
 ) -> Any:
     """Declare a figure of a triad, see :class:`TriadFigure`; 0 means that the triad has no such error."""
-    return field(default=default, metadata={"triad": TriadFigure(gyro, accel, key, sought, error)})
+    return field(default=default, metadata={"triad": TriadFigure(gyro, accel, key, sought, error, by_axis)})
 
 
 @dataclass_transform(
@@ -215,9 +217,7 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
         if kind is float
         else as_kind(place, value, np.dtype(kind).type, shape)
     )
-    view = array.view()
-    view.flags.writeable = False
-    object.__setattr__(record, name, view)
+    object.__setattr__(record, name, read_only(array))
 
 
 def columns_of(record: type) -> dict[str, Column]:

@@ -14,10 +14,12 @@ from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Sensed, SensorData, no_sensor_truth
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorFailedError
 from bench.evaluation import validity
+from bench.evaluation.failures import describe_error, make_failed_solution
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
+from bench.evaluation.recorded_motion import Check
 from bench.evaluation.verdict import add_verdict
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
@@ -38,7 +40,7 @@ class RecordedLog:
 
     spec: LogSpec
     records: LogRecords
-    checks: tuple[validity.Check, ...]  # each with its verdict `good`
+    checks: tuple[Check, ...]  # each with its verdict `good`
     estimators: Mapping[str, estimator.Estimator]  # by label
 
 
@@ -86,25 +88,26 @@ def read_log(
             options = {REPORTED: "reported", **choice.options}
             built[label] = pipeline.build_estimator(replace(choice, options=options))
         if weighing:
-            checks.append(_describe_accuracy(records.fixes))
+            checks.append(_describe_accuracy(records))
     return RecordedLog(spec, records, tuple(checks), built)
 
 
-def _describe_accuracy(fixes: GnssFixes) -> validity.Check:
+def _describe_accuracy(records: LogRecords) -> Check:
     """Return the line that says by what fixes are weighed."""
+    fixes = records.fixes
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
     low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0]) if len(sd) else np.full(3, np.nan)
     text = (
-        f"each fix is weighed by the standard deviation it came with, {low:.3g} to {high:.3g} m "
+        f"each fix is weighed by the {records.reported} it came with: {low:.3g} to {high:.3g} m "
         f"horizontally, median {median:.3g} m; option fix_accuracy = 'datasheet' weighs all alike"
     )
-    return validity.Check("fix_accuracy_m", float(median), text, True)
+    return Check("fix_accuracy_m", float(median), text, True)
 
 
 def navigate_log(
     log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
 ) -> RunResult:
-    """Run estimators on a recording and judge them by withheld fixes.
+    """Run estimators on a recording and judge them by withheld fixes; one that raises has failed.
 
     Parameters
     ----------
@@ -139,14 +142,24 @@ def navigate_log(
         estimator.check_needs(one, label, present, spec.name)
     solutions, errors, metrics, drifts = {}, {}, {}, []
     for label, one in log.estimators.items():
-        solutions[label] = estimator.answer(one, label, data, session.initial)
-        errors[label], metrics[label] = judge(solutions[label], withheld, data, spec.evaluation_from)
-        if list_errors := getattr(one, "unmodelled", None):
-            metrics[label]["unmodelled"] = list(list_errors(spec.assumed))
-        metrics[label] = add_verdict(label, metrics[label])
-        for duration in outages:
-            outage_drifts = session.run_outages(one, label, duration, places)
-            drifts.append(make_drift_row(label, duration, outage_drifts, spec.assumed.imu))
+        unmodelled = None
+        try:
+            solution = estimator.answer(one, label, data, session.initial)
+            unmodelled = estimator.list_unmodelled(one, label, spec.assumed)
+            drifts += [
+                make_drift_row(
+                    label, duration, session.run_outages(one, label, duration, places), spec.assumed.imu
+                )
+                for duration in outages
+            ]
+        except EstimatorFailedError as error:
+            solution = make_failed_solution(data.output_t, *describe_error(label, error))
+        errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
+        metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled})
+        solutions[label] = solution
+    worked = {label: one for label, one in log.estimators.items() if not metrics[label].get("failed")}
+    for label, other in estimator.find_same(worked, data).items():
+        metrics[label]["same_as"] = other
     suspicious = [check for check in log.checks if not check.good]
     last = float(log.records.imu.t.max())
     events = Events.from_rows([(0.0, last, "sanity", check.text) for check in suspicious])

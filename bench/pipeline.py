@@ -10,7 +10,8 @@ from typing import Any
 
 from bench import store
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorFailedError
+from bench.evaluation.failures import describe_error, make_failed_solution
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.run_result import RunResult
@@ -126,6 +127,8 @@ def run(
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
+    An estimator that raises has failed: its metrics say why, and the others go on.
+
     Parameters
     ----------
     profile : Profile
@@ -137,20 +140,24 @@ def run(
     progress : callable or None
         Called with the seconds flown so far.
     """
-    built = {c.label: build_estimator(c) for c in profile.estimators}  # fails before the flight
-    for label, one in built.items():
-        estimator.check_needs(one, label, _list_records(profile))
+    built = build_estimators(profile)  # fails before the flight
     clock = {"fly": time.process_time()}
     own_truth = truth is not None
     if truth is None:
         truth = fly(profile, progress=progress)
-    _check_times(profile, float(truth.t[-1]))
+    check_times(profile, float(truth.t[-1]))
     clock["sense"] = time.process_time()
     sensed = sense(profile, truth, run)
     clock["navigate"] = time.process_time()
-    solutions = {
-        label: estimator.answer(one, label, sensed.data, sensed.initial) for label, one in built.items()
-    }
+    solutions, unmodelled = {}, dict[str, list[str] | None]()
+    for label, one in built.items():
+        unmodelled[label] = None
+        try:
+            solution = estimator.answer(one, label, sensed.data, sensed.initial)
+            unmodelled[label] = estimator.list_unmodelled(one, label, _list_specs(profile))
+        except EstimatorFailedError as error:
+            solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
+        solutions[label] = solution
     clock["judge"] = time.process_time()
     from bench.evaluation.verdict import add_verdict
 
@@ -158,12 +165,15 @@ def run(
     metrics = {
         label: {
             **judged[label][1],
-            "unmodelled": _list_unmodelled(profile, label, one),
-            **_describe_program(solutions[label]),
+            "unmodelled": unmodelled[label],
+            **_describe_program(solution),
         }
-        for label, one in built.items()
+        for label, solution in solutions.items()
     }
     metrics = {label: add_verdict(label, values) for label, values in metrics.items()}
+    worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
+    for label, other in estimator.find_same(worked, sensed.data).items():
+        metrics[label]["same_as"] = other
     clock["end"] = time.process_time()
     hashes = {
         "truth": None if own_truth else store.truth_key(profile.flight),
@@ -177,12 +187,26 @@ def run(
         metrics=metrics,
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
-        provenance={**store.provenance(), "inputs": hashes, "cpu_s": cpu_s},
+        provenance={**store.provenance(), "profile": profile.name, "inputs": hashes, "cpu_s": cpu_s},
         records={"spec": profile, "truth": truth, "sensed": sensed},
     )
 
 
-def _check_times(profile: Profile, end: float) -> None:
+def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
+    """Build the estimators of a profile by label, and check that its sensors give what they need.
+
+    Raises
+    ------
+    bench.errors.EstimatorError, bench.errors.ConfigError
+        As for :func:`build_estimator`, and if a record that one needs is missing.
+    """
+    built = {choice.label: build_estimator(choice) for choice in profile.estimators}
+    for label, one in built.items():
+        estimator.check_needs(one, label, _list_records(profile))
+    return built
+
+
+def check_times(profile: Profile, end: float) -> None:
     """Raise ConfigError if an outage, a fault or the alignment window ends after the end of the flight."""
     outages = enumerate(profile.sensors.gnss_outages, 1)
     ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
@@ -213,12 +237,7 @@ def _describe_program(solution: NavSolution) -> dict[str, Any]:
     return {"program": {kind: " ".join(parts) for kind, parts in texts.items()}} if texts["program"] else {}
 
 
-def _list_unmodelled(profile: Profile, label: str, built: estimator.Estimator) -> list[str] | None:
-    """Return the sensor errors that an estimator reports to have no state for; None if it reports nothing."""
-    list_errors = getattr(built, "unmodelled", None)
-    if list_errors is None:
-        return None
+def _list_specs(profile: Profile) -> AssumedSpecs:
+    """Return the datasheets of the sensors on board."""
     on_board = profile.sensors
-    specs = {field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)}
-    with estimator.catch_exit(label, "unmodelled()"):
-        return list(list_errors(AssumedSpecs(**specs)))
+    return AssumedSpecs(**{field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)})

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.fields import declared, figure, triad_figure
 from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
@@ -263,21 +264,38 @@ _NOISE = ("deg_sqrt_h", "deg_s_sqrt_hz"), ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_
 _DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
 
 
+@dataclass(frozen=True, slots=True)
+class AxisFigures:
+    """A figure of a triad whose axes differ, in its unit."""
+
+    name: str  # field of `TriadSpec`
+    x: float
+    y: float
+    z: float
+
+
 @declared
 class TriadSpec:
-    """Three gyros (unit rad) or three accelerometers (unit m/s). 0 switches an error off."""
+    """Three gyros (unit rad) or three accelerometers (unit m/s). 0 switches an error off.
+
+    A figure is that of all axes, or the largest of those in ``axes``.
+    """
 
     # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
-    random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0)
+    random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0, by_axis=True)
     # minimum of the Allan deviation, white noise excluded [unit/s]
-    bias_instability: float = triad_figure(_DRIFT, _ACCELERATION, sought="bias instability", default=0.0)
+    bias_instability: float = triad_figure(
+        _DRIFT, _ACCELERATION, sought="bias instability", default=0.0, by_axis=True
+    )
     bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)  # [s]
     bias_model: str = "flicker"  # or "gauss-markov"
     # [unit/s]
-    turn_on_bias_sd: float = triad_figure(_DRIFT, _ACCELERATION, sought="turn-on bias", default=0.0)
+    turn_on_bias_sd: float = triad_figure(
+        _DRIFT, _ACCELERATION, sought="turn-on bias", default=0.0, by_axis=True
+    )
     # [1]
     scale_factor_sd: float = triad_figure(
-        _SHARES, _SHARES, sought="scale factor", error="scale factor", default=0.0
+        _SHARES, _SHARES, sought="scale factor", error="scale factor", default=0.0, by_axis=True
     )
     # each off-diagonal element [rad]
     misalignment_sd: float = triad_figure(
@@ -287,14 +305,16 @@ class TriadSpec:
     quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
     # rate random walk K [unit/s/sqrt(s)]
     rate_random_walk: float = triad_figure(
-        ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0
+        ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0, by_axis=True
     )
     # half the difference between the scale factors of positive and negative rates [1]
-    scale_asymmetry_sd: float = triad_figure(_SHARES, _SHARES, error="scale factor asymmetry", default=0.0)
+    scale_asymmetry_sd: float = triad_figure(
+        _SHARES, _SHARES, error="scale factor asymmetry", default=0.0, by_axis=True
+    )
     # largest deviation from the best straight line, over the range [1]
-    nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0)
+    nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0, by_axis=True)
     # coefficient of the squared rate [1/(unit/s)]
-    quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0)
+    quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0, by_axis=True)
     # deviation of the angle between two sensing axes from 90 deg [rad]
     nonorthogonality_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="non-orthogonality", default=0.0
@@ -313,7 +333,12 @@ class TriadSpec:
     )
     # bias per difference from the reference temperature [unit/s/K]
     temperature_sd: float = triad_figure(
-        ("deg_h_k", "deg_s_k"), ("ug_k", "mg_k"), sought="temperature", error="temperature bias", default=0.0
+        ("deg_h_k", "deg_s_k"),
+        ("ug_k", "mg_k"),
+        sought="temperature",
+        error="temperature bias",
+        default=0.0,
+        by_axis=True,
     )
     # rates below this read 0 [unit/s]
     dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
@@ -326,11 +351,31 @@ class TriadSpec:
     )
     # of the motion, in addition to that of the filter [s]
     delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
+    axes: tuple[AxisFigures, ...] = ()  # figures whose axes differ
 
     @property
     def instability_sd(self) -> float:
         """Standard deviation of the Gauss-Markov process whose Allan deviation peaks at bias_instability."""
         return self.bias_instability / GAUSS_MARKOV_PEAK
+
+    @property
+    def instability_by_axis(self) -> FloatArray:
+        """``instability_sd`` for x, y and z (3,)."""
+        return np.asarray(self.by_axis("bias_instability") / GAUSS_MARKOV_PEAK)
+
+    def by_axis(self, name: str) -> FloatArray:
+        """Return a figure for x, y and z (3,)."""
+        for one in self.axes or ():
+            if one.name == name:
+                return np.array([one.x, one.y, one.z])
+        return np.full(3, getattr(self, name))
+
+    def averaged(self) -> TriadSpec:
+        """Return a triad with the same figures for all axes: root mean squares of those that differ."""
+        means: dict[str, Any] = {
+            one.name: math.sqrt((one.x**2 + one.y**2 + one.z**2) / 3.0) for one in self.axes or ()
+        }
+        return replace(self, axes=(), **means)
 
 
 @declared

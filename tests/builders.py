@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.testing import assert_array_equal
-from scipy.special import gammaincinv, ndtri
+from scipy.special import gammaincinv, ndtri, stdtrit
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
@@ -37,6 +37,17 @@ def band(count: Any, states: int = 1) -> tuple[Any, Any]:
     """
     half = np.multiply(states / 2, count)
     return 2 * gammaincinv(half, TAIL) / count, 2 * gammaincinv(half, 1 - TAIL) / count
+
+
+def student(draws: int) -> float:
+    """Return the half-width of the 99.9 % band of the mean of normal draws, in standard errors of theirs.
+
+    Examples
+    --------
+    >>> print(f"{student(10):.2f} {student(40):.2f}")
+    4.78 3.56
+    """
+    return float(stdtrit(draws - 1, 1.0 - TAIL))
 
 
 # --- records --------------------------------------------------------------------------------------------

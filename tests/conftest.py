@@ -19,6 +19,7 @@ from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.flight.truth import Stretch
 from bench.specs import FlightSpec, stream
+from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan
 from tests.weaving import weaving
 
@@ -28,10 +29,10 @@ for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"): 
     os.environ.pop(_name, None)
 
 SLOWEST = (
-    "test_two_hours_at_200_hz_need_less_than_64_mb",
     "test_where_the_heading_is_hardly_known_it_beats_the_linear_filter",
-    "test_36_josephs_form_stays_positive_over_1e5_updates",
-    "test_the_filter_and_its_twin_agree_on_the_whole_figure_eight",
+    "test_the_metric_is_in_the_result",
+    "test_the_smoother_knows_its_errors",
+    "test_the_matched_filter_knows_its_errors",
 )
 """Tests that begin first, so that no worker is left alone with one of them at the end."""
 
@@ -84,6 +85,12 @@ def short_truth() -> Trajectory:
 def figure_eight_truth() -> Trajectory:
     """The shipped flight figure-eight, 600 s at 200 Hz, from the cache of truths."""
     return pipeline.fly(load_profile("figure-eight"))
+
+
+@pytest.fixture(scope="session")
+def five_minutes(figure_eight_truth: Trajectory) -> Trajectory:
+    """The first 300 s of figure-eight, before its outage."""
+    return first_rows(figure_eight_truth, 60_001)
 
 
 @pytest.fixture(scope="module")

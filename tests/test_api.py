@@ -11,15 +11,19 @@ from bench.errors import ConfigError
 
 FUNCTIONS = {
     "allan": "measure_allan",
+    "campaign": "campaign",
+    "card": "make_card",
     "check": "check",
     "export": "export_run",
     "fixes": "solve_rinex",
     "fly": "describe_flight",
     "list": "list_profiles",
     "navigate": "navigate_log",
+    "report": "write_report",
     "run": "run",
     "score": "score_solution",
     "stream": "stream_run",
+    "tune": "tune",
 }
 """Verb -> what does it from Python."""
 WITHOUT = {

@@ -25,9 +25,9 @@ def copy_of_the_package(folder: Path) -> Path:
     return folder
 
 
-def answer(folder: Path, cache: Path) -> tuple[float, str]:
+def answer(folder: Path, cache: Path, variable: str) -> tuple[float, str]:
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    environment |= {"PYTHONPATH": str(folder), "BENCH_CACHE": str(cache)}
+    environment |= {"PYTHONPATH": str(folder), variable: str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", ANSWER],
         cwd=folder,
@@ -40,17 +40,34 @@ def answer(folder: Path, cache: Path) -> tuple[float, str]:
     return float(value), where
 
 
-def test_a_constant_changed_in_another_module_is_seen(tmp_path):
+@pytest.mark.parametrize("variable", ["BENCH_CACHE", "NUMBA_CACHE_DIR"])
+def test_a_constant_changed_in_another_module_is_seen(tmp_path, variable):
     """numba's own cache returns the old value here; the name of the folder must change."""
     folder, cache = copy_of_the_package(tmp_path / "tree"), tmp_path / "cache"
-    before, first = answer(folder, cache)
-    again, same = answer(folder, cache)
+    before, first = answer(folder, cache, variable)
+    again, same = answer(folder, cache, variable)
     assert (again, same) == (before, first)
     earth = folder / "bench" / "earth.py"
     earth.write_text(earth.read_text().replace('"WGS-84", 6378137.0', '"WGS-84", 6378138.0'))
-    after, second = answer(folder, cache)
+    after, second = answer(folder, cache, variable)
     assert (before, after) == (6378137.0, 6378138.0)
     assert second != first
+
+
+def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp_path):
+    """Also one without a kernel of its own, and one that is imported by such a one."""
+    folder = copy_of_the_package(tmp_path)
+    monkeypatch.setattr(compiled, "PACKAGE", folder / "bench")
+    before = compiled._hash_sources()
+    for name in ("navigation/schedule.py", "navigation/states.py", "data.py", "specs.py", "units.py"):
+        path = folder / "bench" / name
+        path.write_text(path.read_text() + "\n# changed\n")
+        after = compiled._hash_sources()
+        assert after != before, name
+        before = after
+    cli = folder / "bench" / "cli" / "flights.py"
+    cli.write_text(cli.read_text() + "\n# changed\n")
+    assert compiled._hash_sources() == before
 
 
 def test_folders_unused_for_a_month_are_removed(tmp_path):

@@ -57,15 +57,15 @@ METRIC = Toy(
 
 TAB = Toy(
     new={
-        "bench/recording/tabs/laser_heights.py": """
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import FIX, Plot, draw_line, entity
+        "bench/plots/tabs/laser_heights.py": """
+from bench.plots.content import Content, Tab
+from bench.plots.series import FIX, Plot, draw_line
 
 
 def _plots(content: Content):
     laser = content.sensed.data.laser
     height = draw_line("height", laser.t, laser.height, "height", FIX, 50.0)
-    return {"": [[Plot(entity("laser", "height"), "Height [m]", (height,))]]}
+    return {"": [[Plot(("laser", "height"), "Height [m]", (height,))]]}
 
 
 LASER = Tab("Laser", 100, _plots)
@@ -415,9 +415,13 @@ print(json.dumps({
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory) -> dict[str, Any]:
-    """What a flight with all toys gives, in a copy of the package that has them."""
-    folder = tmp_path_factory.mktemp("toys")
+def flown(tmp_path_factory, made_once) -> dict[str, Any]:
+    """What a flight with all toys gives; its kernels take half a minute to compile, so once in a session."""
+    return made_once("toys", lambda: fly_toys(tmp_path_factory.mktemp("toys")))
+
+
+def fly_toys(folder: Path) -> dict[str, Any]:
+    """Fly with all toys in a copy of the package that has them."""
     shutil.copytree(PACKAGE, folder / "bench", ignore=shutil.ignore_patterns("__pycache__"))
     aircraft = PACKAGE.parent / "aircraft"
     if aircraft.is_dir():

@@ -18,8 +18,8 @@ from bench.fields import columns_of, figures_of
 from bench.instruments import INSTRUMENTS, InstrumentReports, InstrumentSpecs
 from bench.navigation.estimator import RECORDS
 from bench.places import PACKAGE
-from bench.recording.content import Content
-from bench.recording.tabs.flight_data import FLIGHT
+from bench.plots.content import Content
+from bench.plots.tabs.flight_data import FLIGHT
 from bench.run_result import RunResult
 from bench.sensors import sense
 from bench.specs import Fault
@@ -67,7 +67,8 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     assert isinstance(record, row.record)
     assert sensed.truth.bias[name].shape == (len(sensed.truth.t), row.width)
     records = {"truth": truth, "sensed": sensed}
-    store.save(tmp_path, RunResult({"title": "x"}, 1, 0, {}, {}, {}, {}, records=records))
+    profile = {"title": "x", "evaluation": {"from_s": 0.0, "output_hz": 10.0}}
+    store.save(tmp_path, RunResult(profile, 1, 0, {}, {}, {}, {}, records=records))
     again = store.load_sensors(tmp_path)[2][name]
     assert_array_equal(row.values(again), row.values(record))
     out = exports.gather(tmp_path)
@@ -85,7 +86,7 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     assert any(
         series.names[0] == row.trace.legend or row.width > 1
         for plot in shown
-        if plot.path.endswith(row.trace.plot)
+        if plot.path[-1] == row.trace.plot
         for series in plot.series
     )
 

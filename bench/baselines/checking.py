@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from bench.baselines.baseline_file import (
@@ -15,7 +15,7 @@ from bench.baselines.baseline_file import (
     write_baseline,
 )
 from bench.baselines.experiments import Draw, Experiment, make_baseline, open_experiment
-from bench.baselines.verdict_rows import LOOKS, Candidate, Verdict, compare, decide
+from bench.baselines.verdict_rows import CONVERGED, LOOKS, Candidate, Verdict, compare, decide
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.wording import suggest
@@ -58,6 +58,26 @@ class _Measured:
             self.progress(self.experiment.name, count, count)
         return make_baseline(self.experiment, self.draws[:count], self.requested)
 
+    def check_values(self) -> None:
+        """Raise ConfigError if an estimator has no value in any draw: it failed in all of them."""
+        for label, first in self.draws[0].estimators.items():
+            rows = [draw.estimators[label] for draw in self.draws]
+            if all(value is None for row in rows for value in row.metrics.values()):
+                raise ConfigError(
+                    f"{self.experiment.name}: {label} has no value in {len(rows)} draws, nothing to compare "
+                    f"with; draw 0: {first.reason}"
+                )
+
+    def add_reason(self, row: Verdict) -> Verdict:
+        """Add why the first run that did not converge did not, to the row that counts them."""
+        if row.metric != CONVERGED or row.word == "same":
+            return row
+        for k, draw in enumerate(self.draws):
+            one = draw.estimators.get(row.estimator)
+            if one is not None and not one.converged:
+                return replace(row, note=f"{row.note}; draw {k}: {one.reason}")
+        return row
+
 
 def record_baselines(
     profiles: Sequence[str] = (),
@@ -93,7 +113,7 @@ def record_baselines(
     ------
     ConfigError
         If a profile is missing or wrong, there is none, or there are too few draws. This is checked before
-        anything is flown.
+        anything is flown. If an estimator failed in every draw.
     """
     if runs is not None and runs < LEAST_DRAWS:
         raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
@@ -113,6 +133,7 @@ def record_baselines(
     for one in measured:
         count = one.experiment.draws or runs or DRAWS
         baseline = one.measure(count)
+        one.check_values()
         paths.append(write_baseline(directory, baseline))
         _write_change(directory, before.get(one.experiment.name), baseline, reason)
     return paths
@@ -232,7 +253,7 @@ def check(
         for verdict in decide(everything):
             key = (verdict.profile, verdict.estimator, verdict.metric)
             if key not in words or words[key].word == "undecided":
-                words[key] = verdict
+                words[key] = measured[verdict.profile].add_reason(verdict)
         unsure = {
             row.profile
             for row in words.values()

@@ -30,6 +30,7 @@ class EstimatorDraw:
     """What an estimator achieved in one draw."""
 
     converged: bool
+    reason: str  # why it did not converge
     metrics: Mapping[str, Value]
     expected: Mapping[str, float]
     epochs: int
@@ -107,14 +108,16 @@ class Flight:
 
 
 def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
-    """Return the metrics that baselines hold: those with a direction, after the alignment window."""
+    """Return the metrics that baselines hold, after the alignment window; none if the estimator failed."""
     values, errors = result.metrics[label], result.errors[label]
-    metrics = {name: value for name, value in values.items() if _is_watched(name)}
+    metrics = {name: x for name, x in values.items() if _is_watched(name) and not values.get("failed")}
     expected = {"nees_mean": float(errors.states)}
     for sensor, nis in nis_by_sensor(result.solutions[label].innovations, from_s - SAME_INSTANT).items():
         expected[f"nis_mean_{sensor}"] = float(nis.dof.mean())
+    expected |= {name: 1.0 for name in metrics if name.startswith("nees_bias_")}
     return EstimatorDraw(
         converged=bool(values["converged"]),
+        reason=values["reason"] or "",
         metrics=metrics,
         expected={name: value for name, value in expected.items() if name in metrics},
         epochs=int(np.sum(errors.t >= from_s - SAME_INSTANT)),
@@ -123,7 +126,7 @@ def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
 
 def _is_watched(name: str) -> bool:
     row = None if name.endswith("_all") else find_metric(name)
-    return row is not None and bool(row.direction)
+    return row is not None and row.direction != "not judged"
 
 
 class Recording:
@@ -152,6 +155,7 @@ class Recording:
             inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)
             rows[label] = EstimatorDraw(
                 converged=bool(result.metrics[label]["converged"]),
+                reason=result.metrics[label]["reason"] or "",
                 metrics=_judge_stretch(errors, inside),
                 expected={"nees_mean": float(errors.states)},
                 epochs=int(inside.sum()),

@@ -27,7 +27,7 @@ LOOKS = (20, 40, 80)
 CONVERGED = "converged"
 """Name of the row that counts the runs that converged."""
 
-FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973}
+FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973, "output_coverage": 1.0}
 """Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
 
 UNPAIRED = "other truth or sensor data: not paired"
@@ -234,7 +234,9 @@ def _compare_metric(
 def _get_values(of: EstimatorValues, metric: str, which: np.ndarray) -> FloatArray:
     """Return the values of a metric in some draws, NaN where there is none or the run did not converge."""
     stored: Sequence[Value] = of.metrics.get(metric, (None,) * len(of.converged))
-    values = np.array([np.nan if x is None else x for x in stored], float)[which]
+    known = find_metric(metric)
+    absent = 0.0 if known is not None and known.direction == "zero" else np.nan
+    values = np.array([absent if x is None else x for x in stored], float)[which]
     return np.where(np.array(of.converged)[which], values, np.nan)
 
 

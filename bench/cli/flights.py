@@ -1,4 +1,4 @@
-"""The verbs of simulated flights: run, fly, list, guide, new, view, check, cache."""
+"""The verbs of simulated flights: run, fly, list, guide, new, view, report, check, cache."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from bench.cli.group import (
     STATUS,
     code_option,
     commands,
+    end_run,
     estimator_option,
     force_option,
     json_option,
     new_console,
     out_option,
     recording_option,
+    report_option,
     seed_option,
     set_option,
 )
@@ -42,6 +44,7 @@ from bench.errors import DONE, NEGATIVE
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
 @json_option("the metrics")
 @recording_option
+@report_option
 @force_option()
 @code_option("profile")
 def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
@@ -60,7 +63,7 @@ def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     \b
     Writes to DIR: result.json (metrics, seeds, versions, the profile as flown),
     truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
-    errors-<estimator>.parquet and flight.rrd (bench view DIR).
+    errors-<estimator>.parquet, flight.rrd (bench view DIR) and report.html.
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
@@ -74,7 +77,7 @@ def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
         click.echo(to_json(result.metrics), nl=False)
     if then_view:
         view_folder(folder, web=False, console=console)
-    return DONE if all(metrics["converged"] for metrics in result.metrics.values()) else NEGATIVE
+    return end_run(result.metrics)
 
 
 @commands.command(epilog=STATUS)
@@ -143,7 +146,7 @@ def guide(topic: str | None) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("kind", type=click.Choice(["estimator", "check"]), metavar="KIND")
+@click.argument("kind", type=click.Choice(["estimator", "check", "log"]), metavar="KIND")
 @click.argument("name", required=False)
 def new(kind: str, name: str | None) -> int:
     """Write a working example as a starting point for your own.
@@ -160,16 +163,25 @@ def new(kind: str, name: str | None) -> int:
       .github/workflows/accuracy.yml   a CI job that runs bench check
 
     \b
+    log FILE looks at a recorded table, ULog, bag or MCAP, and writes beside it:
+      FILE.toml                        a log for bench navigate; it asks what FILE cannot say
+
+    \b
     Examples:
       bench new estimator mine && bench run figure-eight -e mine:Mine
       bench new check mine:Mine && bench check --allow-code
+      bench new log drive.csv && bench navigate drive.toml
     """
     from bench.workbench.new import new_check, new_estimator
 
     if kind == "check":
         new_check(name or "loose-15", console=new_console())
     elif name is None:
-        raise click.UsageError("bench new estimator needs a NAME")
+        raise click.UsageError(f"bench new {kind} needs a {'FILE' if kind == 'log' else 'NAME'}")
+    elif kind == "log":
+        from bench.workbench.new_log import new_log
+
+        new_log(name, console=new_console())
     else:
         new_estimator(name, console=new_console())
     return DONE
@@ -186,6 +198,30 @@ def view(folder: Path | None, web: bool) -> int:
     from bench.workbench.viewer import view as view_folder
 
     view_folder(folder, web=web, console=new_console())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", type=FILE, metavar="DIR")
+@out_option(
+    "file for the page  [default: DIR/report.html or DIR/index.html], or folder for the figures", "PATH"
+)
+@click.option("--figures", type=click.Choice(["pdf", "svg", "png"]), help="draw figures for a paper instead")
+@click.option("--width-mm", type=click.FloatRange(30, 500), default=88.0, metavar="MM", help="of the figures")
+@click.option("--serif", is_flag=True, help="letters with serifs in the figures")
+def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> int:
+    """Write the report of a results folder as one HTML page.
+
+    The page needs no network and no other file: verdicts, figures with their bounds, plots,
+    events, sensors, and where it all comes from. If DIR holds results folders, the page is their index.
+    --figures draws each tab of the recording into a folder, DIR-figures by default.
+    """
+    from bench.workbench.record_verbs import write_figures, write_report
+
+    if figures is None:
+        write_report(folder, out, console=new_console())
+    else:
+        write_figures(folder, out, figures, console=new_console(), **look)
     return DONE
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bench import __version__
+from bench.errors import BUG, DONE, NEGATIVE
 from bench.moved import OPTIONS
+from bench.wording import replace_control
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -74,6 +76,15 @@ recording_option = click.option(
     default=True,
     show_default=False,
     help="write no recording",
+)
+report_option = click.option(
+    "--no-report",
+    "report",
+    is_flag=True,
+    flag_value=False,
+    default=True,
+    show_default=False,
+    help="write no report",
 )
 FILE = click.Path(path_type=Path)
 
@@ -139,6 +150,16 @@ def commands(ctx: click.Context) -> None:
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
+    """Print the tracebacks of estimators that raised, and return the exit status of a run."""
+    raised = [values["traceback"] for values in metrics.values() if "traceback" in values]
+    for text in raised:
+        click.echo(replace_control(text), err=True, nl=False)
+    if raised:
+        return BUG
+    return DONE if all(values["converged"] for values in metrics.values()) else NEGATIVE
 
 
 def new_console(*, stderr: bool = False) -> Console:

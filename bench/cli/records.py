@@ -12,6 +12,7 @@ from bench.cli.group import (
     STATUS,
     code_option,
     commands,
+    end_run,
     estimator_option,
     force_option,
     json_option,
@@ -19,6 +20,7 @@ from bench.cli.group import (
     out_option,
     parse_durations,
     recording_option,
+    report_option,
     set_option,
 )
 from bench.errors import DONE, NEGATIVE, ConfigError
@@ -48,6 +50,7 @@ class _LogCommand(click.Command):
     "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
 )
 @recording_option
+@report_option
 @force_option()
 @code_option("log")
 @set_option
@@ -72,7 +75,7 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     summary = navigate_log(log, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(summary), nl=False)
-    return DONE if all(m["converged"] for m in summary["metrics"].values()) else NEGATIVE
+    return end_run(summary["metrics"])
 
 
 @commands.command(epilog=STATUS)

@@ -10,15 +10,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from bench.config.sheet import Figure, Sheet, check_figures, check_sources, convert_figures, make_table_type
+from bench.config.sheet import (
+    MOST,
+    Figure,
+    Sheet,
+    check_figures,
+    check_sources,
+    convert_figures,
+    make_table_type,
+)
 from bench.config.sky_sheet import SkyTable, read_sky
 from bench.config.tables import ROWS, Table, between, check_table, collect_errors, read_toml
 from bench.errors import ConfigError
-from bench.fields import figures_of, triad_figures_of
+from bench.fields import XYZ, figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.sensors.imu_terms import check_imu
-from bench.specs import GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.units import split_unit, to_si
+from bench.specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.units import from_si, split_unit, to_si
+from bench.wording import quantity, suggest
 
 MODIFIED = ", modified"
 """Follows the name of a unit of which a figure was replaced."""
@@ -89,6 +98,9 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
         One message for each problem in the file.
     """
     document = _read_document(path, shown, changes)
+    axes, wrong = _split_axes(document)
+    if wrong:
+        raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     sheet = check_table(ImuSheet, document, shown)
     wrong = check_sources(sheet, document)
     triads = {}
@@ -101,7 +113,7 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
                 wrong.append(f"[{name}] {keys[0]} and {keys[1]} are the same figure; give one of them")
             for key in keys:
                 values[field] = to_si(key, figures[key])
-        triads[name] = TriadSpec(**values)
+        triads[name] = TriadSpec(**values, axes=tuple(axes[name]))
     arms = (sheet.layout.accel_x_m, sheet.layout.accel_y_m, sheet.layout.accel_z_m)
     spec = ImuSpec(
         _make_name(path, changes),
@@ -116,6 +128,36 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
     if wrong:
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return spec
+
+
+def _split_axes(document: dict[str, Any]) -> tuple[dict[str, list[AxisFigures]], list[str]]:
+    """Replace figures given for x, y and z by the largest; return them in SI by triad, and what is wrong."""
+    found: dict[str, list[AxisFigures]] = {name: [] for name in _TRIADS}
+    wrong = []
+    for name in _TRIADS:
+        table = document.get(name)
+        if not isinstance(table, dict):
+            continue
+        for key, value in list(table.items()):
+            if isinstance(value, list):
+                field = _find_axis_figure(name, key)
+                numbers = [one for one in value if type(one) in (int, float) and 0 <= one <= MOST]
+                if field is None:
+                    wrong.append(f"[{name}] {key} is the same for all axes: give one number")
+                elif len(value) != 3 or len(numbers) != 3:
+                    wrong.append(
+                        f"[{name}] {quantity(key, value)} must be a number, or one for each of x, y and z"
+                    )
+                else:
+                    table[key] = max(numbers)
+                    found[name].append(AxisFigures(field, *(to_si(key, float(one)) for one in numbers)))
+    return found, wrong
+
+
+def _find_axis_figure(triad: str, key: str) -> str | None:
+    """Return the field of `TriadSpec` for a key whose axes may differ; None for other keys."""
+    every = triad_figures_of(TriadSpec).items()
+    return next((field for field, one in every if one.by_axis and key in one.keys(field, triad)), None)
 
 
 def read_gnss(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -> GnssSpec:
@@ -166,6 +208,9 @@ def _read_document(path: Path, shown: str, changes: Mapping[str, Any] | None) ->
     document = read_toml(path, shown)
     for key, value in (changes or {}).items():
         table, *inner, name = key.split(".")
+        if table in _TRIADS and len(inner) == 1 and name in XYZ:
+            axis, name = name, inner.pop()
+            value = _replace_axis(document.get(table), shown, table, name, axis, value)
         here = document.setdefault(table, {})
         for part in inner:
             here = here.setdefault(part, {}) if isinstance(here, dict) else None
@@ -178,6 +223,24 @@ def _read_document(path: Path, shown: str, changes: Mapping[str, Any] | None) ->
                 document["assumed"].remove(f"{table}.{other}")
         here[name] = value
     return document
+
+
+def _replace_axis(figures: object, shown: str, table: str, key: str, axis: str, value: Any) -> list[Any]:
+    """Return the values of a figure for x, y and z, with one of them replaced."""
+    if _find_axis_figure(table, key) is None:
+        figures_here = triad_figures_of(TriadSpec).items()
+        known = [one for field, row in figures_here if row.by_axis for one in row.keys(field, table)]
+        hint = suggest(key, known, "figures by axis")
+        raise ConfigError(f"{shown}: [{table}] {key} is no figure that may differ by axis{hint}")
+    given = figures if isinstance(figures, Mapping) else {}
+    used = next((one for one in (key, *_list_same_figures(table, key)) if one in given), key)
+    present = given.get(used, 0.0)
+    values = list(present) if isinstance(present, list) else [present] * 3
+    if used != key:
+        values = [from_si(key, to_si(used, one)) if type(one) in (int, float) else one for one in values]
+    if len(values) == 3:  # else it is refused as it is
+        values[XYZ.index(axis)] = value
+    return values
 
 
 def _list_same_figures(table: str, name: str) -> list[str]:

@@ -314,6 +314,15 @@ def list_sensors() -> list[CatalogEntry]:
     ]
 
 
+def find_unit(kind: str, name: str) -> CatalogEntry | None:
+    """Return a sensor of the catalog; None if it is not in there."""
+    path = _CATALOG / kind / f"{name}.toml"
+    if not _NAME.fullmatch(name) or not path.is_file():
+        return None
+    sheet = read_toml(path, path.name)
+    return CatalogEntry(name, str(sheet.get("title", "")), kind, _describe_datasheet(kind, sheet))
+
+
 def list_legs() -> list[CatalogEntry]:
     """Return every kind of leg, sorted by name."""
     return [

@@ -17,7 +17,7 @@ from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
 from bench.config.overrides import DatasheetChanges, override, split_overrides
-from bench.config.profile import choose_estimators, make_choice
+from bench.config.profile import choose_estimators, make_choices
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors, read_toml
 from bench.errors import ConfigError
@@ -34,7 +34,7 @@ _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".pos": "rtklib",
 }
 """Ending of a file -> its format, if the log does not name it; a folder is a ROS 2 bag."""
-_TOPICS = ("ulog", "rosbag", "mcap")
+_TOPICS = ("ulog", "rosbag", "mcap", "navego")
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
@@ -78,6 +78,7 @@ class GnssTable(_FileTable):
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     velocity_offset_s: _Shift = 0.0
     quality: Annotated[tuple[int, ...], ROWS] = ()
+    quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)
 
 
 class BaroTable(_FileTable):
@@ -171,6 +172,7 @@ class LogSpec:
     antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
     velocity_offset: float  # time of the velocity minus time of the fix [s]
     quality: tuple[int, ...]  # of the fixes to use; empty: all
+    quality_sd: Mapping[int, float]  # by class of quality: of each axis of a fix [m]; empty: not told
     assumed: AssumedSpecs
     start: StartSpec
     estimators: tuple[EstimatorChoice, ...]
@@ -202,7 +204,7 @@ def load_log(
     """
     path = Path(name)
     document = read_toml(path, name)
-    overrides, changes = split_overrides(overrides or {})
+    overrides, changes = split_overrides(overrides or {}, path.parent)
     for key, value in overrides.items():
         document = override(document, key, value)
     wrong = [f"{name}: {line}" for line in checks.check_options(document)]
@@ -225,8 +227,8 @@ def load_log(
             with collect_errors(wrong):
                 figures = changes.assumed.get(kind)
                 assumed[kind] = None if sheet is None else SENSORS[kind](*sheet, figures)
-    wrong += [f"{place}{line}" for line in changes.check({}, assumed)]
-    choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
+    wrong += [f"{place}{line}" for line in changes.check({}, dict(table.sensors.assumed))]
+    choices = make_choices(table.estimator, overrides, beside)
     across = (
         checks.check_estimators(choices)
         + checks.check_requested(choices, estimators or ())
@@ -250,6 +252,7 @@ def load_log(
         antenna_b=tuple(a - b for a, b in zip(gnss_at, table.imu.position_m, strict=True)),  # type: ignore[arg-type]
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
+        quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, path.name),
         assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
         start=_make_start(table.alignment),
         estimators=choices,
@@ -321,6 +324,14 @@ def _make_start(row: LogAlignmentTable) -> StartSpec:
         tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
         heading_sd=math.radians(2.0 if row.heading_sd_deg is None else row.heading_sd_deg),
     )
+
+
+def _read_classes(table: Mapping[str, float], shown: str) -> dict[int, float]:
+    """Return the sd of each class of quality, whose names in TOML are text."""
+    if wrong := [name for name in table if not name.isdigit()]:
+        text = f"[gnss] quality_sd_m: {wrong[0]!r} must be a class of quality, a whole number"
+        raise ConfigError(f"{shown}: {text}, such as 1 = 0.02")
+    return {int(name): float(sd) for name, sd in table.items()}
 
 
 def _to_radians(angles: tuple[float, float, float]) -> tuple[float, float, float]:

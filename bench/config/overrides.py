@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from bench.config.datasheets import MODIFIED, SENSORS
@@ -76,15 +78,42 @@ class DatasheetChanges:
         document.update(self.keys)
 
 
-def split_overrides(overrides: Mapping[str, Any]) -> tuple[dict[str, Any], DatasheetChanges]:
+_PATHS = re.compile(r"jsbsim_root|trajectory|(imu|gnss|baro)\.file")
+_OF_DATASHEETS = re.compile(r"sensors\.(assumed\.)?gnss\.sky\.(almanac|navigation)")
+"""Keys whose value is always a path, in a profile or a log and in a datasheet."""
+
+
+def _locate(key: str, value: Any, beside: Path) -> Any:
+    """Return the value of an override; a path in it is relative to the present folder, not to the file."""
+    if isinstance(value, Mapping):
+        return {name: _locate(f"{key}.{name}", inner, beside) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_locate(key, one, beside) for one in value]
+    if not isinstance(value, str):
+        return value
+    named = (key == "script" and value.endswith(".xml")) or (
+        key.startswith("sensors.") and value.endswith(".toml")
+    )
+    in_file = (named or _PATHS.fullmatch(key)) and Path.cwd() != beside.resolve()
+    return str(Path.cwd() / value) if in_file or _OF_DATASHEETS.fullmatch(key) else value
+
+
+def sets_estimator(overrides: Mapping[str, Any], number: int) -> bool:
+    """Tell whether overrides say what an entry of [[estimator]] is; its path is then the user's own."""
+    return any(key in overrides for key in ("estimator", f"estimator.{number}", f"estimator.{number}.use"))
+
+
+def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[str, Any], DatasheetChanges]:
     """Divide overrides into those of the file and those of figures in the datasheets that it names.
 
+    A path in them is relative to the present folder, not to ``beside``, the folder of the file.
     ``sensors.imu.gyro.noise_deg_sqrt_h`` is a figure of the unit on board, which filters then assume, too;
     ``sensors.assumed.imu.gyro.noise_deg_sqrt_h`` is only what they assume. A table with the name of its
     sensor may be left out: ``sensors.baro.white_sd_m``.
     """
-    plain, changes = dict(overrides), DatasheetChanges()
-    for key, value in overrides.items():
+    plain = {key: _locate(key, value, beside) for key, value in overrides.items()}
+    changes = DatasheetChanges()
+    for key, value in list(plain.items()):
         parts = key.split(".")
         only_assumed = parts[:2] == ["sensors", "assumed"]
         rest = parts[2:] if only_assumed else parts[1:]

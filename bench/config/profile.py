@@ -21,9 +21,10 @@ from bench.config.library import (
     read_aircraft,
     read_jsbsim_aircraft,
 )
-from bench.config.overrides import DatasheetChanges, Figures, override, split_overrides
+from bench.config.overrides import DatasheetChanges, Figures, override, sets_estimator, split_overrides
 from bench.config.profile_tables import (
     SEVERITY,
+    EstimatorTable,
     ExperimentTable,
     ProfileTable,
     TrajectoryTable,
@@ -92,9 +93,9 @@ def load_profile(
         used_seed = overrides.pop("seed", seed)  # an override wins
         document |= {"seed": used_seed}
         document |= {} if "trajectory" in document else {"turbulence_seed": used_seed}
-    overrides, changes = split_overrides(overrides)
+    overrides, changes = split_overrides(overrides, path.parent)
     for key, value in overrides.items():
-        document = override(document, key, _locate(key, value, path.parent))
+        document = override(document, key, value)
     beside, wrong = path.parent, [f"{shown}: {line}" for line in checks.check_options(document)]
     truth_keys = [key for key in ("aircraft", "script", "trajectory") if key in document]
     if len(truth_keys) > 1:
@@ -109,7 +110,8 @@ def load_profile(
     assumed = _find_sensors(
         assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.of_assumed()
     )
-    wrong += [f"{shown}: {line}" for line in changes.check(on_board, {**on_board, **assumed_names})]
+    named = units if isinstance(units, Mapping) else {}
+    wrong += [f"{shown}: {line}" for line in changes.check(named, {**named, **assumed_names})]
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
     try:
         table: ExperimentTable = check_table(
@@ -117,7 +119,7 @@ def load_profile(
         )
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
-    choices = tuple(make_choice(row.use, row.label, row.options, beside) for row in table.estimator)
+    choices = make_choices(table.estimator, overrides, beside)
     flight: Flight | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
@@ -212,25 +214,22 @@ def choose_estimators(
     return choices
 
 
-def _locate(key: str, value: Any, beside: Path) -> Any:
-    """Return the value of an override; a path in it is relative to the present folder, not to the profile."""
-    if isinstance(value, Mapping):
-        return {name: _locate(f"{key}.{name}", inner, beside) for name, inner in value.items()}
-    if not isinstance(value, str) or Path.cwd() == beside.resolve():
-        return value
-    if key.startswith("estimator.") and value.startswith("file:"):
-        return f"file:{Path.cwd() / value.removeprefix('file:')}"
-    named = value.endswith((".toml", ".xml", ".csv", ".parquet", ".mat"))
-    is_path = key == "jsbsim_root" or (named and key.startswith(("sensors.", "script", "trajectory")))
-    return str(Path.cwd() / value) if is_path else value
-
-
 def make_choice(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
     """Return the choice of an estimator; without a label it is named after its use."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
     return EstimatorChoice(use, label or _make_label(use), dict(options or {}), beside)
+
+
+def make_choices(
+    rows: Sequence[EstimatorTable], overrides: Mapping[str, Any], beside: Path
+) -> tuple[EstimatorChoice, ...]:
+    """Return the choices of a file; a path is relative to the file or, from an override, to this folder."""
+    return tuple(
+        make_choice(row.use, row.label, row.options, Path() if sets_estimator(overrides, k) else beside)
+        for k, row in enumerate(rows, 1)
+    )
 
 
 def _make_label(use: str) -> str:

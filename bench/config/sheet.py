@@ -16,7 +16,8 @@ Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
 Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]
 """Source of the figures: datasheet, its front page, other pages of the maker, a quote, a table of grades."""
 
-Figure = Annotated[float, between(0, 1e6)]  # no known figure is larger, in any unit
+MOST = 1e6  # no known figure is larger, in any unit
+Figure = Annotated[float, between(0, MOST)]
 
 
 class Sheet(Table):

@@ -18,6 +18,7 @@ from bench.evaluation.error_series import BLOCKS
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 AXES = ("n", "e", "d")
+Edge = Literal["low", "high"]
 NEES_PROBABILITY = 0.999
 """Probability of the band of NEES in one run [1]."""
 COVERAGE_PROBABILITY = 0.995
@@ -58,18 +59,20 @@ def nees_samples(case: Case) -> float:
     return count_independent(case.nees - case.states)
 
 
-def nees_band(edge: Literal["low", "high"], case: Case) -> float | None:
+def nees_band(edge: Edge, case: Case) -> float | None:
     """Edge of the 99.9 % band of the mean NEES in this run.
 
     The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
     one epoch to the whole run, an honest filter is outside in at most 0.5 % of the runs.
     """
-    samples = nees_samples(case)
+    return _find_edge(edge, case.states, nees_samples(case))
+
+
+def _find_edge(edge: Edge, states: int, samples: float) -> float | None:
     if not samples:
         return None
     tail = 0.5 * (1.0 - NEES_PROBABILITY)
-    dof = case.states * samples
-    return chi2_quantile(tail if edge == "low" else 1.0 - tail, dof) / samples
+    return chi2_quantile(tail if edge == "low" else 1.0 - tail, states * samples) / samples
 
 
 def coverage_low(block: str, case: Case) -> dict[str, float | None]:
@@ -127,11 +130,18 @@ def bias_coverage(case: Case) -> Mapping[str, float | None]:
 
 
 def nees_bias(case: Case) -> Mapping[str, float | None]:
-    """Mean sum of the squared errors of all bias states over their variances, and the number of states.
+    """Mean of the squared error of a bias over its variance, by bias; 1 is expected.
 
-    That number is expected, whatever the correlation between the states, which a solution does not hold.
+    Each bias has its own, because a solution holds no covariance between them.
     """
-    if not case.biases:
-        return {}
-    squares = [np.mean((one.error / one.sd) ** 2) for one in case.biases.values()]
-    return {"mean": float(np.sum(squares)), "states": float(len(squares))}
+    return {name: float(np.mean((one.error / one.sd) ** 2)) for name, one in case.biases.items()}
+
+
+def nees_bias_band(edge: Edge, case: Case) -> Mapping[str, float | None]:
+    """Edge of the 99.9 % band of nees_bias in this run.
+
+    Counted are the independent values of the error; its square has at least as many.
+    """
+    return {
+        name: _find_edge(edge, 1, count_independent(one.error / one.sd)) for name, one in case.biases.items()
+    }

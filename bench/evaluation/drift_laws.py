@@ -35,7 +35,10 @@ RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 """Median of the length of a normal horizontal error, over its standard deviation by axis [1]."""
 RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
 """95 % quantile of the length of a normal horizontal error, over its standard deviation by axis [1]."""
-HORIZONTAL = ("gnss", "pseudorange", "range_rate", "airspeed", "odometer", "zero", "standstill")
+HORIZONTAL = (
+    *("gnss", "pseudorange", "range_rate", "airspeed"),
+    *("odometer", "zero", "standstill", "nonholonomic"),
+)
 """How the names of updates begin that limit the horizontal drift."""
 _CLAIMED = 0.2  # least claimed error of an unaided estimator, over the law [1]
 
@@ -64,7 +67,7 @@ def drift_sd(
         Standard deviations by axis at the start [m], [m/s], [rad].
     """
     w, x = SCHULER, SCHULER * T
-    accel, gyro = imu.accel, imu.gyro
+    accel, gyro = imu.accel.averaged(), imu.gyro.averaged()
     b_a, b_g = accel.bias_instability, gyro.bias_instability
     if not calibrated:
         b_a, b_g = math.hypot(b_a, accel.turn_on_bias_sd), math.hypot(b_g, gyro.turn_on_bias_sd)
@@ -123,9 +126,9 @@ def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float |
 
 
 def inertial_law(case: Case) -> Mapping[str, float | None]:
-    """Horizontal error at the end of a run without horizontal aiding, and what the datasheet expects [m].
+    """Horizontal error that the datasheet expects at the end of a run without horizontal aiding [m].
 
-    Expected with the turn-on biases and the errors at the start that the estimator claims there. Absent if
+    With the turn-on biases and the errors at the start that the estimator claims there. Absent if
     the horizontal error that the estimator claims at the end is far smaller: it is aided, but does not say by
     what.
     """
@@ -146,4 +149,9 @@ def inertial_law(case: Case) -> Mapping[str, float | None]:
     )
     if not np.hypot(*case.sd[-1, :2]) > _CLAIMED * law:
         return {}
-    return {"end": float(np.hypot(*case.pos_n[-1, :2])), **{f"law_{k}": v for k, v in _radii(law).items()}}
+    return _radii(law)
+
+
+def inertial_end(case: Case) -> Mapping[str, float | None]:
+    """Horizontal error at the end of a run without horizontal aiding [m]; absent like its law."""
+    return {"": float(np.hypot(*case.pos_n[-1, :2]))} if inertial_law(case) else {}

@@ -76,7 +76,7 @@ class Consistency:
 def check_consistency(
     nees: FloatArray,
     states: int,
-    nis: Mapping[str, Sequence[SensorNis]],
+    nis: Mapping[str, Sequence[SensorNis] | MeanNis],
     instants: Sequence[int] | None = None,
 ) -> Consistency:
     """Judge from many runs whether the covariance of a filter describes its errors.
@@ -93,8 +93,8 @@ def check_consistency(
         NEES of R runs with independent noise, at M common instants after the alignment window.
     states : int
         Number of states in NEES, n.
-    nis : mapping of sequences of SensorNis
-        By sensor, one entry per run (`bench.evaluation.consistency.nis_by_sensor`).
+    nis : mapping of sequences of SensorNis, or of MeanNis
+        By sensor, one entry per run (`bench.evaluation.consistency.nis_by_sensor`), or their mean.
     instants : sequence of int or None
         Epochs of test (b), chosen before the data is seen; None spaces `INSTANTS` of them evenly.
 
@@ -118,7 +118,9 @@ def check_consistency(
     anees = nees[:, at].mean(axis=0)
     band = mean_band(states, runs, 1.0 - ERROR_RATE / len(at))
     sensors = {
-        name: mean_nis(np.concatenate([s.nis for s in series]), np.concatenate([s.dof for s in series]))
+        name: series
+        if isinstance(series, MeanNis)
+        else mean_nis(np.concatenate([s.nis for s in series]), np.concatenate([s.dof for s in series]))
         for name, series in nis.items()
     }
     reasons = []

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.data import ErrorSeries
 from bench.evaluation import ensemble
 from bench.evaluation.consistency import MeanNis, SensorNis, mean_nis, nis_by_sensor
-from bench.evaluation.ensemble import Comparison, Course, Estimate, Whiteness
+from bench.evaluation.ensemble import Comparison, Course, Estimate, Growth, Whiteness
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 from bench.evaluation.error_series import BLOCKS, claimed_blocks, estimated_blocks
 from bench.run_result import RunResult
@@ -18,6 +19,10 @@ from bench.units import SAME_INSTANT
 
 SIGMAS = 3.0
 """Errors within so many standard deviations count as covered."""
+INTERVALS = 20
+"""Parts of a run over which NIS is averaged."""
+ELAPSED = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
+"""Times since the start of an outage after which the growth is taken, besides its end [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +31,9 @@ class EnsembleSummary:
 
     label: str
     runs: int
-    converged: Estimate  # rate [1]
+    converged: Estimate  # rate of runs [1]
+    diverged: Estimate  # with a solution that did not converge
+    failed: Estimate  # without a solution
     rmse: Mapping[str, Estimate]  # "pos_h_m", "pos_d_m", "vel_3d_mps", "tilt_deg", "heading_deg"
     cep50_m: Estimate | None  # None without position
     r95_m: Estimate | None
@@ -34,6 +41,8 @@ class EnsembleSummary:
     coverage: Mapping[str, Estimate]  # of 3 sigma, by block: "pos", "vel", "phi" [1]
     anees: Course | None  # None if no covariance is claimed
     nis: Mapping[str, MeanNis]  # by sensor
+    nis_course: Mapping[str, Course]  # along the run, by sensor; NaN where it has no update
+    growth: Mapping[str, tuple[Growth, ...]]  # of the horizontal error, by number of the outage
     whiteness: Mapping[tuple[str, int], Whiteness]  # by sensor and component
     consistency: Consistency | None  # None with fewer than 40 runs
 
@@ -59,6 +68,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
     if len(good) < 2:
         raise ValueError(f"{label}: {len(good)} of {len(results)} runs converged; at least 2 are needed")
     errors, solutions = [one.errors[label] for one in good], [one.solutions[label] for one in good]
+    failed = sum(bool(one.metrics[label].get("failed")) for one in results)
     late = errors[0].t >= from_s - SAME_INSTANT
     columns = {"pos": "pos_n", "vel": "vel_n", "phi": "phi_n"}
     blocks = {
@@ -79,11 +89,14 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
                 z = ensemble.normalize_innovations(table, sensor, component, from_s - SAME_INSTANT)
                 white.setdefault((sensor, component), []).append(z)
     pos = blocks.get("pos")
+    edges = np.linspace(from_s, errors[0].t[-1] + SAME_INSTANT, INTERVALS + 1)
     nees = np.stack([one.nees[late] for one in errors])
     return EnsembleSummary(
         label=label,
         runs=len(results),
         converged=ensemble.estimate_rate(len(good), len(results)),
+        diverged=ensemble.estimate_rate(len(results) - len(good) - failed, len(results)),
+        failed=ensemble.estimate_rate(failed, len(results)),
         rmse={name: ensemble.pool_rmse(square) for name, square in _list_squares(blocks, heading).items()},
         cep50_m=None if pos is None else ensemble.pool_quantile(_length(pos[..., :2]), 0.50),
         r95_m=None if pos is None else ensemble.pool_quantile(_length(pos[..., :2]), 0.95),
@@ -99,6 +112,8 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
             name: mean_nis(np.concatenate([s.nis for s in rows]), np.concatenate([s.dof for s in rows]))
             for name, rows in nis.items()
         },
+        nis_course={name: ensemble.average_nis(rows, edges) for name, rows in nis.items()},
+        growth={} if pos is None else _measure_growth(results[0].profile.get("gnss_outage", ()), errors),
         whiteness={
             key: ensemble.measure_whiteness(rows)
             for key, rows in white.items()
@@ -108,6 +123,22 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
         if claimed and len(good) >= LEAST_RUNS
         else None,
     )
+
+
+def _measure_growth(
+    rows: Sequence[Mapping[str, float]], errors: Sequence[ErrorSeries]
+) -> dict[str, tuple[Growth, ...]]:
+    """Return the growth over the outages of a profile that have an instant at their start, by number."""
+    found, t = {}, errors[0].t
+    pos_n = np.stack([one.pos_n for one in errors])
+    outages = sorted((row["start_s"], row["duration_s"]) for row in rows)
+    for number, (start, duration) in enumerate(outages, 1):
+        if t[0] <= start + SAME_INSTANT:
+            elapsed = [*(one for one in ELAPSED if one < duration), duration]
+            inside = [min(one, duration - 2 * SAME_INSTANT) for one in elapsed]  # at its end GNSS is back
+            grown = ensemble.measure_growth(t, pos_n, start + SAME_INSTANT, inside)
+            found[str(number)] = tuple(replace(g, elapsed=s) for g, s in zip(grown, elapsed, strict=True))
+    return found
 
 
 def _length(vectors: FloatArray) -> FloatArray:

@@ -20,8 +20,8 @@ BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 _VALUES = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
 """Block of states -> its field in a solution."""
 
-FAILED, NOT_COVERED = "failed", "not_covered"
-"""Kinds of events: there is no solution, for the reason in the text; an interval without a solution."""
+NOT_COVERED = "not_covered"
+"""Kind of the events of an interval without a solution."""
 
 DIVERGED_SIGMAS = 10.0
 """A horizontal error above this many sigma [1] and above :data:`DIVERGED_DISTANCE` means divergence."""
@@ -207,13 +207,9 @@ def check_convergence(
     It did not converge if a state or covariance is not finite, the covariance is not positive definite, or
     the horizontal error exceeds both 10 sigma (root of the sum of the two horizontal variances) and 1 km at
     some epoch. A block that is NaN throughout, values and covariance, is not estimated and is not checked.
-    A covariance that is not claimed is not checked either. An event of kind `FAILED` means that there is no
-    solution; its text is the reason. ``factored`` says that NEES comes from the covariance of the solution;
-    then it is finite where that is positive definite.
+    A covariance that is not claimed is not checked either. ``factored`` says that NEES comes from the
+    covariance of the solution; then it is finite where that is positive definite.
     """
-    failed = solution.events.select(FAILED)
-    if failed:
-        return False, f"failed: {failed[0][2]}"
     blocks = estimated_blocks(solution)
     if not blocks:
         return False, "no finite position, velocity or attitude at any epoch"

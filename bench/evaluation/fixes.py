@@ -14,6 +14,7 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation.error_series import normalized_squares, select_epochs
+from bench.evaluation.failures import describe_failure
 from bench.evaluation.metrics import METRICS, judge_epochs
 from bench.units import SAME_INSTANT
 
@@ -84,7 +85,7 @@ def judge(
     """
     errors = antenna_errors(solution, fixes, data)
     rows, _ = _match_instants(solution.t, errors.t)
-    values: dict[str, Any] = {"converged": True, "reason": None}
+    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     if len(rows):
         left_out = {"phi"} if errors.states == 6 else {"phi", "vel"}  # 6: every fix has a velocity
         wanted = [

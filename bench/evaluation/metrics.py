@@ -20,7 +20,6 @@ from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, find_outa
 from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
-    FAILED,
     check_convergence,
     claimed_blocks,
     count_aligning_epochs,
@@ -29,6 +28,7 @@ from bench.evaluation.error_series import (
     find_covered_epochs,
     select_epochs,
 )
+from bench.evaluation.failures import FAILED, describe_failure
 from bench.evaluation.poses import Poses
 from bench.specs import AssumedSpecs, Fault
 from bench.units import SAME_INSTANT, unit_of
@@ -42,13 +42,19 @@ HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
 
 
+Direction = Literal["lower", "matched", "zero", "not judged"]
+"""How a baseline judges a metric: the lower the better; it has a value that is expected; the same with the
+value 0, which it also has where it is absent; or not, because it is a fact, a bound, a largest value, or
+says what another metric says."""
+
+
 class Metric(NamedTuple):
     """A row of :data:`METRICS`."""
 
     name: str  # ends in the unit; ``{}`` stands for each key of a function that returns several values
     function: Callable[[Case], Value | Values]  # its docstring describes the metric
     block: Literal["pos", "vel", "phi", "cov", "pos cov", "vel cov", "phi cov", ""]  # absent without it
-    direction: Literal["lower", "both", ""] = ""  # what a baseline watches: growth, any change, nothing
+    direction: Direction
 
     @property
     def unit(self) -> str:
@@ -183,7 +189,7 @@ def coverage(block: str, case: Case) -> Values:
 
 def output_coverage(case: Case) -> float:
     """Fraction of the requested epochs that have a solution; the other metrics use only those."""
-    return len(case.t) / case.asked
+    return 0.0 if case.solution.events.select(FAILED) else len(case.t) / case.asked
 
 
 def nis(part: Literal["mean", "low", "high"], case: Case) -> Values:
@@ -213,59 +219,62 @@ def events(case: Case) -> Values:
 
 METRICS: tuple[Metric, ...] = (
     Metric("pos_rmse_{}_m", partial(rmse, "pos"), "pos", "lower"),
-    Metric("pos_max_h_m", pos_max_h, "pos"),
-    Metric("pos_max_v_m", pos_max_v, "pos"),
+    Metric("pos_max_h_m", pos_max_h, "pos", "not judged"),
+    Metric("pos_max_v_m", pos_max_v, "pos", "not judged"),
     Metric("cep50_m", partial(cep, 0.50), "pos", "lower"),
     Metric("cep95_m", partial(cep, 0.95), "pos", "lower"),
-    Metric("r95_m", partial(cep, 0.95), "pos"),
+    Metric("r95_m", partial(cep, 0.95), "pos", "not judged"),
     Metric("pos_95_v_m", pos_95_v, "pos", "lower"),
     Metric("vel_rmse_{}_mps", partial(rmse, "vel"), "vel", "lower"),
-    Metric("vel_max_mps", vel_max, "vel"),
+    Metric("vel_max_mps", vel_max, "vel", "not judged"),
     Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
     Metric("tilt_rmse_deg", tilt_rmse, "phi", "lower"),
     Metric("heading_rmse_deg", heading_rmse, "phi", "lower"),
-    Metric("heading_max_deg", heading_max, "phi"),
-    Metric("heading_convergence_s", heading_convergence, "phi"),
+    Metric("heading_max_deg", heading_max, "phi", "not judged"),
+    Metric("heading_convergence_s", heading_convergence, "phi", "lower"),
     Metric("outage_{}_drift_h_m", outage_drift_h, "pos", "lower"),
     Metric("outage_{}_growth_h_m", outage_growth_h, "pos", "lower"),
-    Metric("fault_{}_detected", detection.fault_detected, "", "both"),
+    Metric("fault_{}_detected", detection.fault_detected, "", "matched"),
     Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
     Metric("fault_{}_max_h_m", detection.fault_max_h, "pos", "lower"),
-    Metric("false_alarms_{}", detection.false_alarms, ""),
-    Metric("nees_mean", nees_mean, "cov", "both"),
-    Metric("nees_states", nees_states, "cov"),
-    Metric("nees_inside_95", nees_inside_95, "cov", "both"),
-    Metric("coverage_3sigma_pos_{}", partial(coverage, "pos"), "pos cov", "both"),
-    Metric("coverage_3sigma_vel_{}", partial(coverage, "vel"), "vel cov", "both"),
-    Metric("coverage_3sigma_phi_{}", partial(coverage, "phi"), "phi cov", "both"),
-    Metric("output_coverage", output_coverage, ""),
-    Metric("nis_mean_{}", partial(nis, "mean"), "", "both"),
-    Metric("nis_low_{}", partial(nis, "low"), ""),
-    Metric("nis_high_{}", partial(nis, "high"), ""),
-    Metric("updates_{}", updates, ""),
-    Metric("rejected_{}", rejected, ""),
-    Metric("events_{}", events, ""),
-    Metric("refused_{}_s", refused, ""),
-    Metric("pos_claimed_h_m", claims.claimed_error_h, "pos cov"),
-    Metric("error_over_sigma_{}", claims.error_over_sigma, "cov"),
-    Metric("nees_low", partial(claims.nees_band, "low"), "cov"),
-    Metric("nees_high", partial(claims.nees_band, "high"), "cov"),
-    Metric("nees_samples", claims.nees_samples, "cov"),
-    Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov"),
-    Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov"),
-    Metric("coverage_low_phi_{}", partial(claims.coverage_low, "phi"), "phi cov"),
-    Metric("gyro_bias_rmse_{}_deg_h", partial(claims.bias_rmse, "gyro_bias"), ""),
-    Metric("accel_bias_rmse_{}_mg", partial(claims.bias_rmse, "accel_bias"), ""),
-    Metric("coverage_3sigma_bias_{}", claims.bias_coverage, ""),
-    Metric("nees_bias_{}", claims.nees_bias, ""),
-    Metric("outage_{}_law_h_m", partial(drift_laws.outage_law, "rms"), "phi"),
-    Metric("outage_{}_law_95_h_m", partial(drift_laws.outage_law, "95"), "phi"),
-    Metric("inertial_{}_h_m", drift_laws.inertial_law, "phi"),
-    Metric("ape_aligned_rmse_m", path_errors.ape_aligned, "pos"),
-    Metric("rpe_{}_m", partial(path_errors.rpe, "m"), "pos"),
-    Metric("rpe_{}_deg", partial(path_errors.rpe, "deg"), "phi"),
-    Metric("drift_{}_percent", path_errors.drift_percent, "pos"),
-    Metric("time_offset_ms", path_errors.time_offset, "vel"),
+    Metric("false_alarms_{}", detection.false_alarms, "", "zero"),
+    Metric("nees_mean", nees_mean, "cov", "matched"),
+    Metric("nees_states", nees_states, "cov", "not judged"),
+    Metric("nees_inside_95", nees_inside_95, "cov", "matched"),
+    Metric("coverage_3sigma_pos_{}", partial(coverage, "pos"), "pos cov", "matched"),
+    Metric("coverage_3sigma_vel_{}", partial(coverage, "vel"), "vel cov", "matched"),
+    Metric("coverage_3sigma_phi_{}", partial(coverage, "phi"), "phi cov", "matched"),
+    Metric("output_coverage", output_coverage, "", "matched"),
+    Metric("nis_mean_{}", partial(nis, "mean"), "", "matched"),
+    Metric("nis_low_{}", partial(nis, "low"), "", "not judged"),
+    Metric("nis_high_{}", partial(nis, "high"), "", "not judged"),
+    Metric("updates_{}", updates, "", "not judged"),
+    Metric("rejected_{}", rejected, "", "not judged"),
+    Metric("events_{}", events, "", "not judged"),
+    Metric("refused_{}_s", refused, "", "zero"),
+    Metric("pos_claimed_h_m", claims.claimed_error_h, "pos cov", "not judged"),
+    Metric("error_over_sigma_{}", claims.error_over_sigma, "cov", "not judged"),
+    Metric("nees_low", partial(claims.nees_band, "low"), "cov", "not judged"),
+    Metric("nees_high", partial(claims.nees_band, "high"), "cov", "not judged"),
+    Metric("nees_samples", claims.nees_samples, "cov", "not judged"),
+    Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov", "not judged"),
+    Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov", "not judged"),
+    Metric("coverage_low_phi_{}", partial(claims.coverage_low, "phi"), "phi cov", "not judged"),
+    Metric("gyro_bias_rmse_{}_deg_h", partial(claims.bias_rmse, "gyro_bias"), "", "lower"),
+    Metric("accel_bias_rmse_{}_mg", partial(claims.bias_rmse, "accel_bias"), "", "lower"),
+    Metric("coverage_3sigma_bias_{}", claims.bias_coverage, "", "matched"),
+    Metric("nees_bias_{}", claims.nees_bias, "", "matched"),
+    Metric("nees_low_bias_{}", partial(claims.nees_bias_band, "low"), "", "not judged"),
+    Metric("nees_high_bias_{}", partial(claims.nees_bias_band, "high"), "", "not judged"),
+    Metric("outage_{}_law_h_m", partial(drift_laws.outage_law, "rms"), "phi", "not judged"),
+    Metric("outage_{}_law_95_h_m", partial(drift_laws.outage_law, "95"), "phi", "not judged"),
+    Metric("inertial_end_h_m", drift_laws.inertial_end, "phi", "lower"),
+    Metric("inertial_law_{}_h_m", drift_laws.inertial_law, "phi", "not judged"),
+    Metric("ape_aligned_rmse_m", path_errors.ape_aligned, "pos", "lower"),
+    Metric("rpe_{}_m", partial(path_errors.rpe, "m"), "pos", "lower"),
+    Metric("rpe_{}_deg", partial(path_errors.rpe, "deg"), "phi", "lower"),
+    Metric("drift_{}_percent", path_errors.drift_percent, "pos", "lower"),
+    Metric("time_offset_ms", path_errors.time_offset, "vel", "zero"),
 )
 
 
@@ -308,8 +317,9 @@ def judge(
         Estimate minus truth.
     metrics : dict
         ``converged`` (bool), ``reason`` (text, or None when converged), ``failed`` (True, only where
-        there is no solution), then a float or None by metric name. A metric of a block that is not
-        estimated is absent; one that is not finite, or has no value after the alignment window, is None.
+        there is no solution), ``traceback`` (text, only where the estimator raised), then a float or None
+        by metric name. A metric of a block that is not estimated is absent; one that is not finite, or has
+        no value after the alignment window, is None.
 
     Raises
     ------
@@ -369,9 +379,7 @@ def judge_epochs(
     lost = detection.find_lost_aiding(cases[0])
     if sound and lost is not None:
         sound, reason = False, lost
-    values: dict[str, Any] = {"converged": sound, "reason": reason}
-    if solution.events.select(FAILED):
-        values["failed"] = True
+    values: dict[str, Any] = {"converged": sound, "reason": reason, **describe_failure(solution)}
     values.update({name: window.get(name) for name in whole})
     values.update({f"{name}_all": value for name, value in whole.items()})
     return values

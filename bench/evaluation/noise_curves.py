@@ -124,7 +124,7 @@ def _measure_curve(
     tau = np.multiply(spans, interval, dtype=float)
     terms = make_noise_terms(triad, step) if triad is not None else {}
     process = allan.add_processes(*terms.values()) if terms else allan.white(1.0)
-    axes = increments.shape[1]
+    axes = 1 if triad is not None and triad.axes else increments.shape[1]  # the largest alone, if they differ
     one_axis = [allan.degrees_of_freedom(process, len(increments), interval, int(m)) for m in spans]
     edf: FloatArray = axes * np.array(one_axis)
     expected = allan.expected_deviation(process, tau) if terms else np.full(len(tau), np.nan)

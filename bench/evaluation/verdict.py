@@ -33,6 +33,8 @@ def find_bounds(name: str, values: Mapping[str, Any]) -> tuple[float | None, flo
     low = high = None
     if name == "nees_mean":
         low, high = values.get("nees_low"), values.get("nees_high")
+    elif name.startswith("nees_bias_"):
+        low, high = (values.get(name.replace("bias", f"{end}_bias", 1)) for end in ("low", "high"))
     elif name.startswith("nis_mean_"):
         sensor = name.removeprefix("nis_mean_")
         low, high = values.get(f"nis_low_{sensor}"), values.get(f"nis_high_{sensor}")

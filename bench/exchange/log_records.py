@@ -7,6 +7,7 @@ the row after it covers one median interval.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,8 @@ from bench.units import SAME_INSTANT
 
 MOST_INSTANTS = 400_000
 """Most instants of a solution, each of some kB: 11 hours at 10 Hz."""
+HELD = 0.05
+"""Fixes in steps shorter than this may be repetitions [s]: few receivers have more than 20 a second."""
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
 
@@ -36,7 +39,7 @@ class LogRecords:
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
     baro: BaroData | None
-    reported: bool  # the fixes come with standard deviations of their own
+    reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
 
@@ -67,7 +70,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         imu=imu,
         fixes=fixes,
         baro=None if baro_rows is None else _make_baro(baro_rows, spec.assumed, origin),
-        reported="sd_pos" in gnss_rows.values,
+        reported=_find_report(gnss_rows.values, spec),
         origin=origin,
         notes=tuple(
             note for rows in (imu_rows, gnss_rows, baro_rows) if rows is not None for note in rows.notes
@@ -89,7 +92,29 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         raise ConfigError(f"{source.path.name}: row {k + 1}: its time is not a finite number")
     if kind == "imu" and len(rows.t) < 2:
         raise ConfigError(f"{source.path.name}: one row; an IMU record needs at least two")
-    return replace(rows, t=rows.t + source.time_offset)
+    if kind == "gnss":
+        rows = _drop_repeated(rows, source.path.name)
+    values = dict(rows.values)
+    if "arrival" in values:
+        values["arrival"] = values["arrival"] + source.time_offset
+    return replace(rows, t=rows.t + source.time_offset, values=values)
+
+
+def _drop_repeated(rows: LogRows, shown: str) -> LogRows:
+    """Return the rows where a fix is new, if a table repeats each until the next, at the rate of an IMU."""
+    steps = np.diff(rows.t)
+    if not len(steps) or float(np.median(steps)) > HELD:
+        return rows
+    fix = np.column_stack([rows.values[name] for name in ("lla", "vel_n") if name in rows.values])
+    same = (fix[1:] == fix[:-1]) | (np.isnan(fix[1:]) & np.isnan(fix[:-1]))
+    new = np.concatenate([[True], ~same.all(axis=1)])
+    if 2 * new.sum() > len(new):
+        return rows
+    note = (
+        f"{shown}: most rows repeat the fix before them; the {new.sum()} of {len(new)} that are new are used"
+    )
+    values = {name: value[new] for name, value in rows.values.items()}
+    return LogRows(rows.t[new], values, (*rows.notes, note))
 
 
 def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
@@ -101,13 +126,28 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     median = float(np.median(forward))
     dt = np.concatenate([[median], steps])
     dt[(dt <= 0) | (dt > GAP * median)] = median
+    if "interval" in rows.values:
+        given = rows.values["interval"]
+        dt = np.where(np.isfinite(given) & (given > 0), given, dt)
     q_bs = multiply(from_euler(*spec.misalignment), from_euler(*spec.mounting))
     if "dtheta" in rows.values:
         dtheta, dvel = rows.values["dtheta"], rows.values["dvel"]
     else:
         dtheta, dvel = rows.values["gyro"] * dt[:, None], rows.values["accel"] * dt[:, None]
-    good = np.asarray(np.isfinite(np.hstack([dtheta, dvel])).all(axis=1))
+    good = np.asarray(np.isfinite(np.hstack([dtheta, dvel])).all(axis=1)) & _find_flagged(rows)
     return ImuData(t=t, dt=dt, valid=good, dtheta_b=rotate(q_bs, dtheta), dvel_b=rotate(q_bs, dvel))
+
+
+def _find_flagged(rows: LogRows) -> BoolArray:
+    """Return which rows (N,) the instrument itself calls valid: all if it says nothing."""
+    return np.asarray(rows.values.get("valid", np.ones(len(rows.t))) > 0)
+
+
+def _find_arrival(rows: LogRows, origin: float) -> FloatArray:
+    """Return when each row (N,) reached the filter [s]: with its time, if the file does not say."""
+    t = rows.t - origin
+    arrival = rows.values.get("arrival", rows.t) - origin
+    return np.where(arrival >= t, arrival, t)
 
 
 def _check_length(imu: ImuData, spec: LogSpec) -> None:
@@ -136,24 +176,25 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
             raise ConfigError(f"{shown}: row {k + 1}: {text}")
     t = rows.t - origin
     vel_n = _shift_velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
-    valid = np.asarray(np.isfinite(lla).all(axis=1))
+    valid = np.asarray(np.isfinite(lla).all(axis=1)) & _find_flagged(rows)
     if spec.quality:
         if "quality" not in values:
             raise ConfigError(f"{shown}: [gnss] quality is set, but the file has no column quality")
         valid &= np.isin(values["quality"], spec.quality)
     gnss = spec.assumed.gnss
     assert gnss is not None
-    pos_sd = [np.hypot(gnss.pos_h_white_sd, gnss.pos_h_markov_sd)] * 2
-    pos_sd.append(np.hypot(gnss.pos_v_white_sd, gnss.pos_v_markov_sd))
-    vel_sd = [np.hypot(gnss.vel_white_sd, gnss.vel_markov_sd)] * 3
+    h = np.hypot(gnss.pos_h_white_sd, gnss.pos_h_markov_sd)
+    pos_sd = np.array([h, h, np.hypot(gnss.pos_v_white_sd, gnss.pos_v_markov_sd)])
+    vel_sd = np.full(3, np.hypot(gnss.vel_white_sd, gnss.vel_markov_sd))
+    pos_factor, vel_factor = _weigh_by_report(values, spec, pos_sd, len(t))
     return GnssFixes(
         t=t,
-        t_arrival=t,
+        t_arrival=_find_arrival(rows, origin),
         valid=valid,
         lla=lla,
         vel_n=vel_n,
-        cov_pos_n=_make_covariance(values.get("sd_pos"), pos_sd, len(t)),
-        cov_vel_n=_make_covariance(values.get("sd_vel"), vel_sd, len(t)),
+        cov_pos_n=_make_covariance(values, "pos", pos_sd * pos_factor),
+        cov_vel_n=_make_covariance(values, "vel", vel_sd * vel_factor),
         satellites=np.nan_to_num(values.get("satellites", np.zeros(len(t)))).astype(np.int64),
     )
 
@@ -174,11 +215,47 @@ def _shift_velocities(t: FloatArray, vel_n: FloatArray | None, offset: float, sh
     return moved
 
 
-def _make_covariance(sd: FloatArray | None, assumed: list[float], n: int) -> FloatArray:
-    """Return diagonal covariances (N, 3, 3), from the reported sd or else from the assumed one."""
-    spread = np.tile(assumed, (n, 1)) if sd is None else sd
-    cov = np.zeros((n, 3, 3))
-    cov[:, range(3), range(3)] = spread**2
+def _find_report(values: Mapping[str, FloatArray], spec: LogSpec) -> str:
+    """Return what tells how good a fix is, in words; empty if nothing does."""
+    if {"sd_pos", "cov_pos"} & values.keys():
+        return "standard deviation"
+    if "quality" in values and spec.quality_sd:
+        return "quality class"
+    words = {"dilution": "dilution of precision", "signal": "C/N0"}
+    return next((text for name, text in words.items() if name in values), "")
+
+
+def _weigh_by_report(
+    values: Mapping[str, FloatArray], spec: LogSpec, pos_sd: FloatArray, n: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return by what (N, 3) to multiply the sd of position and velocity that the datasheet gives.
+
+    A class has the sd that the log gives it. With twice the median dilution of precision, or a C/N0 of 6 dB
+    below its median, a fix is half as good. Without any, and where it is not a number, a factor is 1.
+    """
+    pos, vel = np.ones((n, 3)), np.ones((n, 3))
+    by = _find_report(values, spec)
+    if by == "quality class":
+        for quality, sd in spec.quality_sd.items():
+            pos[values["quality"] == quality] = sd / pos_sd
+    elif by == "dilution of precision":
+        dilution = np.where(values["dilution"] > 0, values["dilution"], np.nan)
+        factor = dilution / np.nanmedian(dilution, axis=0) if np.isfinite(dilution).any() else dilution
+        pos = np.nan_to_num(factor[:, [0, 0, -1]], nan=1.0)
+        vel = pos
+    elif by == "C/N0":
+        below = np.nan_to_num(np.nanmedian(values["signal"]) - values["signal"])
+        pos = vel = np.repeat(10.0 ** (below / 20.0), 3).reshape(n, 3)
+    return pos, vel
+
+
+def _make_covariance(values: Mapping[str, FloatArray], block: str, otherwise: FloatArray) -> FloatArray:
+    """Return covariances (N, 3, 3): reported as such, or of reported or else other sd (N, 3)."""
+    if f"cov_{block}" in values:
+        return values[f"cov_{block}"].reshape(-1, 3, 3)
+    sd = values.get(f"sd_{block}", otherwise)
+    cov = np.zeros((len(sd), 3, 3))
+    cov[:, range(3), range(3)] = sd**2
     return cov
 
 
@@ -186,7 +263,11 @@ def _make_baro(rows: LogRows, assumed: AssumedSpecs, origin: float) -> BaroData:
     assert assumed.baro is not None
     t, alt = rows.t - origin, rows.values["alt_baro"][:, 0]
     return BaroData(
-        t=t, t_arrival=t, valid=np.isfinite(alt), alt_baro=alt, sd=np.full(len(t), assumed.baro.white_sd)
+        t=t,
+        t_arrival=_find_arrival(rows, origin),
+        valid=np.isfinite(alt) & _find_flagged(rows),
+        alt_baro=alt,
+        sd=rows.values.get("sd", np.full(len(t), assumed.baro.white_sd)),
     )
 
 

@@ -24,10 +24,9 @@ from typing import IO
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
-from bench.evaluation.error_series import FAILED
+from bench.evaluation.failures import make_failed_solution
 from bench.exchange.exports.column_files import write as write_tables
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
@@ -120,12 +119,12 @@ class CommandEstimator:
                 events.append((0.0, 0.0, STDERR, stderr))
             if status != 0:
                 last = stderr.strip().splitlines()[-1:]
-                return _make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
+                return make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
             try:
                 own_solution = read_solution(solution)
                 check_unit(own_solution, initial.t, initial.lla)
             except ConfigError as error:
-                return _make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
+                return make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
             result = resample(own_solution, sensors.output_t, self._longest)
         return replace(result, events=Events.from_rows([*result.events.rows(), *events]))
 
@@ -248,21 +247,3 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
             os.killpg(child.pid, number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(_PATIENCE)
-
-
-def _make_failed_solution(t: FloatArray, why: str, events: list[EventRow]) -> NavSolution:
-    m = len(t)
-    return NavSolution(
-        t=t,
-        lla=np.full((m, 3), np.nan),
-        vel_n=np.full((m, 3), np.nan),
-        q_nb=np.full((m, 4), np.nan),
-        gyro_bias_b=np.full((m, 3), np.nan),
-        accel_bias_b=np.full((m, 3), np.nan),
-        cov=np.full((m, 9, 9), np.nan),
-        extra_names=(),
-        extra=np.empty((m, 0)),
-        extra_sd=np.empty((m, 0)),
-        innovations=no_innovations(),
-        events=Events.from_rows([(0.0, 0.0, FAILED, why), *events]),
-    )

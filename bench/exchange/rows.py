@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,8 +16,30 @@ from bench.earth import matrix_en, to_geodetic
 from bench.exchange.table_files import Group, TableColumns, group, list_names
 from bench.signals.air import pressure_altitude
 
-MOST_ROWS = 5_000_000
-"""Most rows of a file of a log: 3.5 hours at 400 Hz."""
+ROW_MEMORY = 1100.0
+"""Memory to read and navigate a row of an IMU, as measured [byte]."""
+
+
+def measure_memory() -> float:
+    """Return the memory that this process may use: of the machine, or what it is limited to [byte].
+
+    Infinite on Windows, which does not tell.
+    """
+    try:
+        import resource
+    except ImportError:
+        return math.inf
+    limits = [float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))]
+    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if address_space != resource.RLIM_INFINITY:
+        limits.append(float(address_space))
+    with contextlib.suppress(OSError, ValueError):  # a container; "max" is no limit
+        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return min(limits)
+
+
+MOST_ROWS = int(min(5e6, measure_memory() / ROW_MEMORY))
+"""Most rows of a file of a log: 3.5 hours at 400 Hz, or what the memory holds."""
 
 _TIMES = (group("clock", "t"), group("clock", "time"))
 
@@ -22,8 +48,19 @@ def _name_axes(dimension: str, stem: str) -> dict[str, str]:
     return group(dimension, *(f"{stem}_{axis}" for axis in "xyz"))
 
 
+def _name_covariance(block: str) -> dict[str, str]:
+    return group("", *(f"cov_{block}_{a}_{block}_{b}" for a in "ned" for b in "ned"))
+
+
+_FLAGS: Mapping[str, tuple[Group, ...]] = {
+    "arrival": (group("clock", "t_arrival"),),
+    "valid": (group("", "valid"),),
+}
+
 IMU: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
+    "interval": (group("time", "dt"),),
+    "valid": _FLAGS["valid"],
     "motion": (
         {**_name_axes("rate", "gyro"), **_name_axes("acceleration", "accel")},
         {**_name_axes("angle", "dtheta"), **_name_axes("speed", "dvel")},
@@ -45,18 +82,33 @@ GNSS: Mapping[str, tuple[Group, ...]] = {
     ),
     "position sd": (group("length", "sd_n", "sd_e", "sd_d"), group("length", "sd_n", "sd_e", "sd_u")),
     "velocity sd": (group("speed", "sd_vn", "sd_ve", "sd_vd"), group("speed", "sd_vn", "sd_ve", "sd_vu")),
+    "position covariance": (_name_covariance("pos"),),
+    "velocity covariance": (_name_covariance("vel"),),
     "quality": (group("", "quality"),),
+    "dilution": (group("", "hdop", "vdop"), group("", "hdop")),
+    "signal": (group("signal", "cn0"),),
     "satellites": (group("", "satellites"),),
+    **_FLAGS,
 }
 """Position and velocity of the antenna: geodetic WGS 84 with ellipsoidal height, or Earth-fixed."""
 
 BARO: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
     "altitude": (group("length", "alt_baro"), group("pressure", "pressure")),
+    "sd": (group("length", "sd"),),
+    **_FLAGS,
 }
 """Barometric altitude, or static pressure."""
 
-OPTIONAL = ("velocity", "position sd", "velocity sd", "quality", "satellites")
+_ALONE = ("interval", "arrival", "valid", "sd", "quality", "signal", "satellites")
+_SPREADS = {
+    "position sd": "sd_pos",
+    "velocity sd": "sd_vel",
+    "position covariance": "cov_pos",
+    "velocity covariance": "cov_vel",
+    "dilution": "dilution",
+}
+OPTIONAL = ("velocity", *_SPREADS, *_ALONE)
 """Kinds of columns that may be missing."""
 
 COLUMNS = {
@@ -72,7 +124,9 @@ class LogRows:
 
     ``values`` of an IMU: ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel`` [m/s], (N,
     3). Of a receiver: ``lla`` (N, 3) and, if the file has them, ``vel_n``, ``sd_pos``, ``sd_vel`` (N, 3),
-    ``quality`` and ``satellites`` (N,). Of a barometer: ``alt_baro`` (N, 1) [m].
+    ``cov_pos``, ``cov_vel`` (N, 9), ``dilution`` (N, 1 or 2), ``quality``, ``signal`` [dB-Hz] and
+    ``satellites`` (N,). Of a barometer: ``alt_baro`` (N, 1) [m], ``sd`` (N,). Of any: ``interval`` [s],
+    ``arrival`` on the clock of the file [s], ``valid`` (N,).
     """
 
     t: FloatArray  # (N,) on the clock of the file [s]
@@ -95,15 +149,12 @@ class LogRows:
             if "velocity" in found:
                 values["vel_n"] = _to_vel_n(found["velocity"], stems["velocity"], lla)
             values |= {new: found[old] for old, new in _SPREADS.items() if old in found}
-            values |= {name: found[name][:, 0] for name in ("quality", "satellites") if name in found}
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
             values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
+        values |= {name: found[name][:, 0] for name in _ALONE if name in found}
         notes = (f"{shown}: {table.list_unused()}",) if table.unused else ()
         return cls(found["time"][:, 0], values, notes)
-
-
-_SPREADS = {"position sd": "sd_pos", "velocity sd": "sd_vel"}
 
 
 def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:

@@ -20,7 +20,9 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
-from bench.evaluation.error_series import FAILED, NOT_COVERED
+from bench.evaluation.error_series import NOT_COVERED
+from bench.evaluation.failures import FAILED
+from bench.exchange.imports.text import read_kf_gins_solution
 from bench.exchange.table_files import (
     TableColumns,
     check_times,
@@ -92,7 +94,8 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind.
+        ``.csv``, ``.parquet`` or ``.mat`` with the columns of `COLUMNS`: time and at least one other kind; or
+        the ``.nav`` of KF-GINS, with its ``STD.txt`` if that is beside it.
     t_0 : float
         Time in the file at the start of the run [s].
 
@@ -109,9 +112,12 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     if not stat.S_ISREG(kind):
         raise ConfigError(f"{shown}: not a regular file")
-    table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
-    table.check_groups(_ALL, shown)
-    _check_deviations(table, shown)
+    if path.suffix.lower() == ".nav":
+        table = read_kf_gins_solution(path)
+    else:
+        table = read_table(path, _ALL, _OPTIONAL, MOST_ROWS, most_values=_MOST_VALUES)
+        table.check_groups(_ALL, shown)
+        _check_deviations(table, shown)
     t = table.columns["time"][:, 0]
     check_times(t, table.names["time"][0], shown)
     given = {kind: values for kind, values in table.columns.items() if not np.isnan(values).all()}

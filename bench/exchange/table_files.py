@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.mat_file import get_vector, read_mat
+from bench.exchange.mat_file import Value, get_vector, read_mat
 from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
@@ -34,6 +34,7 @@ UNITS = {
     "rate": ("rad/s", "deg/s", "deg/h"),
     "acceleration": ("m/s^2", "g", "mg"),
     "pressure": ("Pa", "hPa"),
+    "signal": ("dB-Hz",),
     "": ("",),
 }
 """Dimension -> allowed units of its columns; messages name the first."""
@@ -170,6 +171,37 @@ def read_table(
     )
 
 
+def list_columns(path: Path) -> list[str]:
+    """Return the names of the columns of a table; raise ConfigError if it is not one."""
+    return _open_table(path)[0]
+
+
+def read_columns(path: Path, names: Sequence[str], most_rows: int) -> dict[str, FloatArray]:
+    """Return columns of a table (N,) as they are, by name; N is at most ``most_rows``."""
+    import pyarrow as pa
+
+    parts: list[Mapping[str, FloatArray]] = []
+    try:
+        for batch in _open_table(path, most_rows)[1](names):
+            parts.append(batch)
+            if sum(len(part[names[0]]) for part in parts) >= most_rows:
+                break
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise ConfigError(f"{path.name}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+    if not parts:
+        raise ConfigError(f"{path.name}: no rows")
+    return {name: np.concatenate([part[name] for part in parts])[:most_rows] for name in names}
+
+
+def _open_table(path: Path, most_rows: int = 1) -> tuple[list[str], Batches]:
+    import pyarrow as pa
+
+    try:
+        return _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
+    except (pa.ArrowException, OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"{path.name}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+
+
 Batches = Callable[[Sequence[str]], Iterator[Mapping[str, FloatArray]]]
 
 
@@ -261,7 +293,7 @@ def _to_floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
 
 
 def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
-    variables = read_mat(path)
+    variables = dict(_flatten(read_mat(path)))
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
         columns = {name: get_vector(variables[name], name, path.name) for name in wanted}
@@ -272,6 +304,17 @@ def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
         yield columns
 
     return list(variables), batches
+
+
+def _flatten(variables: Mapping[str, Value], place: str = "") -> Iterator[tuple[str, Value]]:
+    """Yield the arrays in structures by name, ``data.imu.t``; columns of a matrix have numbers, ``wb.1``."""
+    for name, value in variables.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{place}{name}.")
+        elif isinstance(value, np.ndarray) and value.ndim == 2:
+            yield from ((f"{place}{name}.{k + 1}", column) for k, column in enumerate(value.T))
+        else:
+            yield f"{place}{name}", value
 
 
 _OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
@@ -325,5 +368,5 @@ def _choose(
 
 
 def _add_unit(stem: str, unit: str) -> str:
-    ending = unit.replace("m/s^2", "m_s2").replace("m/s", "mps").replace("/", "_").lower()
+    ending = unit.replace("m/s^2", "m_s2").replace("m/s", "mps").replace("/", "_").replace("-", "").lower()
     return f"{stem}_{ending}".rstrip("_")

@@ -8,12 +8,13 @@ Every z is predicted minus measured, z = H dx + noise:
     magnetic   C' m_n - m_b = C' [m_n x] phi
     airspeed   |v_n - w| - V = u . (dv - dw)
     radar      h + b - h_radar = -dp_D + db
-    odometer   (1 + s) c . v_n - V = (1 + s) (c . dv + (c x v_n) . phi) + (c . v_n) ds
+    odometer   (1 + s) c . u - V = (1 + s) du + (c . u) ds, u of `bench.navigation.constraints`
+    wheels     c . u - 0 = du, with c to the right and down; in coordinated flight alike
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
 
 with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
-estimated, u the direction of the airspeed, w in its row the wind, and c the forward axis of b. A fix without
-velocity has the rows of its position only.
+estimated, u the direction of the airspeed and w in its row the wind. A fix without velocity has the rows of
+its position only.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
 from bench.navigation.blocks import Index
+from bench.navigation.constraints import along_kernel
 from bench.navigation.cycle import FilterState, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
 from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
 from bench.navigation.mechanization import matrix_kernel
+from bench.navigation.rough_heading import blind_kernel, turn_tilts_kernel
 
 SENSORS = (
     "gnss_position",
@@ -43,12 +46,14 @@ SENSORS = (
     "zero_rate",
     "radar",
     "odometer",
+    "nonholonomic",
+    "coordinated",
 )
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
-RADAR, ODOMETER = 9, 10
+RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
-RADAR_ROWS, ODOMETER_ROWS = 6, 7
+RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
 """Kinds of records; at one instant they are used in this order."""
 
 _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
@@ -104,6 +109,8 @@ def use_kernel(
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
     P, dx, n = now.P, now.dx, now.P.shape[0]
+    if rows > 0 and pending.tags[first, 0] != MAGNETIC:
+        blind_kernel(now.state, P, pending.H[first : first + rows])
     a = first
     while a < first + rows:
         code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
@@ -155,6 +162,7 @@ def use_kernel(
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
+    turn_tilts_kernel(now.state, P, pending.H, dx)
     feedback_kernel(now.state, dx)
 
 
@@ -285,10 +293,14 @@ def _magnetic_kernel(
 def _airspeed_kernel(
     row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending
 ) -> int:
-    state, wind = now.state, index.wind_north
+    state, wind, gust = now.state, index.wind_north, index.gust_n
     u = state[3] - state[wind + 1]
     v = state[4] - state[wind + 2]
     w = state[5]
+    if gust >= 0:
+        u -= state[gust + 1]
+        v -= state[gust + 2]
+        w -= state[gust + 3]
     speed = np.sqrt(u * u + v * v + w * w)
     if not speed > _SLOWEST_AIR:
         return 0
@@ -296,6 +308,8 @@ def _airspeed_kernel(
     H = pending.H[first]
     H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
     H[wind], H[wind + 1] = -u / speed, -v / speed
+    if gust >= 0:
+        H[gust], H[gust + 1], H[gust + 2] = -u / speed, -v / speed, -w / speed
     pending.z[first] = speed - data.values[row, 0]
     return 1
 
@@ -318,20 +332,33 @@ def _height_kernel(
 def _odometer_kernel(
     row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
-    state, C, at = now.state, work.C, index.odometer_scale
-    matrix_kernel(state, C)
-    forward = C[0, 0] * state[3] + C[1, 0] * state[4] + C[2, 0] * state[5]
-    scale = 1.0 + state[at + 1] if at >= 0 else 1.0
+    at = index.odometer_scale
     _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        H[VEL + i] = scale * C[i, 0]
-        H[PHI + i] = scale * (C[j, 0] * state[3 + k] - C[k, 0] * state[3 + j])  # c x v_n
+        work.lever[i] = work.w_ib_b[i] + now.state[GYRO + 1 + i]
+    forward = along_kernel(0, work.lever, 0.0, 0.0, now, index, H, work)  # the force of one sample is shaking
+    scale = 1.0
     if at >= 0:
+        scale += now.state[at + 1]
+        for i in range(H.shape[0]):
+            H[i] *= scale
         H[at] = forward
     pending.z[first] = scale * forward - data.values[row, 0]
     return 1
+
+
+@inner
+def _vehicle_kernel(
+    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
+) -> int:
+    values = data.values[row]
+    code = COORDINATED if index.gust_n >= 0 else NONHOLONOMIC
+    for i in range(2):
+        k = first + i
+        _row_kernel(pending, k, code, code, i, 2, data.variance[row, i])
+        pending.z[k] = along_kernel(1 + i, values[:3], values[3], values[4], now, index, pending.H[k], work)
+    return 2
 
 
 @inner
@@ -384,6 +411,8 @@ def measure_kernel(
         return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
     if kind == ODOMETER_ROWS:
         return _odometer_kernel(row, first, now, data, index, pending, work)
+    if kind == VEHICLE_ROWS:
+        return _vehicle_kernel(row, first, now, data, index, pending, work)
     if kind == MAGNETIC_ROWS:
         return _magnetic_kernel(row, first, now, data, pending, work)
     if kind == AIRSPEED_ROWS:

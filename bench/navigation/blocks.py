@@ -8,60 +8,26 @@ estimator assumes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import InitialState
 from bench.navigation.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
+from bench.navigation.imu_blocks import EVERY_ERROR, MEMS, core_states, thermal_figures
 from bench.navigation.options import FusionOptions
-from bench.signals.allan import fit_flat_deviation
+from bench.navigation.states import SQUARE, STEADY, WARMTH, Block, States
 from bench.signals.orbits import C
-from bench.specs import AssumedSpecs, TriadSpec
+from bench.specs import AssumedSpecs
+
+CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
 
 WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
 WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
-
-TEMPERATURE_SD = 20.0  # of an IMU about its reference temperature, in flight or on a cold day [K]
-TEMPERATURE_CORRELATION = 1000.0  # time in which it changes by as much: a climb of 3 km [s]
-
-STEADY = 6  # the "rate" of a state that adds to an error as it is
-FLICKER_STAGES = (0.05, 0.55, 6.0)
-"""Correlation times of Gauss-Markov processes whose sum is flicker noise, over that of the triad [1]."""
-
-_Figure = float | FloatArray  # the same for every state of a block, or one for each
-
-
-@dataclass(frozen=True, slots=True)
-class States:
-    """One to three states of one name and the process they follow.
-
-    A drive ``(state, error, rate)`` adds a state (0 to 2) times a measured rate (0 to 2), specific force
-    (3 to 5) or 1 (`STEADY`) to an error of the gyros (0 to 2) or accelerometers (3 to 5).
-    """
-
-    name: str
-    unit: str
-    size: int
-    variance: _Figure = 0.0  # at the start [unit^2]
-    density: _Figure = 0.0  # of the white noise that drives it [unit^2/s]
-    decay_time: _Figure = 0.0  # rate at which a Gauss-Markov state decays by time [1/s]
-    decay_distance: _Figure = 0.0  # and by distance over ground [1/m]
-    stationary: _Figure = 0.0  # variance that a Gauss-Markov state tends to, in place of the density [unit^2]
-    drives: tuple[tuple[int, int, int], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """States that are estimated together or not at all."""
-
-    option: str  # of the compiled filters, that asks for it
-    states: Callable[[AssumedSpecs], Sequence[States]]
-    takes: tuple[str, ...] = ()  # errors that it models, as `bench.navigation.measurements` names them
-    records: tuple[str, ...] = ()  # of `SensorData`, one of which has to be in use; none: always there
 
 
 class Index(NamedTuple):
@@ -75,6 +41,9 @@ class Index(NamedTuple):
     wind_north: int  # wind_east follows
     radar_bias: int
     odometer_scale: int
+    axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
+    axle_b: int
+    gust_n: int
 
 
 class Process(NamedTuple):
@@ -84,7 +53,11 @@ class Process(NamedTuple):
     decay_time: FloatArray  # (n,)
     decay_distance: FloatArray  # (n,)
     stationary: FloatArray  # (n,)
-    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate (0-2) or force (3-5) it multiplies
+    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate, force or factor it multiplies
+    thermal: (
+        FloatArray  # (4,) IMU above reference at the start [K]; in the end at height 0 [K], per m [K/m]; s
+    )
+    range: FloatArray  # (2,) of the gyros [rad/s] and accelerometers [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +66,14 @@ class StateModel:
 
     layout: StateLayout
     P: FloatArray  # (n, n) at the start
+    values: FloatArray  # (n,) at the start, from the gyro bias on
     process: Process
     index: Index
 
 
-def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Block]) -> StateModel:
+def state_model(
+    initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Block], gyro_sd: float | None = None
+) -> StateModel:
     """Return the model of position, velocity, attitude, IMU biases and the given blocks.
 
     Parameters
@@ -108,30 +84,79 @@ def state_model(initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Blo
         The datasheets that the estimator assumes.
     blocks : iterable of Block
         The further states, in the order of the layout.
+    gyro_sd : float or None
+        How well the error of the gyros at the start is known as a whole [rad/s]; None: by the datasheet.
 
     Raises
     ------
     ValueError
         If a block needs the datasheet of a sensor that has none.
     """
-    blocks = list(blocks)
-    extra = [states for block in blocks for states in block.states(specs)]
-    layout = StateLayout(*((states.name, states.unit, states.size) for states in extra))
+    every = _list_states(specs, list(blocks))
+    layout = StateLayout(*((states.name, states.unit, states.size) for states in every[len(CORE_BLOCKS) :]))
     n = layout.size
-    P = np.zeros((n, n))
+    P, values = np.zeros((n, n)), np.zeros(n)
     q, decay_time, decay_distance, stationary = np.zeros((4, n))
     drives: list[tuple[int, int, int]] = []
-    for states in (*_core(specs, changing=EVERY_ERROR in blocks), *extra):
+    for states in every:
         at = layout.slice(states.name)
         np.fill_diagonal(P[at, at], states.variance)
+        values[at] = states.value
         q[at], stationary[at] = states.density, states.stationary
         decay_time[at], decay_distance[at] = states.decay_time, states.decay_distance
         drives += [(at.start + own, GYRO + error, rate) for own, error, rate in states.drives]
     P[:9, :9] = initial.cov
     P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
     table = np.array(drives, np.int64).reshape(-1, 3)
-    process = Process(q, decay_time, decay_distance, stationary, table)
-    return StateModel(layout, P, process, index_of(layout))
+    thermal = thermal_figures(initial, specs.imu)
+    if gyro_sd is not None:
+        _know_gyro_biases(P, table, gyro_sd, float(thermal[0]), initial)
+    full = np.array([specs.imu.gyro.range, specs.imu.accel.range])
+    process = Process(q, decay_time, decay_distance, stationary, table, thermal, full)
+    return StateModel(layout, P, values, process, index_of(layout))
+
+
+def _know_gyro_biases(
+    P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
+) -> None:
+    """Let P (n, n) say that biases, and all that adds to them in steady motion, are known to sd [rad/s]."""
+    f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
+    steady = {3: f_b[0], 4: f_b[1], 5: f_b[2], STEADY: 1.0, WARMTH: warmth}
+    steady |= {SQUARE + 3 + axis: f_b[axis] ** 2 for axis in range(3)}
+    L = np.zeros((3, len(P)))
+    for state, bias, by in drives:
+        if bias < GYRO + 3:
+            L[bias - GYRO, state] = steady.get(int(by), 0.0)
+    own = slice(GYRO, GYRO + 3)
+    P[own], P[:, own] = 0.0, 0.0
+    P[own], P[:, own] = -L @ P, -(L @ P).T
+    P[own, own] = sd**2 * np.eye(3) - P[own] @ L.T
+
+
+def moving_states(specs: AssumedSpecs, blocks: Iterable[Block]) -> tuple[tuple[object, ...], ...]:
+    """Return name, figures and drives of the states that :func:`state_model` lets differ from 0."""
+    return tuple(
+        (states.name, *figures, states.decay_time, states.decay_distance, states.drives)
+        for states in _list_states(specs, list(blocks))
+        if np.any(figures := _figures(states))
+    )
+
+
+def _figures(states: States) -> tuple[tuple[float, ...], ...]:
+    """Return value and variance at the start, density and stationary variance of each of the states."""
+    figures = (states.value, states.variance, states.density, states.stationary)
+    return tuple(tuple(np.broadcast_to(figure, states.size).tolist()) for figure in figures)
+
+
+def _list_states(specs: AssumedSpecs, blocks: list[Block]) -> list[States]:
+    """Return the core and the states of blocks; beside `EVERY_ERROR`, an error of size 0 has none."""
+    full = EVERY_ERROR in blocks
+    found = core_states(specs, changing=full)
+    for block in blocks:
+        states = block.states(specs)
+        if not (full and block.takes) or any(np.any(_figures(one)) for one in states):
+            found += states
+    return found
 
 
 def index_of(layout: StateLayout) -> Index:
@@ -151,49 +176,6 @@ def assumed(specs: AssumedSpecs, name: str) -> Any:
     if spec is None:
         raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
     return spec
-
-
-def _core(specs: AssumedSpecs, *, changing: bool) -> list[States]:
-    """Return the states of every layout; P of the first three comes from the initial state.
-
-    ``changing`` biases hold temperature and rate random walk, too.
-    """
-    gyro, accel = specs.imu.gyro, specs.imu.accel
-    pos, vel, phi, gyro_bias, accel_bias = CORE_BLOCKS
-    return [
-        States(*pos),
-        States(*vel, density=accel.random_walk**2),
-        States(*phi, density=gyro.random_walk**2),
-        *(
-            _changing_bias(bias, triad) if changing else bias
-            for bias, triad in ((_bias(*gyro_bias, gyro), gyro), (_bias(*accel_bias, accel), accel))
-        ),
-    ]
-
-
-def _changing_bias(bias: States, triad: TriadSpec) -> States:
-    """Return bias states with the slow stage of flicker, temperature and a rate random walk."""
-    if stages := _flicker_stages(triad):
-        time, slow2 = stages[-1]
-        decay = 0.0 if triad.turn_on_bias_sd > 0 else 1.0 / time
-        bias = replace(
-            bias, variance=triad.turn_on_bias_sd**2 + slow2, density=2.0 * slow2 / time, decay_time=decay
-        )
-    heat2 = (triad.temperature_sd * TEMPERATURE_SD) ** 2
-    more = 2.0 * heat2 / TEMPERATURE_CORRELATION + triad.rate_random_walk**2
-    if more == 0.0:
-        return bias
-    return replace(bias, variance=bias.variance + heat2, density=bias.density + more, decay_time=0.0)
-
-
-def _bias(name: str, unit: str, size: int, triad: TriadSpec) -> States:
-    """Return bias states: random walks, or without a turn-on bias Gauss-Markov processes."""
-    instability2 = triad.instability_sd**2
-    variance = triad.turn_on_bias_sd**2 + instability2
-    if instability2 == 0:
-        return States(name, unit, size, variance)
-    decay = 0.0 if triad.turn_on_bias_sd > 0 else 1 / triad.bias_correlation
-    return States(name, unit, size, variance, 2 * instability2 / triad.bias_correlation, decay)
 
 
 def _baro_bias(specs: AssumedSpecs) -> list[States]:
@@ -224,106 +206,26 @@ GNSS_MARKOV = Block(
 """Gauss-Markov part of the position and velocity errors of a fix (A-5.2.2, A-5.4.2)."""
 
 
-def _mems(specs: AssumedSpecs) -> list[States]:
-    gyro, accel = specs.imu.gyro, specs.imu.accel
-    same = [(i, i, i) for i in range(3)]
+def _gnss_jumps(specs: AssumedSpecs) -> list[States]:
+    """Return the Markov states with the jumps that last, shot noise: variance ``rate jump^2 / (2 decay)``."""
+    gnss = assumed(specs, "gnss")
+    jumps = np.square([gnss.pos_h_jump_markov_sd, gnss.pos_h_jump_markov_sd, gnss.pos_v_jump_markov_sd])
+    pos, vel = _gnss_markov(specs)
+    longest = 1.0 / 86400.0
+    pos_more = jumps * CHANGES / (2.0 * max(gnss.pos_decay_time, longest))
+    vel_more = gnss.vel_jump_markov_sd**2 * CHANGES / (2.0 * max(gnss.vel_decay_time, longest))
     return [
-        States("gyro_scale", "1", 3, gyro.scale_factor_sd**2, drives=tuple(same)),
-        States(
-            "accel_scale", "1", 3, accel.scale_factor_sd**2, drives=tuple((i, 3 + i, 3 + i) for i in range(3))
-        ),
-        *_g_sensitivity(specs),
+        replace(states, variance=states.variance + more, stationary=states.stationary + more)
+        for states, more in ((pos, pos_more), (vel, vel_more))
     ]
 
 
-def _g_sensitivity(specs: AssumedSpecs) -> list[States]:
-    variance = specs.imu.gyro.g_sensitivity_sd**2
-    return [
-        States(
-            f"g_sensitivity_{axis}",
-            "rad_s_per_m_s2",
-            3,
-            variance,
-            drives=tuple((j, i, 3 + j) for j in range(3)),
-        )
-        for i, axis in enumerate("xyz")
-    ]
-
-
-MEMS = Block("mems", _mems, takes=("gyro scale factor", "accelerometer scale factor", "gyro g-sensitivity"))
-"""Scale factors, and the g-sensitivity of the gyros: 3 x 3, as the sensor has it (A-5.1.8)."""
-
-
-def _every_error(specs: AssumedSpecs) -> list[States]:
-    found: list[States] = []
-    for name, triad, at in (("gyro", specs.imu.gyro, 0), ("accel", specs.imu.accel, 3)):
-        scale = _scale_variance(triad)
-        across = triad.misalignment_sd**2 + 0.25 * triad.nonorthogonality_sd**2 + triad.alignment_sd**2
-        if across > 0:  # row by row of M in (I + M) w
-            for i, axis in enumerate("xyz"):
-                variance = np.full(3, across)
-                variance[i] = scale
-                drives = tuple((j, at + i, at + j) for j in range(3))
-                found.append(States(f"{name}_matrix_{axis}", "1", 3, variance, drives=drives))
-        elif scale > 0:
-            drives = tuple((i, at + i, at + i) for i in range(3))
-            found.append(States(f"{name}_scale", "1", 3, scale, drives=drives))
-    found += _flicker("gyro", "rad_s", specs.imu.gyro, 0) + _flicker("accel", "m_s2", specs.imu.accel, 3)
-    return found + (_g_sensitivity(specs) if specs.imu.gyro.g_sensitivity_sd > 0 else [])
-
-
-def _flicker_stages(triad: TriadSpec) -> list[tuple[float, float]]:
-    """Return correlation time [s] and variance of the stages of a flicker bias, the slowest last."""
-    if triad.bias_model != "flicker" or triad.bias_instability == 0:
-        return []
-    sd = triad.bias_instability * fit_flat_deviation(FLICKER_STAGES, 0.1, 10.0, 81)
-    times = triad.bias_correlation * np.array(FLICKER_STAGES)
-    return list(zip(times.tolist(), np.square(sd).tolist(), strict=True))
-
-
-def _flicker(name: str, unit: str, triad: TriadSpec, at: int) -> list[States]:
-    """Return the fast stages of a flicker bias; the slowest one is part of the bias."""
-    drives = tuple((i, at + i, STEADY) for i in range(3))
-    return [
-        States(f"{name}_flicker_{k}", unit, 3, variance, 0.0, 1.0 / time, stationary=variance, drives=drives)
-        for k, (time, variance) in enumerate(_flicker_stages(triad)[:-1], 1)
-    ]
-
-
-def _scale_variance(triad: TriadSpec) -> float:
-    """Return the variance of the scale factor as it acts on rates that are small against the range.
-
-    A nonlinearity of ``n (4 u^3 - 3 u)`` is a scale factor of -3 n there; an asymmetry adds its half to one
-    sign of the rate and takes it from the other.
-    """
-    return triad.scale_factor_sd**2 + 9.0 * triad.nonlinearity_sd**2 + triad.scale_asymmetry_sd**2
-
-
-EVERY_ERROR = Block(
-    "every_error",
-    _every_error,
-    takes=tuple(
-        f"{triad} {error}"
-        for triad in ("gyro", "accelerometer")
-        for error in (
-            "scale factor",
-            "misalignment",
-            "non-orthogonality",
-            "alignment",
-            "nonlinearity",
-            "scale factor asymmetry",
-            "g-sensitivity",
-            "temperature bias",
-            "rate random walk",
-            "bias instability as flicker noise",
-        )
-    ),
+GNSS_JUMPS = replace(
+    GNSS_MARKOV,
+    states=_gnss_jumps,
+    takes=(*GNSS_MARKOV.takes, "jumps of the GNSS error where the satellites change"),
 )
-"""Scale factors and misalignments as the 3 x 3 matrix of each triad, g-sensitivity; what is 0 has no state.
-
-With it the biases also hold what the temperature and a rate random walk do to them, and flicker noise is a
-sum of processes: its fast stages are states, the slowest is part of the bias.
-"""
+"""The same with the jumps that last, for `EVERY_ERROR`; those of one epoch are in R: `measurements.jumps`."""
 
 
 def _clock(specs: AssumedSpecs) -> list[States]:
@@ -375,8 +277,48 @@ ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale facto
 """Error of the odometer's scale factor, constant."""
 
 
+SQUAT_SD = 0.006  # pitch of a body by its forward specific force: 3.4 deg by g [rad s^2/m]
+LIFT_SD = 0.01  # angle of attack by the load on the wings: 5.6 deg by g [rad s^2/m]
+SIDESLIP_SD, SIDESLIP_TIME = (
+    float(np.deg2rad(1.5)),
+    1.0,
+)  # of an aircraft between gusts and its fin [rad], [s]
+GUST_TIME = 5.0  # in which an aircraft of 25 m/s crosses an eddy of 125 m [s]
+
+
+def _axis(at: tuple[float, float], sd: float, slip_sd: float, slip_s: float, gain_sd: float) -> list[States]:
+    """Return the axis along which a vehicle moves: its mean yaw and pitch, slip, and pitch by a force."""
+    mean, slip, rate = sd**2, slip_sd**2, 1.0 / slip_s
+    return [
+        States("axis_yaw", "rad", 1, mean, value=at[0]),
+        States("axis_pitch", "rad", 1, mean, value=at[1]),
+        States("slip_yaw", "rad", 1, slip, decay_time=rate, stationary=slip),
+        States("slip_pitch", "rad", 1, slip, decay_time=rate, stationary=slip),
+        States("pitch_by_force", "rad_per_m_s2", 1, gain_sd**2),
+    ]
+
+
+def vehicle(options: FusionOptions) -> list[Block]:
+    """Return the states of a vehicle on wheels and of coordinated flight (`bench.navigation.constraints`)."""
+    mounting, slip, alpha, sd = np.deg2rad(
+        [options.mounting_sd_deg, options.slip_sd_deg, options.alpha_deg, options.alpha_sd_deg]
+    )
+    wheels = [
+        *_axis((0.0, 0.0), mounting, slip, options.slip_s, SQUAT_SD),
+        States("axle_b", "m", 3, options.axle_sd**2, value=np.array(options.axle_b)),
+    ]
+    gust = options.gust_sd**2
+    wings = [
+        *_axis((0.0, -alpha), sd, SIDESLIP_SD, SIDESLIP_TIME, LIFT_SD),
+        States("gust_n", "m_s", 3, gust, decay_time=1.0 / GUST_TIME, stationary=gust),
+    ]
+    return [Block("nonholonomic", lambda _: wheels), Block("coordinated", lambda _: wings)]
+
+
 def chosen_blocks(options: FusionOptions) -> list[Block]:
     """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
-    arm = antenna(options.lever_arm_sd)
-    every = (BARO_BIAS, GNSS_MARKOV, MEMS, EVERY_ERROR, CLOCK, arm, WIND, RADAR_BIAS, ODOMETER_SCALE)
+    arm, ride = antenna(options.lever_arm_sd), vehicle(options)
+    wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
+    markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
+    every = (BARO_BIAS, markov, MEMS, EVERY_ERROR, CLOCK, arm, wind, RADAR_BIAS, *ride, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

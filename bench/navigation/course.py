@@ -95,8 +95,8 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     cov[6:, 3:5] = cov[3:5, 6:].T
     C = rotation.matrix(states[:, 6:]).mean(axis=0)  # a bias turned with the aircraft while it was felt
     bias_cov = np.zeros((9, 6))
-    bias_cov[6:, 3:] = -common_variance(specs.imu.accel, T) * J[:, 5:7] @ C[:2]
-    bias_cov[6:, :3] = -common_variance(gyro, T) * T / 2 * J[:, 7:] @ C[:2]
+    bias_cov[6:, 3:] = -J[:, 5:7] @ C[:2] * common_variance(specs.imu.accel, T)
+    bias_cov[6:, :3] = -T / 2 * J[:, 7:] @ C[:2] * common_variance(gyro, T)
     rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
     sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
     text = (

@@ -11,25 +11,33 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
-from bench.navigation.blocks import STEADY, Index, Process
+from bench.navigation.blocks import Index, Process
 from bench.navigation.error_state import (
     GYRO,
     PHI,
     VEL,
+    CovarianceWork,
     accumulate_kernel,
     backward_kernel,
     covariance_kernel,
+    covariance_work,
     dynamics_kernel,
+    mirror_kernel,
     transition_kernel,
 )
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
+from bench.navigation.rough_heading import stand_kernel
+from bench.navigation.states import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.wide_rows import widened
+
+_RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
 
 
 class FilterState(NamedTuple):
     """The state of the filter: the n + 1 numbers it estimates, and its n error states."""
 
     state: FloatArray  # (n + 1,) navigation state (10), then the values of the states from the gyro bias on
-    P: FloatArray  # (n, n)
+    P: FloatArray  # (n, n), `bench.wide_rows.wide`
     dx: FloatArray  # (n,) error estimated and not yet fed back
 
 
@@ -69,9 +77,7 @@ class Work(NamedTuple):
     F: FloatArray  # (9, 15)
     G: FloatArray  # (9, 15)
     back: FloatArray  # (9, 15)
-    A: FloatArray  # (9, n)
-    B: FloatArray  # (n, n)
-    E: FloatArray  # (6, n)
+    covariance: CovarianceWork
     Phi: FloatArray  # (n, n) since the last node of a smoother
     decay: FloatArray  # (n,)
     noise: FloatArray  # (n,)
@@ -81,6 +87,7 @@ class Work(NamedTuple):
     square: FloatArray  # (3, 4)
     var: FloatArray  # (3,)
     lever: FloatArray  # (3,)
+    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
     lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
 
 
@@ -96,11 +103,9 @@ def work_for(n: int, drives: int) -> Work:
         F=np.zeros((9, 15)),
         G=np.zeros((9, 15)),
         back=np.zeros((9, 15)),
-        A=np.zeros((9, n)),
-        B=np.zeros((n, n)),
-        E=np.zeros((6, n)),
-        Phi=np.eye(n),
-        decay=np.ones(n),
+        covariance=covariance_work(n),
+        Phi=widened(np.eye(n)),
+        decay=widened(np.ones(n)),
         noise=np.zeros(n),
         factor=np.zeros(drives),
         row=np.zeros(n),
@@ -108,13 +113,48 @@ def work_for(n: int, drives: int) -> Work:
         square=np.zeros((3, 4)),
         var=np.zeros(3),
         lever=np.zeros(3),
+        known=np.zeros(3),
         lost=np.zeros(2),
     )
 
 
 @inner
+def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: FloatArray) -> float:
+    """Return the integral over dt of what a drive multiplies its state by (`bench.navigation.blocks`).
+
+    ``known`` is the temperature above reference [K] and the range of gyros and accelerometers.
+    """
+    value: float = dt
+    if by < 3:
+        value = dth[by]
+    elif by < STEADY:
+        value = dv[by - 3]
+    elif by == WARMTH:
+        value = known[0] * dt
+    elif by != STEADY:
+        axis = (by - ABSOLUTE) % 6
+        x = dth[axis] if axis < 3 else dv[axis - 3]
+        if by < SQUARE:
+            value = abs(x)
+        elif by < CUBE:
+            value = x * x / dt
+        else:
+            u = x / (known[1 if axis < 3 else 2] * dt)
+            value = x * (4.0 * u * u - 3.0)
+    return value
+
+
+@inner
+def warmth_kernel(T: float, thermal: FloatArray, height: float, known: FloatArray) -> None:
+    """Carry the temperature of the IMU over an interval T at a height [m], in air of constant lapse rate."""
+    end = thermal[1] + thermal[2] * height
+    lag = np.exp(-T / thermal[3]) if thermal[3] > 0.0 else 0.0
+    known[0] = end + lag * (known[0] - end)
+
+
+@inner
 def increments_kernel(
-    state: FloatArray, dt: float, drives: IntArray, dth: FloatArray, dv: FloatArray
+    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray
 ) -> None:
     """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
 
@@ -131,7 +171,7 @@ def increments_kernel(
     for d in range(drives.shape[0]):
         error, by = drives[d, 1] - GYRO, drives[d, 2]
         if error != by:
-            part = state[drives[d, 0] + 1] * (dt if by == STEADY else dth[by] if by < 3 else dv[by - 3])
+            part = state[drives[d, 0] + 1] * factor_kernel(by, dt, dth, dv, known)
             if error < 3:
                 dth[error] -= part
             else:
@@ -153,6 +193,17 @@ def clock_kernel(P: FloatArray, at: int, T: float) -> None:
 
 
 @inner
+def fade_kernel(x: float) -> float:
+    """Return exp(-x); of a small x, as most are, its series: the next term is below 1e-17."""
+    if x > 0.05:
+        return float(np.exp(-x))
+    value = 1.0
+    for k in range(9, 0, -1):
+        value = 1.0 - x * _RECIPROCAL[k] * value
+    return value
+
+
+@inner
 def noise_kernel(
     T: float,
     process: Process,
@@ -161,19 +212,25 @@ def noise_kernel(
     unknown: FloatArray,
     decay: FloatArray,
     noise: FloatArray,
-) -> None:
-    """Fill decay and noise (n,) of an interval T, flown at a ground speed [m/s]."""
+) -> int:
+    """Fill decay and noise (n,) of an interval T, flown at a speed [m/s]; return the first that decays."""
     q, stationary = process.q, process.stationary
     decay_time, decay_distance = process.decay_time, process.decay_distance
-    for i in range(decay.shape[0]):
-        rate = decay_time[i] + decay_distance[i] * speed
-        decay[i] = np.exp(-rate * T) if rate > 0.0 else 1.0
+    n = noise.shape[0]
+    fading: int = n
+    for i in range(n - 1, -1, -1):
+        x = (decay_time[i] + decay_distance[i] * speed) * T
+        decay[i] = 1.0
+        if x > 0.0:
+            fading = i
+            decay[i] = fade_kernel(x)
         noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
     for i in range(3):
         noise[VEL + i] += unknown[0]
         noise[PHI + i] += unknown[1]
     if clock >= 0:
         noise[clock] += q[clock + 1] * T * T * T / 3.0
+    return fading
 
 
 @inner
@@ -211,11 +268,12 @@ def advance_kernel(
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
     C, C_mean, reference, F, G = work.C, work.C_mean, work.reference, work.F, work.G
-    A, B, E, decay, noise, factor = work.A, work.B, work.E, work.decay, work.noise, work.factor
+    memory, decay, noise, factor = work.covariance, work.decay, work.noise, work.factor
     before, w_ib_b, dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum, lost = (
         work.before, work.w_ib_b, work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3],
         work.vectors[4], work.vectors[5], work.vectors[6], work.vectors[7], work.lost,
     )  # fmt: skip
+    known = work.known
     driven = drives.shape[0]
     n = P.shape[0]
     waiting = False
@@ -236,7 +294,7 @@ def advance_kernel(
         for i in range(3):
             dth[i] = dtheta_b[row, i] * share
             dv[i] = dvel_b[row, i] * share
-        increments_kernel(state, dt, drives, dth, dv)
+        increments_kernel(state, dt, drives, known, dth, dv)
         for i in range(3):
             w_ib_b[i] = dth[i] / dt
         if driven > 0:
@@ -259,27 +317,30 @@ def advance_kernel(
             for j in range(3):
                 C_mean[i, j] /= T
         for d in range(driven):
-            by = drives[d, 2]
-            factor[d] = 1.0 if by == STEADY else (w_sum[by] if by < 3 else f_sum[by - 3]) / T
+            factor[d] = factor_kernel(drives[d, 2], T, w_sum, f_sum, known) / T
+        if driven > 0:
+            warmth_kernel(T, process.thermal, state[2], known)
         speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
-        noise_kernel(T, process, clock, speed, lost, decay, noise)
-        for i in range(GYRO, n):
+        fading = noise_kernel(T, process, clock, speed, lost, decay, noise)
+        for i in range(fading, n):
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
+        stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:
             state[clock + 1] += T * state[clock + 2]
             clock_kernel(P, clock, T)
-        covariance_kernel(P, G, decay, noise, drives, factor, A, B, E)
+        covariance_kernel(P, G, decay, noise, fading, drives, factor, memory)
         if clock >= 0:
             together = 0.5 * process.q[clock + 1] * T * T
             P[clock, clock + 1] += together
             P[clock + 1, clock] += together
         if keep:
-            accumulate_kernel(Phi, G, decay, drives, factor, A)
+            accumulate_kernel(Phi, G, decay, drives, factor, memory)
             if clock >= 0:
                 for j in range(n):
                     Phi[clock, j] += T * Phi[clock + 1, j]
         if waiting:
             wait_kernel(T, pending, drives, clock, work)
         T = 0.0
+    mirror_kernel(P)

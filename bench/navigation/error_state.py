@@ -9,15 +9,17 @@ change with latitude.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray, as_float
-from bench.compiled import kernel
+from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
 from bench.navigation.mechanization import turn_kernel
+from bench.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
 """First index of the blocks that every layout begins with."""
@@ -32,6 +34,22 @@ CORE_BLOCKS = (
 """Name, unit and size of these blocks."""
 _TOP = 9  # states with dynamics of their own: position, velocity, attitude
 _E2 = WGS84.e2
+
+_BIASES = (9, 10, 11), (12, 13, 14)
+ACTING = (
+    (0, 2, 3, 7, 8, *_BIASES[1]),
+    (0, 1, 2, 4, 6, 8, *_BIASES[1]),
+    (5, 6, 7, *_BIASES[1]),
+    (0, 2, 3, 4, 5, 7, 8, *_BIASES[0], *_BIASES[1]),
+    (0, 2, 3, 4, 5, 6, 8, *_BIASES[0], *_BIASES[1]),
+    (0, 2, 3, 4, 6, 7, *_BIASES[0], *_BIASES[1]),
+    (0, 2, 4, 7, 8, *_BIASES[0]),
+    (0, 2, 3, 6, 8, *_BIASES[0]),
+    (0, 2, 4, 6, 7, *_BIASES[0]),
+)
+"""The states that act on each of the first nine over a step: the elements of G that are not always zero."""
+add_transition = row_sums(ACTING, _TOP)
+add_biases = row_sums([[k for k in row if k >= GYRO] for row in ACTING], _TOP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,30 +176,41 @@ def transition_kernel(F: FloatArray, T: float, G: FloatArray) -> None:
             )
 
 
-@kernel
-def _rows_kernel(
-    P: FloatArray, G: FloatArray, drives: IntArray, factor: FloatArray, E: FloatArray, A: FloatArray, n: int
-) -> None:
-    """Fill A[:9, :n] with the first nine rows of (I + [G, 0]) P.
+class CovarianceWork(NamedTuple):
+    """Memory of :func:`covariance_kernel` and :func:`accumulate_kernel`, rows of whole vectors."""
 
-    ``E`` (6, n) becomes rows 9 to 14 of P and those of the driving states, each by its factor. Loops of
-    constant length over k: the compiler unrolls them and works on many j at once.
-    """
+    E: FloatArray  # (6, n) rows of the biases and of what acts like them; zeros in the first nine columns
+    E_Phi: FloatArray  # (6, n) the same of an accumulated transition, whole
+    A: FloatArray  # (9, n) the first nine rows of Phi P
+    X: FloatArray  # (9, 15) of these the columns of the biases, twice, less what counts twice
+    Y: FloatArray  # (6, 15) less the covariance of the biases
+    B: FloatArray  # (15, 9) both, transposed
+    B_low: FloatArray  # (6, 9) its rows from the biases on
+    C: FloatArray  # (9, 9)
+
+
+def covariance_work(n: int) -> CovarianceWork:
+    """Return the memory for n states."""
+    B, biases = wide((CORE, _TOP)), CORE - _TOP
+    return CovarianceWork(
+        E=wide((biases, n)),
+        E_Phi=wide((biases, n)),
+        A=wide((_TOP, n)),
+        X=wide((_TOP, CORE)),
+        Y=wide((biases, CORE)),
+        B=B,
+        B_low=B[_TOP:],
+        C=wide((_TOP, _TOP)),
+    )
+
+
+@inner
+def _bias_rows_kernel(P: FloatArray, drives: IntArray, factor: FloatArray, first: int, E: FloatArray) -> None:
+    """Fill E (6, n) with rows 9 to 14 of P and those of the driving states, each by its factor."""
     for i in range(6):
-        for j in range(n):
-            E[i, j] = P[GYRO + i, j]
+        set_row(E, i, 1.0, P, GYRO + i, first, P.shape[1])
     for d in range(drives.shape[0]):
-        s, i, by = drives[d, 0], drives[d, 1] - GYRO, factor[d]
-        for j in range(n):
-            E[i, j] += by * P[s, j]
-    for i in range(9):
-        for j in range(n):
-            value = P[i, j]
-            for k in range(9):
-                value += G[i, k] * P[k, j]
-            for k in range(6):
-                value += G[i, 9 + k] * E[k, j]
-            A[i, j] = value
+        add_row(E, drives[d, 1] - GYRO, factor[d], P, drives[d, 0], first, P.shape[1])
 
 
 @kernel
@@ -190,62 +219,84 @@ def covariance_kernel(
     G: FloatArray,
     decay: FloatArray,
     noise: FloatArray,
+    fading: int,
     drives: IntArray,
     factor: FloatArray,
-    A: FloatArray,
-    B: FloatArray,
-    E: FloatArray,
+    work: CovarianceWork,
 ) -> None:
-    """Replace P (n, n) by Phi P Phi' + diag(noise).
+    """Replace P (n, n) by Phi P Phi' + diag(noise), but for rows 9 and on of its first nine columns.
 
-    Phi is I + G in its first nine rows and diag(decay) in the rest; a state ``drives[d, 0]`` acts on the
-    first nine rows like the bias ``drives[d, 1]`` times ``factor[d]``. ``A`` (9, n), ``B`` (n, n) and
-    ``E`` (6, n) are work memory. P stays exactly symmetric.
+    Those are neither read nor written: :func:`mirror_kernel` fills them. Phi is I + G in its first nine rows
+    and diag(decay) in the rest, 1 before the state ``fading``; a state ``drives[d, 0]`` acts on the first
+    nine rows like the bias ``drives[d, 1]`` times ``factor[d]``. P and decay are `bench.wide_rows.wide`.
+
+    With t the first nine states, e the biases and what acts like them, G = [T, U], A_t = (I + T) P_tt and
+    A_e = (I + T) P_te + U P_ee:
+
+        Phi P Phi'_tt = (C + C') / 2,  C = A_t (I + T)' + (2 A_e - U P_ee) U'
+
+    so that only the upper part of P is needed. Row sums over the elements of G that are not always zero give
+    A, and C' from the transposed columns.
     """
-    n, top = P.shape[0], A.shape[0]
-    _rows_kernel(P, G, drives, factor, E, A, n)
-    for j in range(9, n):
+    E, A, X, Y, B, C = work.E, work.A, work.X, work.Y, work.B, work.C
+    n, width = P.shape
+    _bias_rows_kernel(P, drives, factor, 8, E)
+    for i in range(6):
+        E[i, 8] = 0.0  # below the first nine columns of P
+        set_row(Y, i, -1.0, E, i, 8, 16)
+    add_transition(P, G, P, E, A, 0, width)
+    for i in range(9):
+        set_row(X, i, 2.0, A, i, 8, 16)
+        scale_row(P, i, 1.0, decay, A, i, 8, width)
+    for d in range(drives.shape[0]):
+        s, e, by = drives[d, 0], drives[d, 1], factor[d]
+        for i in range(6):
+            Y[i, e] -= by * E[i, s]
         for i in range(9):
-            value = A[i, j] * decay[j]
+            X[i, e] += 2.0 * by * A[i, s]
+    add_biases(X, G, X, Y, X, 8, 16)
+    for i in range(9):
+        for j in range(9):
             B[j, i] = A[i, j]
-            P[i, j] = value
-            P[j, i] = value
-        for i in range(9, n):
-            P[i, j] *= decay[i] * decay[j]
-    for j in range(9):
-        for i in range(9):
-            B[j, i] = A[i, j]
-    _rows_kernel(B, G, drives, factor, E, A, top)
+        for j in range(9, 15):
+            B[j, i] = X[i, j]
+    add_transition(B, G, B, work.B_low, C, 0, 16)
     for i in range(9):
         for j in range(i):
-            value = 0.5 * (A[i, j] + A[j, i])
+            value = 0.5 * (C[i, j] + C[j, i])
             P[i, j] = value
             P[j, i] = value
-        P[i, i] = A[i, i]
+        P[i, i] = C[i, i]
+    for i in range(9, n):
+        if fading < n:
+            first = fading - fading % LANES if i < fading else 8
+            scale_row(P, i, decay[i], decay, P, i, first, width)
     for i in range(n):
         P[i, i] += noise[i]
 
 
 @kernel
+def mirror_kernel(P: FloatArray) -> None:
+    """Fill what :func:`covariance_kernel` left: P is symmetric."""
+    for i in range(9, P.shape[0]):
+        for j in range(9):
+            P[i, j] = P[j, i]
+
+
+@kernel
 def accumulate_kernel(
-    Phi: FloatArray, G: FloatArray, decay: FloatArray, drives: IntArray, factor: FloatArray, A: FloatArray
+    Phi: FloatArray,
+    G: FloatArray,
+    decay: FloatArray,
+    drives: IntArray,
+    factor: FloatArray,
+    work: CovarianceWork,
 ) -> None:
-    """Replace Phi (n, n) by the transition of one more step times Phi; ``A`` (9, n) is work memory."""
-    n = Phi.shape[0]
-    for i in range(9):  # only in the forward run of a smoother
-        for j in range(n):
-            value = Phi[i, j]
-            for k in range(15):
-                value += G[i, k] * Phi[k, j]
-            for d in range(drives.shape[0]):
-                value += G[i, drives[d, 1]] * factor[d] * Phi[drives[d, 0], j]
-            A[i, j] = value
-    for i in range(9):
-        for j in range(n):
-            Phi[i, j] = A[i, j]
-    for i in range(9, n):
-        for j in range(n):
-            Phi[i, j] *= decay[i]
+    """Replace Phi (n, n) by the transition of one more step times Phi; arguments as above."""
+    _bias_rows_kernel(Phi, drives, factor, 0, work.E_Phi)
+    add_transition(Phi, G, Phi, work.E_Phi, Phi, 0, Phi.shape[1])
+    for i in range(9, Phi.shape[0]):
+        set_row(Phi, i, decay[i], Phi, i, 0, Phi.shape[1])
 
 
 @kernel

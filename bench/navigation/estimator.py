@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
-from collections.abc import Callable, Collection, Iterator, Mapping
+import traceback
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +26,8 @@ from bench.navigation.options import (
     UnscentedOptions,
     wrong_options,
 )
-from bench.wording import as_toml, suggest
+from bench.specs import AssumedSpecs
+from bench.wording import as_toml, one_line, suggest
 
 
 class Estimator(Protocol):
@@ -50,6 +52,15 @@ class Estimator(Protocol):
         EstimatorError
             If the record does not allow the alignment asked for.
         """
+        ...
+
+
+@runtime_checkable
+class Identified(Protocol):
+    """An estimator that can tell on which records it is the same as another."""
+
+    def identity(self, sensors: SensorData) -> Hashable:
+        """Return what a solution follows from, beside the record and the start."""
         ...
 
 
@@ -191,7 +202,15 @@ def catch_exit(name: str, part: str) -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         raise
     except BaseException as error:
-        raise EstimatorFailedError(f"estimator {name!r}: {part} raised {error!r}") from error
+        raise _make_failure(name, part, error) from error
+
+
+def _make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
+    what = one_line("".join(traceback.format_exception_only(error)).strip())[:_LONGEST]
+    return EstimatorFailedError(f"estimator {name!r}: {part} raised {what}")
+
+
+_LONGEST = 500  # characters of an exception in a message
 
 
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
@@ -232,15 +251,29 @@ def check_needs(estimator: Estimator, name: str, records: Collection[str], place
             raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
 
 
+def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, str]:
+    """Return the label of each estimator that is the same as an earlier one on this record, and of that one.
+
+    Those that can tell have a method ``identity(sensors) -> Hashable``: of two with the same identity the
+    solutions are the same.
+    """
+    first: dict[Hashable, str] = {}
+    same = {}
+    for label, one in built.items():
+        if isinstance(one, Identified) and (found := first.setdefault(one.identity(sensors), label)) != label:
+            same[label] = found
+    return same
+
+
 def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:
     """Return the solution of an estimator, checked to be one at every instant of ``sensors.output_t``.
 
     Raises
     ------
     EstimatorError
-        If it is not, or the record does not allow the alignment asked for.
+        If the record does not allow the alignment asked for.
     EstimatorFailedError
-        If ``run`` raises.
+        If ``run`` raises or returns something else.
     """
     try:
         solution = estimator.run(sensors, initial)
@@ -249,17 +282,36 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
     except KeyboardInterrupt:  # of the user
         raise
     except BaseException as error:  # sys.exit() of an estimator does not end bench
-        raise EstimatorFailedError(f"estimator {name!r}: run() raised {error!r}") from error
+        raise _make_failure(name, "run()", error) from error
     if not isinstance(solution, NavSolution):
         found = type(solution).__name__
-        raise EstimatorError(f"estimator {name!r}: run() must return a NavSolution; got {found}")
+        raise EstimatorFailedError(f"estimator {name!r}: run() must return a NavSolution; got {found}")
     if not np.array_equal(solution.t, sensors.output_t):
-        raise EstimatorError(
+        raise EstimatorFailedError(
             f"estimator {name!r}: its t must be sensors.output_t, {len(sensors.output_t)} instants; "
             f"got {len(solution.t)} instants"
             + (", others" if len(solution.t) == len(sensors.output_t) else "")
         )
     return solution
+
+
+def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
+    """Return the sensor errors that an estimator reports to have no state for; None if it reports nothing.
+
+    Raises
+    ------
+    EstimatorFailedError
+        If its ``unmodelled`` raises.
+    """
+    list_errors = getattr(estimator, "unmodelled", None)
+    if list_errors is None:
+        return None
+    try:
+        return list(list_errors(specs))
+    except KeyboardInterrupt:  # of the user
+        raise
+    except BaseException as error:
+        raise _make_failure(name, "unmodelled()", error) from error
 
 
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:

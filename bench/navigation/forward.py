@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
 from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
 from bench.navigation.aiding import (
@@ -23,7 +23,9 @@ from bench.navigation.blocks import Index, Process, StateModel
 from bench.navigation.cycle import FilterState, ImuSteps, Pending, Work, advance_kernel, work_for
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.rough_heading import add_arm
 from bench.navigation.schedule import MEASURE, OUTPUT, USE, Schedule
+from bench.wide_rows import widened
 
 
 class Stores(NamedTuple):
@@ -77,7 +79,7 @@ def _fusion_kernel(
         advance_kernel(k, until, now, process, index, steps, work, pending, keep)
         k = until
         t = steps.t[k]  # the last one serves the start, index -1
-        before = work.B  # nobody looks there
+        before = work.Phi  # nobody looks there
         if keep:
             before = stores.node_cov[node, 0]
             stores.node_t[node] = t
@@ -140,7 +142,7 @@ def forward_run(
     sensors, initial : SensorData, InitialState
         Record and start.
     model : StateModel
-        Layout, covariance at the start (overwritten), processes.
+        Layout, covariance at the start, processes.
     schedule : Schedule
         Everything to measure.
     sky : Sky
@@ -159,7 +161,7 @@ def forward_run(
     layout, n = model.layout, model.layout.size
     steps, entries, slots = schedule.order()
     values, variance = schedule.table()
-    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, np.zeros(n - 9)])
+    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
     lever = model.index.antenna_b
     if lever >= 0:
         state[lever + 1 : lever + 4] = sensors.antenna_b
@@ -177,9 +179,13 @@ def forward_run(
         np.empty((len(at), 2, n, n)),
         np.empty((len(at), n, n)),
     )
+    work = work_for(n, len(model.process.drives))
+    work.known[:] = model.process.thermal[0], *model.process.range
+    if len(steps.t):  # what is measured at the start sees the rate of the first sample
+        work.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
     _fusion_kernel(
         entries,
-        FilterState(state, model.P, np.zeros(n)),
+        FilterState(state, widened(model.P), np.zeros(n)),
         model.process,
         model.index,
         ImuSteps(
@@ -188,8 +194,8 @@ def forward_run(
             steps.row,
             steps.share,
             steps.unknown,
-            steps.dtheta_b,
-            steps.dvel_b,
+            read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type for the kernel
+            read_only(steps.dvel_b),
             interval,
         ),
         Measurements(values, variance, sensors.antenna_b.copy(), field, initial.lla.copy()),
@@ -205,7 +211,7 @@ def forward_run(
         gate,
         log,
         stores,
-        work_for(n, len(model.process.drives)),
+        work,
     )
     count = int(log.filled[0])
     numbers, marks = log.numbers[:count], log.marks[:count]
@@ -214,6 +220,7 @@ def forward_run(
         out_state = np.full((len(sensors.output_t), n + 1), np.nan)
         out_P = np.full((len(sensors.output_t), n, n), np.nan)
         out_state[schedule.outputs], out_P[schedule.outputs] = stores.state, stores.P
+    add_arm(out_P, sensors.antenna_b)
     events = schedule.events + refusals(numbers[:, 0], marks, names)
     node = np.full(len(sensors.output_t), -1)
     if keep:

@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.navigation import aiding, alignment, hypotheses, ranging, standstill
-from bench.navigation.aiding import POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
-from bench.navigation.blocks import Block, StateModel, assumed, chosen_blocks, state_model
+from bench.navigation import aiding, alignment, constraints, hypotheses, ranging, standstill
+from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
+from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import Nodes, forward_run
 from bench.navigation.integrity import nis_limit
@@ -39,6 +40,8 @@ from bench.navigation.measurements import (
 from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import Schedule
+from bench.navigation.states import Block
+from bench.navigation.turn_on import run_from_turn_on
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
@@ -65,19 +68,26 @@ class Fusion:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
 
+        def known(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
+            return self.forward(piece, start, keep=False, gyro_sd=gyro_sd)[0]
+
         def forward(piece: SensorData, start: InitialState) -> NavSolution:
-            return self.forward(piece, start, keep=False)[0]
+            large = self.options.every_error
+            return run_from_turn_on(known, piece, start) if large else known(piece, start, None)
 
         return run_between_gaps(forward, sensors, initial, self.options.accuracy)
 
-    def forward(self, sensors: SensorData, initial: InitialState, *, keep: bool) -> tuple[NavSolution, Nodes]:
+    def forward(
+        self, sensors: SensorData, initial: InitialState, *, keep: bool, gyro_sd: float | None = None
+    ) -> tuple[NavSolution, Nodes]:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over.
 
-        There are none where the heading was unknown and stayed so.
+        There are none where the heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro
+        biases are known at a start that is given; None: as the datasheet says.
         """
         initial, events = alignment.complete(sensors, initial)
         if not hypotheses.heading_is_unknown(initial):
-            return self._forward(sensors, initial, events, keep)
+            return self._forward(sensors, initial, events, keep, gyro_sd)
         settled = hypotheses.settle_heading(
             lambda data, start: self._forward(data, start, [], False)[0], sensors, initial
         )
@@ -87,18 +97,21 @@ class Fusion:
         return settled.join(solution), nodes
 
     def _forward(
-        self, sensors: SensorData, initial: InitialState, events: list[EventRow], keep: bool
+        self,
+        sensors: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        keep: bool,
+        gyro_sd: float | None = None,
     ) -> tuple[NavSolution, Nodes]:
         """Return what :meth:`forward` does, from a complete initial state."""
         specs = sensors.specs
         used = [sensor for sensor in self.aiding() if getattr(sensors, sensor.record) is not None]
-        records = {sensor.record for sensor in used}
         if SATELLITES in used and specs.gnss is not None and specs.gnss.sky is None:
             raise ValueError(
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
-        blocks = [b for b in self.blocks() if not b.records or records & set(b.records)]
-        model = state_model(initial, specs, blocks)
+        model = state_model(initial, specs, self._blocks_for(sensors), gyro_sd)
         schedule = Schedule(
             sensors,
             initial.t,
@@ -111,7 +124,7 @@ class Fusion:
             sky = schedule.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
         for sensor in used:
             if sensor is not SATELLITES:
-                schedule.add(sensor, sensors, initial, model.layout)
+                schedule.add(sensor, sensors, initial, model.layout, self._more(sensor, specs))
         field = np.zeros((4, 3))
         if MAGNETOMETER in used:
             field = magnetic_map(initial.lla, sensors.date)
@@ -119,6 +132,11 @@ class Fusion:
             last, rate_b = standstill.windows(sensors.imu, schedule.rows, specs.imu)
             variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
             schedule.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
+        flying = self.options.coordinated
+        if self.options.nonholonomic or flying:
+            last, motion_b = constraints.samples(sensors.imu, schedule.rows, flying=flying)
+            white = constraints.AIR_SD if flying else constraints.SHAKING_SD
+            schedule.add_samples(aiding.VEHICLE_ROWS, last, motion_b, np.full(6, white**2))
         names = list(SENSORS)
         if seen is not None:
             satellites, _ = ranging.name_satellites(seen)
@@ -137,13 +155,35 @@ class Fusion:
             sensors, initial, model, schedule, sky, field, names, gate=gate, interval=interval, keep=keep
         )
 
+    def _blocks_for(self, sensors: SensorData) -> list[Block]:
+        """Return the blocks whose record is there."""
+        records = {sensor.record for sensor in self.aiding() if getattr(sensors, sensor.record) is not None}
+        return [block for block in self.blocks() if not block.records or records & set(block.records)]
+
+    def identity(self, sensors: SensorData) -> tuple[object, ...]:
+        """Return what a solution follows from: filters of equal identity are the same on this record.
+
+        Options that only choose states count by the states that the datasheets give a size.
+        """
+        options = self.options.model_dump(exclude={"gnss_markov", "mems", "every_error"})
+        states = moving_states(sensors.specs, self._blocks_for(sensors))
+        more = [self._more(sensor, sensors.specs) for sensor in self.aiding()]
+        return type(self), tuple(options.items()), states, tuple(float(np.sum(one)) for one in more)
+
+    def _more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
+        """Return the variance of what else errs in a row of a sensor, where every error is asked for."""
+        spec = getattr(specs, sensor.spec)
+        if not self.options.every_error or sensor.short is None or spec is None:
+            return np.zeros(1)
+        return sensor.short(spec)
+
     def _gate(self, channels: int, start: float, model: StateModel) -> Gate:
         """Return the tests asked for, with empty memories."""
         options, bounds = self.options, np.full(4, np.inf)
         if "nis" in options.integrity:
             bounds[1:] = [nis_limit(m, options.gate_probability) for m in (1, 2, 3)]
         readmit = np.full(len(SENSORS), options.readmit_after)
-        readmit[[ZERO_VELOCITY, ZERO_RATE]] = _NEVER
+        readmit[[ZERO_VELOCITY, ZERO_RATE, COORDINATED]] = _NEVER
         own = np.full((len(SENSORS), 3), -1)  # one satellite of many opens nothing: it is outvoted
         own[POSITION], own[VELOCITY] = POS + np.arange(3), VEL + np.arange(3)
         own[aiding.BARO, 0] = model.index.baro_bias

@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bench import earth
 from bench.arrays import FloatArray
@@ -60,13 +61,20 @@ class GnssOnly:
             r = weigh_fixes(fixes, white, self.options.fix_accuracy)
             used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         m = len(sensors.output_t)
+        if m == 0:  # nobody asks: no fix is used
+            used, at = used[:0], at[:0]
         out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
         apart = np.diag(np.append(unknown_arm(sensors.antenna_b), np.zeros(3)))
-        next_fix = 0
-        for k, now in enumerate(sensors.output_t):
-            while next_fix < len(at) and at[next_fix] <= k:
+        begin = 0  # of the outputs before the next fix
+        for row, end in zip([*used, None], [*at, m], strict=True):
+            if track is not None and end > begin:
+                now = sensors.output_t[begin:end]
+                served = np.arange(begin, end)[now >= track.t - timeline.TIME_TOLERANCE]
+                out[served], P = track.at(sensors.output_t[served])
+                out_P[served] = P + apart
+            begin = max(begin, int(end))
+            if row is not None:
                 assert fixes is not None
-                row = used[next_fix]
                 if track is None:
                     track = FixTrack.begin(
                         self.options, float(fixes.t[row]), fixes.lla[row], fixes.vel_n[row], r[row]
@@ -74,14 +82,10 @@ class GnssOnly:
                     moving = np.isfinite(fixes.vel_n[row]).all()
                     origin = "position and velocity" if moving else "position"
                     text = f"{origin} of the first fix; attitude is not estimated"
-                    events.append((initial.t, float(now), "alignment", text))
+                    events.append((initial.t, float(sensors.output_t[begin]), "alignment", text))
                 elif fixes.t[row] > track.t:  # not before the start
                     track.go_to(float(fixes.t[row]))
                     track.use(fixes.lla[row], fixes.vel_n[row], r[row])
-                next_fix += 1
-            if track is not None and now >= track.t - timeline.TIME_TOLERANCE:
-                out[k], P = track.at(float(now))
-                out_P[k] = P + apart
         cov = out_P[:, :9, :9].copy()
         cov[:, 6:], cov[:, :, 6:] = np.nan, np.nan
         none = np.full((m, 4), np.nan)
@@ -111,33 +115,36 @@ def unknown_arm(antenna_b: FloatArray) -> FloatArray:
     return np.array([arm2] * 3 + [SWING**2 * arm2] * 3)
 
 
-def singer(T: float, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
-    """Return Phi and Q (3, 3) of position, velocity and acceleration along one axis over T seconds.
+def singer(T: ArrayLike, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
+    """Return Phi and Q (..., 3, 3) of position, velocity and acceleration along one axis over T seconds.
 
     Q by Gauss-Legendre quadrature of the impulse response, exact to rounding for T below tau; longer ways
     are made of halves.
 
     Parameters
     ----------
-    T : float
+    T : float or (...) array
         [s]
     sd : float
         Standard deviation of the acceleration [m/s^2].
     tau : float
         Its correlation time [s].
     """
-    if tau < T:
+    T = np.asarray(T, float)
+    if (tau < T).any():
         Phi, Q = singer(0.5 * T, sd, tau)
-        return Phi @ Phi, Phi @ Q @ Phi.T + Q
-    x = np.append(0.5 * T * (_NODES + 1.0), T) / tau
+        return Phi @ Phi, Phi @ Q @ np.swapaxes(Phi, -1, -2) + Q
+    x = T[..., None] * np.append(0.5 * (_NODES + 1.0), 1.0) / tau
     gone = -np.expm1(-x)
     way = np.where(x < 1e-4, 0.5 * x * x * (1.0 - x / 3.0 * (1.0 - x / 4.0)), x - gone)
-    column = np.array([tau**2 * way, tau * gone, np.exp(-x)])  # response to an acceleration of 1 at once
-    Phi = np.array([[1.0, T, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    Phi[:, 2] = column[:, -1]
-    response = column[:, :-1]
-    Q = (response * (0.5 * T * _WEIGHTS * 2.0 * sd**2 / tau)) @ response.T
-    return Phi, Q
+    column = np.stack([tau**2 * way, tau * gone, np.exp(-x)], axis=-2)  # response to an acceleration of 1
+    Phi = np.zeros((*T.shape, 3, 3))
+    Phi[..., 0, 0] = Phi[..., 1, 1] = 1.0
+    Phi[..., 0, 1] = T
+    Phi[..., :, 2] = column[..., -1]
+    response = column[..., :-1]
+    weights = T[..., None, None] * _WEIGHTS * sd**2 / tau
+    return Phi, (response * weights) @ np.swapaxes(response, -1, -2)
 
 
 class FixTrack:
@@ -177,13 +184,24 @@ class FixTrack:
             vel_n, cov[3:, 3:] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
         return cls(options, t, lla, vel_n, cov)
 
-    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return the state (9,) and P (9, 9) carried to an instant [s]."""
-        Phi, Q = singer(t - self.t, self.options.acceleration, self.options.correlation_s)
-        way = self.vel * Phi[0, 1] + self.acc * Phi[0, 2]
-        state = [earth.displace(self.lla, way), self.vel + self.acc * Phi[1, 2], self.acc * Phi[2, 2]]
-        whole = np.kron(Phi, np.eye(3))
-        return np.concatenate(state), whole @ self.P @ whole.T + np.kron(Q, np.eye(3))
+    def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the state (..., 9) and P (..., 9, 9) carried to an instant [s], or to many at once."""
+        T = np.asarray(t, float) - self.t
+        Phi, Q = singer(T, self.options.acceleration, self.options.correlation_s)
+        way = self.vel * Phi[..., 0, 1, None] + self.acc * Phi[..., 0, 2, None]
+        state = [
+            earth.displace(self.lla, way),
+            self.vel + self.acc * Phi[..., 1, 2, None],
+            self.acc * Phi[..., 2, 2, None],
+        ]
+        P = self.P
+        for _ in range(2):  # Phi by rows, then by columns: each axis by itself
+            rows = Phi @ np.reshape(P, (*P.shape[:-2], 3, 27))
+            P = np.swapaxes(np.reshape(rows, (*T.shape, 9, 9)), -1, -2)
+        P = P.copy()
+        for axis in range(3):
+            P[..., axis::3, axis::3] += Q
+        return np.concatenate(state, axis=-1), P
 
     def go_to(self, t: float) -> None:
         """Carry the filter to an instant [s]."""

@@ -24,11 +24,13 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, ImuData, InitialState, NavSolution, SensorData
-from bench.earth import difference_n
+from bench.earth import EARTH_RATE, difference_n
+from bench.navigation.aiding import SENSORS
 from bench.navigation.error_state import PHI, POS, VEL
-from bench.navigation.leveling import UNKNOWN_HEADING_SD
+from bench.navigation.leveling import bias_sd
+from bench.navigation.rough_heading import UNKNOWN_HEADING_SD, WIDE, may_stand
+from bench.navigation.timeline import TIME_TOLERANCE
 
-WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 COUNT = 16  # hypotheses around the circle
 SD = np.pi / COUNT  # of the heading of each: half the distance to the next, so that their sum is flat to 2 %
 FIRST = 60.0  # length of the first trial [s]; each further one is twice as long
@@ -80,12 +82,16 @@ def settle_heading(run: Run, sensors: SensorData, initial: InitialState) -> Sett
     sd = np.sqrt(initial.cov[8, 8])
     prior = np.zeros(COUNT) if sd >= UNKNOWN_HEADING_SD else -0.5 * (turns / sd) ** 2
     starts = [turn_heading(initial, turn) for turn in turns]
+    by_rest = ["magnetometer"]
+    e_rate = EARTH_RATE * np.cos(initial.lla[0])
+    if bias_sd(sensors.specs.imu.gyro, 0.0) < UNKNOWN_HEADING_SD * e_rate:  # it can gyrocompass
+        by_rest = list(SENSORS)
     span, end = FIRST, float(sensors.imu.t.max(initial=initial.t))
     while True:
         until = initial.t + span
         part = _beginning(sensors, until)
         members = [run(part, start) for start in starts]
-        weight = _weights(members, prior)
+        weight = _weights(members, prior, by_rest)
         early, best = _combine(members, weight)
         spread, own = _heading_spread(members, weight, best)
         complete = spread < _APART * own and not until >= end
@@ -115,14 +121,21 @@ def _beginning(sensors: SensorData, until: float) -> SensorData:
     return replace(sensors, imu=cut, output_t=sensors.output_t[sensors.output_t <= until])
 
 
-def _weights(members: list[NavSolution], prior: FloatArray) -> FloatArray:
-    """Return the weight (K, M) of each hypothesis at each instant of the solution."""
+def _weights(members: list[NavSolution], prior: FloatArray, by_rest: list[str]) -> FloatArray:
+    """Return the weight (K, M) of each hypothesis at each instant of the solution.
+
+    Up to an instant at which the aircraft may stand only the sensors ``by_rest`` count: in others noise and
+    the drift of the filter lie along some heading by chance, and the filter would take them for motion.
+    """
     t = members[0].t
+    rest = np.append(may_stand(members[0].vel_n, members[0].cov), False)
     log = np.empty((len(members), len(t)))
     for k, member in enumerate(members):
         table = member.innovations
         gain = -0.5 * (np.where(table.component == 0, np.minimum(table.nis, MOST_NIS), 0.0) + np.log(table.S))
-        gain[np.isin(np.array(table.sensor)[table.code], ASSUMED)] = 0.0
+        name = np.array(table.sensor)[table.code]
+        gain[np.isin(name, ASSUMED)] = 0.0
+        gain[rest[np.searchsorted(t, table.t - TIME_TOLERANCE)] & ~np.isin(name, by_rest)] = 0.0
         total = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(gain), gain, -np.inf))])
         log[k] = prior[k] + total[np.searchsorted(table.t, t, side="right")]
     log -= log.max(axis=0)

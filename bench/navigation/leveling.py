@@ -12,6 +12,7 @@ from bench.data import EventRow, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import timeline
 from bench.navigation.measurements import fix_variance
+from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
 from bench.specs import TriadSpec
 
 WINDOW = 1.0  # length of the means that are compared to detect motion [s]
@@ -21,7 +22,6 @@ REST_RATE = np.deg2rad(0.5)  # the same of the mean rate: wind and engine rock i
 REST_SPEED_SD = 0.01  # velocity of a standstill: more would show as a change of position [m/s]
 SIGMAS = 5.0  # standard deviations of noise that a standstill may show
 FLICKER_KEPT = 0.5  # covariance of a flicker bias with its mean, over its variance [1]
-UNKNOWN_HEADING_SD = np.pi / np.sqrt(3.0)  # a heading anywhere from -180 to 180 deg [rad]
 
 Rows = list[EventRow]
 
@@ -61,7 +61,7 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
     C = rotation.matrix(q_nb)
     bias_cov = np.zeros((9, 6))  # of an error of the bias: estimate, zero, less truth
-    bias_cov[6:, 3:] = -common_variance(accel, T) * J[:, :2] @ C[:2]
+    bias_cov[6:, 3:] = -J[:, :2] @ C[:2] * common_variance(accel, T)
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
     text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
     given_sd = float(np.sqrt(initial.cov[8, 8]))
@@ -70,11 +70,11 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
         C = rotation.matrix(q_nb)
         phi_cov[2], phi_cov[:, 2] = 0.0, 0.0
         phi_cov[2, 2] = given_sd**2
-        bias_cov[6:, 3:] = -common_variance(accel, T) * np.vstack([J[:2, :2], np.zeros(2)]) @ C[:2]
+        bias_cov[6:, 3:] = -np.vstack([J[:2, :2], np.zeros(2)]) @ C[:2] * common_variance(accel, T)
         bias_cov[8] = 0.0
         text += f"heading given, sd {np.rad2deg(given_sd):.2g} deg"
     elif heading_sd < UNKNOWN_HEADING_SD:
-        bias_cov[6:, :3] = -common_variance(gyro, T) * J[:, 2:] @ C[1:2]
+        bias_cov[6:, :3] = -J[:, 2:] @ C[1:2] * common_variance(gyro, T)
         text += f"heading gyrocompassed, sd {np.rad2deg(heading_sd):.2g} deg"
     else:
         phi_cov[2], phi_cov[:, 2], bias_cov[8] = 0.0, 0.0, 0.0
@@ -163,8 +163,8 @@ def bias_sd(triad: TriadSpec, along: float) -> float:
     return float(np.sqrt(triad.turn_on_bias_sd**2 + triad.instability_sd**2 + turned))
 
 
-def common_variance(triad: TriadSpec, T: float) -> float:
-    """Return the covariance of a bias with its mean over the last T seconds.
+def common_variance(triad: TriadSpec, T: float) -> FloatArray:
+    """Return the covariance (3,) of the bias of each axis with its mean over the last T seconds.
 
     For a Gauss-Markov process it follows from the autocorrelation. Flicker noise (`bench.sensors.processes`)
     differs from its mean over a minute or two by a variance of 2.4 to 2.8 instability^2, about the variance
@@ -174,4 +174,4 @@ def common_variance(triad: TriadSpec, T: float) -> float:
     if triad.instability_sd > 0.0 and triad.bias_model == "gauss-markov":
         u = T / triad.bias_correlation
         kept = -np.expm1(-u) / u
-    return float(triad.turn_on_bias_sd**2 + kept * triad.instability_sd**2)
+    return np.asarray(triad.by_axis("turn_on_bias_sd") ** 2 + kept * triad.instability_by_axis**2)

@@ -38,6 +38,7 @@ from bench.navigation.aiding import (
     RADAR_ROWS,
     SATELLITE_ROWS,
 )
+from bench.navigation.blocks import CHANGES
 from bench.navigation.error_state import StateLayout
 from bench.navigation.options import FixAccuracy
 from bench.signals import air
@@ -65,6 +66,9 @@ class AidingSensor:
     read: Reader | None  # None: satellites
     errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
     on_request: bool = True  # a filter that asks for it cannot work without its record
+    short: Callable[[Any], FloatArray] | None = (
+        None  # variance of errors of one row; for ``every_error`` alone
+    )
 
 
 def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
@@ -97,6 +101,16 @@ def weigh_fixes(fixes: GnssFixes, white: FloatArray, accuracy: FixAccuracy) -> F
     found = np.hstack([np.einsum("mii->mi", cov) for cov in (fixes.cov_pos_n, fixes.cov_vel_n)])
     found = np.where(np.isfinite(found) & (found > 0), found, stated)
     return found if accuracy == "reported" else np.maximum(found, stated)
+
+
+def jumps(gnss: GnssSpec) -> FloatArray:
+    """Return the variance (6,) of the jumps of one epoch [m^2], [m^2/s^2], by how often there is one."""
+    sd = np.repeat([gnss.pos_h_jump_sd, gnss.pos_v_jump_sd, gnss.vel_jump_sd], [2, 1, 3])
+    return np.asarray(min(CHANGES / gnss.rate, 1.0) * sd**2)
+
+
+def _rounding(spec: BaroSpec | RadarSpec | OdometerSpec) -> FloatArray:
+    return np.array([spec.quantization**2 / 12.0])
 
 
 def _read_fixes(
@@ -213,15 +227,17 @@ def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
     return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])
 
 
-FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors, on_request=False)
+FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors, False, jumps)
 SATELLITES = AidingSensor(
     "gnss", "observations", "gnss", SATELLITE_ROWS, None, _satellite_errors, on_request=False
 )
 AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed, _airspeed_errors)
 MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field, _magnetometer_errors)
-RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_errors)
-ODOMETER = AidingSensor("odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors)
-BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, on_request=False)
+RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_errors, short=_rounding)
+ODOMETER = AidingSensor(
+    "odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors, short=_rounding
+)
+BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, False, _rounding)
 
 AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, BARO)
 

@@ -45,6 +45,7 @@ Count = Annotated[int, _limited(lambda n: n >= 1, "must be at least 1")]
 _LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 Tests = Annotated[tuple[Literal["nis", "trace", "tolerance"], ...], _LIST]
 Spread = Annotated[tuple[NotNegative, NotNegative, NotNegative], _LIST]
+Place = Annotated[tuple[float, float, float], _LIST]
 
 
 class Options(BaseModel):
@@ -105,8 +106,9 @@ class FusionOptions(IntegrityOptions, FixOptions):
     mems: bool = False
     """Estimate scale factors (3 + 3) and the g-sensitivity of the gyros (9)."""
     every_error: bool = False
-    """States for scale factors and misalignments (9 + 9), g-sensitivity (9) and flicker noise (12) as far as
-    the datasheet of the IMU names them, and biases that hold temperature and rate random walk."""
+    """States for scale factors and misalignments (9 + 9), their asymmetry and nonlinearity (6 + 6),
+    temperature (6), g-sensitivity (9) and flicker noise (12) as far as the datasheet of the IMU names them,
+    biases that hold a rate random walk, noise for quantization and jumps."""
     compensate_latency: bool = True
     """Compare a measurement with the state at its validity, else with that at its arrival."""
     adaptive_noise: Count | None = None
@@ -124,6 +126,28 @@ class FusionOptions(IntegrityOptions, FixOptions):
     """Use the height above the runway of a radar altimeter, with its bias as a state."""
     odometer: bool = False
     """Use the speed of a wheel, with its scale factor as a state."""
+    nonholonomic: bool = False
+    """A vehicle on wheels: its rear axle moves neither sideways nor up and down, but for slip and suspension;
+    their angles, the mounting of the IMU and the place of the axle are states."""
+    axle_b: Place = (0.0, 0.0, 0.0)
+    """Middle of the rear axle as seen from the IMU: forward, right, down [m]."""
+    axle_sd: Positive = 1.0
+    """How well each component of that place is known [m]."""
+    mounting_sd_deg: Positive = 3.0
+    """How far the axes of the IMU may be turned from those of the vehicle, yaw and pitch [deg]."""
+    slip_sd_deg: Positive = 0.5
+    """Wandering angle between vehicle and motion, sideways by the tyres and up by the suspension [deg]."""
+    slip_s: Positive = 1.0
+    """Correlation time of that angle [s]."""
+    coordinated: bool = False
+    """An aircraft in flight: it moves through the air along its nose, but for sideslip and angle of attack;
+    these, the wind and its gusts are states."""
+    alpha_deg: float = 4.0
+    """Angle of attack at 1 g and the usual airspeed, from the trim of the aircraft [deg]."""
+    alpha_sd_deg: Positive = 2.0
+    """How well it is known, and how well the IMU is aligned with the nose [deg]."""
+    gust_sd: Positive = 2.0
+    """Gusts that the wind may hold, each component [m/s]: 2 in moderate turbulence."""
 
     @property
     def accuracy(self) -> FixAccuracy | None:
@@ -140,6 +164,10 @@ class FusionOptions(IntegrityOptions, FixOptions):
         wrong = []
         if self.mems and self.every_error:
             wrong.append("mems = true and every_error = true: the second holds the states of the first")
+        if self.nonholonomic and self.coordinated:
+            wrong.append(
+                "nonholonomic = true and coordinated = true: a vehicle has wheels on the road or flies"
+            )
         if self.gnss_markov and not self.gnss:
             wrong.append("gnss_markov = true needs gnss = true: the states are errors of its fixes")
         if self.gnss_markov and self.tight:

@@ -34,9 +34,9 @@ from bench.navigation.blocks import WIND_SD, assumed
 from bench.navigation.course import LEAST_SPEED
 from bench.navigation.gnss_only import SENSORS as FIX_SENSORS
 from bench.navigation.gnss_only import FixTrack, unknown_arm
-from bench.navigation.leveling import UNKNOWN_HEADING_SD
 from bench.navigation.measurements import fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
+from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
 from bench.specs import ImuSpec, TriadSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
@@ -306,7 +306,10 @@ def _at_end(solution: NavSolution, spec: ImuSpec, biases: _Biases) -> tuple[_End
 def _less_turn_on(triad: TriadSpec, sd: float) -> TriadSpec:
     """Return a triad whose biases are known to ``sd``, no better than its instability."""
     left = np.sqrt(max(sd**2 - triad.instability_sd**2, (1e-3 * sd) ** 2))
-    return triad if triad.turn_on_bias_sd <= left else replace(triad, turn_on_bias_sd=float(left))
+    if triad.turn_on_bias_sd <= left:
+        return triad
+    axes = tuple(one for one in triad.axes or () if one.name != "turn_on_bias_sd")
+    return replace(triad, turn_on_bias_sd=float(left), axes=axes)
 
 
 def _cut(sensors: SensorData, rows: slice, begin: float, last: float, biases: _Biases) -> SensorData:

@@ -55,9 +55,14 @@ class Schedule:
         self._output_t = wanted[self.outputs]
 
     def add(
-        self, sensor: AidingSensor, sensors: SensorData, initial: InitialState, layout: StateLayout
+        self,
+        sensor: AidingSensor,
+        sensors: SensorData,
+        initial: InitialState,
+        layout: StateLayout,
+        more: FloatArray | float = 0.0,
     ) -> None:
-        """Take the record of a sensor.
+        """Take the record of a sensor, with the variance of its datasheet and ``more``.
 
         Raises
         ------
@@ -67,6 +72,7 @@ class Schedule:
         assert sensor.read is not None
         record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
         values, white = sensor.read(record, spec, sensors, initial, layout)
+        white = white + more
         variance = np.broadcast_to(white, values.shape)
         if isinstance(record, GnssFixes):
             variance = weigh_fixes(record, white, self._accuracy)
@@ -157,18 +163,15 @@ class Schedule:
         )
         entries = []
         for kind, row, t, arrival in self._kinds:
-            use = np.searchsorted(steps.t, arrival - TIME_TOLERANCE)
+            use = self._step_at(steps.t, arrival)
             measure = use
             if self._compensate:
-                measure = np.searchsorted(steps.t, t - TIME_TOLERANCE)
-                measure[np.abs(t - self._start) < TIME_TOLERANCE] = -1
-                measure[np.abs(t - arrival) < TIME_TOLERANCE] = use[np.abs(t - arrival) < TIME_TOLERANCE]
+                measure = np.where(np.abs(t - arrival) < TIME_TOLERANCE, use, self._step_at(steps.t, t))
             entries.append(np.column_stack([np.full(len(row), kind), row, measure, use]))
         planned = np.concatenate(entries) if entries else np.empty((0, 4), np.int64)
         slot = _slots(planned[:, 2], planned[:, 3])
         late = slot > 0
-        at = np.searchsorted(steps.t, self._output_t - TIME_TOLERANCE)
-        at[self._output_t < self._start + TIME_TOLERANCE] = -1
+        at = self._step_at(steps.t, self._output_t)
         kinds, rows, measures, uses = planned.T
         parts: list[tuple[Any, ...]] = [
             (uses[~late], AT_ONCE, kinds[~late], rows[~late], 0),
@@ -179,6 +182,11 @@ class Schedule:
         schedule = np.concatenate([np.column_stack(np.broadcast_arrays(*part)) for part in parts])
         schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
         return steps, np.ascontiguousarray(schedule), int(slot.max(initial=0)) + 1
+
+    def _step_at(self, steps_t: FloatArray, t: FloatArray) -> IntArray:
+        """Return the step that ends at each instant t (M,) [s], -1 at the start."""
+        at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
+        return np.where(t < self._start + TIME_TOLERANCE, -1, at)
 
 
 def _slots(measure: IntArray, use: IntArray) -> IntArray:

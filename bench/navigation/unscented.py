@@ -111,15 +111,16 @@ class Unscented:
                 part = slice(done + 1, k + 1)
                 flight.predict(steps.span[part], dtheta[part], dvel[part], steps.unknown[part].sum(axis=0))
                 done, covered = k, steps.t[k]
+            now = float(steps.t[k]) if k >= 0 else initial.t
             for action, kind, row, _ in todo.get(k, []):
                 if action == OUTPUT:
                     at = next(waiting)
                     out[at], out_P[at] = flight.state, flight.P
                 elif kind == FIX_ROWS:
-                    w_b = dtheta[k] / steps.span[k]
-                    flight.use_fix(float(steps.t[k]), values[row], variance[row], sensors.antenna_b, w_b)
+                    w_b = dtheta[max(k, 0)] / steps.span[max(k, 0)]
+                    flight.use_fix(now, values[row], variance[row], sensors.antenna_b, w_b)
                 else:
-                    flight.use_baro(float(steps.t[k]), float(values[row, 0]), float(variance[row, 0]))
+                    flight.use_baro(now, float(values[row, 0]), float(variance[row, 0]))
         table = Innovations.from_rows(SENSORS, flight.innovations)
         return solution(sensors.output_t, model.layout, out, out_P, table, Events.from_rows(schedule.events))
 

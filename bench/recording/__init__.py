@@ -18,10 +18,11 @@ import rerun as rr
 from bench.arrays import FloatArray
 from bench.config.log import LogSpec
 from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
-from bench.recording import drawing, layout, space, words
-from bench.recording.content import Content, carrier
+from bench.plots import series
+from bench.plots.content import Content, carrier
+from bench.plots.tabs import TABS
+from bench.recording import drawing, layout, sky_view, space, words
 from bench.recording.drawing import TIMELINE
-from bench.recording.tabs import TABS
 from bench.specs import Profile
 
 
@@ -63,7 +64,7 @@ def write(
     content = Content(motion, sensed, solutions, errors, profile.evaluation_from, mask)
     plots = {tab.name: tab.plots(content) for tab in TABS}
     scene = space.make_scene(motion, sensed, solutions)
-    shades = drawing.shades(sensed.events)
+    shades = series.shades(sensed.events)
     part = path.with_name(f"{path.name}.tmp")
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
@@ -80,9 +81,7 @@ def write(
         for by_label in plots.values():
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):
                 drawing.send(stream, plot, shades)
-        for tab in TABS:
-            if tab.send is not None:
-                tab.send(stream, content)
+        sky_view.send(stream, content)
         try:
             part.write_bytes(memory.drain_as_bytes())
             part.replace(path)

@@ -1,103 +1,20 @@
-"""What every plot is made of: lines, dots and hatches in their colours, thinned, and how they are sent."""
+"""How a plot is sent to a recording: its lines and dots, thinned, and hatches for what is shaded."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from bench.arrays import FloatArray
-from bench.data import Events
+from bench.plots.series import Plot, Shade, thin
 
 TIMELINE = "flight_time"
 
-Colour = tuple[int, int, int]
-
-TRUTH: Colour = (110, 190, 90)
-FIX: Colour = (255, 205, 50)
-OUTAGE: Colour = (255, 150, 0)
-FAULT: Colour = (225, 70, 225)
-REJECTED: Colour = (255, 60, 60)
-BAND: Colour = (150, 150, 150)
-AXIS_COLOURS: tuple[Colour, ...] = ((235, 90, 90), (90, 190, 90), (90, 140, 250))  # x, y, z and n, e, d
-ESTIMATORS: tuple[Colour, ...] = (
-    (70, 150, 255),
-    (255, 110, 80),
-    (190, 120, 255),
-    (0, 195, 195),
-    (240, 120, 190),
-    (165, 175, 60),
-)
-ESTIMATOR_NAMES = ("blue", "orange", "violet", "teal", "pink", "olive")
-
-MOST_ROWS = 50.0
-"""Poses and plots hold at most this many rows a second [Hz]."""
-
-SLOW = 5.0
-"""The same for what only shows how the flight went [Hz]."""
-
 HATCH = 1.0 / 600.0
 """Distance of the strokes that mark an outage, as a fraction of the flight."""
-
-AXES_N = ("north", "east", "down")
-AXES_B = ("x", "y", "z")
-
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """Lines (or marks) that share their times: one entity of a plot."""
-
-    key: str  # last part of the entity path
-    t: FloatArray  # (N,) [s]
-    values: FloatArray  # (N, k), a column per line, in the unit of the plot
-    names: tuple[str, ...]  # k, for the legend
-    colours: tuple[Colour, ...]  # k
-    widths: tuple[float, ...]  # k [points of the screen]
-    marks: bool = False  # dots instead of lines
-
-
-@dataclass(frozen=True, slots=True)
-class Plot:
-    """One plot: its entity, the title with the unit, and what it shows."""
-
-    path: str  # entity path
-    title: str
-    series: tuple[Series, ...]
-    scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]
-    far: float = np.inf  # nor a series that reaches so many times farther than the middle one
-
-    def limits(self) -> tuple[float, float]:
-        """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
-
-        The viewer writes numbers at powers of ten and their multiples as far as there is room.
-        """
-        shown = [s.values[s.t >= self.scale_from] for s in self.series]
-        shown = [v[np.isfinite(v)] for v in shown]
-        reach = np.array([np.abs(v).max(initial=0.0) for v in shown])
-        near = reach <= self.far * np.median(reach) if np.isfinite(self.far) else np.ones(len(reach), bool)
-        values = np.concatenate([v for v, is_near in zip(shown, near, strict=True) if is_near])
-        low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
-        if low < 0.0 < high:
-            ten = 10.0 ** np.floor(np.log10(max(-low, high)))
-            low, high = -_round_up(-low, ten), _round_up(high, ten)
-        else:
-            step = round_number(0.3 * (high - low) or 0.1 * abs(high) or 1.0)
-            low, high = step * np.floor(low / step), step * np.ceil(high / step)
-            if low == high:
-                low, high = low - step, high + step
-        margin = 0.04 * (high - low)
-        return float(low - margin), float(high + margin)
-
-
-def _round_up(value: float, ten: float) -> float:
-    return 10.0 * ten if value > 5.0 * ten else float(0.5 * ten * np.ceil(value / (0.5 * ten)))
-
-
-Rows = Sequence[Sequence[Plot]]
-"""Plots as they stand on a tab, row by row."""
 
 
 def entity(*parts: str) -> str:
@@ -105,91 +22,10 @@ def entity(*parts: str) -> str:
     return "/" + "/".join(rr.escape_entity_path_part(part) for part in parts)
 
 
-def thin(t: FloatArray, most: float = MOST_ROWS) -> slice:
-    """Return the rows to keep so that no more than ``most`` come in a second [Hz]."""
-    if len(t) < 2 or t[-1] <= t[0]:
-        return slice(None)
-    rate = (len(t) - 1) / (t[-1] - t[0])
-    return slice(None, None, max(1, int(np.ceil(rate / most - 1e-6))))
-
-
-def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:
-    """Return the colour each estimator has in every view."""
-    return {label: ESTIMATORS[k % len(ESTIMATORS)] for k, label in enumerate(labels)}
-
-
-def round_number(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above value.
-
-    Examples
-    --------
-    >>> round_number(430.0)
-    200.0
-    """
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
-
-
-def paler(colour: Colour) -> Colour:
-    """Return the colour of the 3 sigma lines that belong to a line of this colour."""
-    return tuple((c + g) // 2 for c, g in zip(colour, BAND, strict=True))  # type: ignore[return-value]
-
-
-def draw_line(
-    key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, most: float = SLOW
-) -> Series:
-    """Return one line, of at most so many rows a second [Hz]."""
-    keep = thin(t, most)
-    return Series(key, t[keep], values[keep, None], (name,), (colour,), (1.5,))
-
-
-def draw_dots(
-    key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, size: float = 1.5
-) -> Series:
-    """Return a dot for each value."""
-    return Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True)
-
-
-def draw_three_sigma(
-    key: str,
-    t: FloatArray,
-    value: FloatArray,
-    sd: FloatArray,
-    name: str,
-    colour: Colour,
-    around: FloatArray | float = 0.0,
-) -> Series:
-    """Return a value, and 3 sigma either side of zero or of other values: three lines on one entity."""
-    keep = thin(t)
-    values = np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd])[keep]
-    pale = paler(colour)
-    return Series(key, t[keep], values, (name, "±3σ", "±3σ"), (colour, pale, pale), (1.5, 1.0, 1.0))
-
-
-@dataclass(frozen=True, slots=True)
-class Shade:
-    """Intervals that are hatched in every plot."""
-
-    key: str  # last part of the entity path
-    name: str  # for the legend
-    colour: Colour
-    intervals: tuple[tuple[float, float], ...]  # (start, end) [s]
-
-
-def shades(events: Events) -> tuple[Shade, ...]:
-    """Return what is hatched: where GNSS is lost, and where faults are scripted."""
-    told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
-    found = (
-        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.select(kind)))
-        for key, name, colour, kind in told
-    )
-    return tuple(shade for shade in found if shade.intervals)
-
-
 def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
     """Send the series of a plot, and shades over its whole height."""
     for series in plot.series:
-        path, names = f"{plot.path}/{series.key}", list(series.names)
+        path, names = entity(*plot.path, series.key), list(series.names)
         colours = [list(colour) for colour in series.colours]
         style = (
             rr.SeriesPoints(colors=colours, names=names, marker_sizes=series.widths)
@@ -197,9 +33,10 @@ def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
             else rr.SeriesLines(colors=colours, names=names, widths=series.widths)
         )
         stream.log(path, style, static=True)
-        _send_scalars(stream, path, series.t, series.values)
+        keep = thin(series.t, series.most)
+        _send_scalars(stream, path, series.t[keep], series.values[keep])
     for shade in shades:
-        _send_shade(stream, f"{plot.path}/{shade.key}", shade, plot)
+        _send_shade(stream, entity(*plot.path, "shaded", shade.key), shade, plot)
 
 
 def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:

@@ -9,12 +9,15 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from bench.recording.content import Tab
-from bench.recording.drawing import TIMELINE, Plot, Rows
+from bench.plots.content import Tab
+from bench.plots.series import Plot, Rows
+from bench.plots.tabs import TABS
+from bench.plots.tabs.flight_data import FLIGHT
+from bench.plots.tabs.navigation_errors import ATTITUDE, POSITION
+from bench.plots.tabs.satellites import SATELLITES
+from bench.recording import sky_view
+from bench.recording.drawing import TIMELINE, entity
 from bench.recording.space import Scene
-from bench.recording.tabs import TABS
-from bench.recording.tabs.flight_data import FLIGHT
-from bench.recording.tabs.navigation_errors import ATTITUDE, POSITION
 
 Plots = Mapping[str, Mapping[str, Rows]]
 """Name of the tab -> label of the estimator -> its rows of plots."""
@@ -84,8 +87,10 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
         )
         for label, rows in columns.items()
     ]
-    if tab.view is not None:
-        return rrb.Horizontal(tab.view(), *grids, column_shares=[1.0] * (1 + len(grids)), name=tab.name)
+    if tab is SATELLITES:
+        return rrb.Horizontal(
+            sky_view.make_view(), *grids, column_shares=[1.0] * (1 + len(grids)), name=tab.name
+        )
     if len(grids) == 1:
         grids[0].name = tab.name
         return grids[0]
@@ -106,7 +111,7 @@ def _make_time_axis(scene: Scene) -> Any:
 
 def _make_plot(scene: Scene, plot: Plot) -> Any:
     return rrb.TimeSeriesView(
-        origin=plot.path,
+        origin=entity(*plot.path),
         contents="$origin/**",
         name=plot.title,
         axis_x=_make_time_axis(scene),

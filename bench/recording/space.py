@@ -12,19 +12,18 @@ import rerun as rr
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Sensed, Trajectory
-from bench.recording.content import Motion
-from bench.recording.drawing import (
+from bench.plots.content import Motion
+from bench.plots.series import (
     AXIS_COLOURS,
     FIX,
     SLOW,
-    TIMELINE,
     TRUTH,
     Colour,
-    entity,
     estimator_colours,
     round_number,
     thin,
 )
+from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
 
 

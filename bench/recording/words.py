@@ -10,11 +10,13 @@ import rerun as rr
 
 from bench.config.log import LogSpec
 from bench.data import NavSolution, Sensed
+from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.instruments import INSTRUMENTS
-from bench.recording.content import Motion
-from bench.recording.drawing import ESTIMATOR_NAMES, OUTAGE, TIMELINE
+from bench.plots.content import Motion
+from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
+from bench.recording.drawing import TIMELINE
 from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
@@ -98,6 +100,8 @@ def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str
     for label, values in metrics.items():
         for text in (values.get("verdict_text"), *values.get("drift_text", ())):
             lines += ["", text] if text else []
+        if values.get("same_as"):
+            lines += ["", f"With these sensors **{label}** is the same as **{values['same_as']}**."]
         if values.get("unmodelled"):
             lines += ["", f"On board, but not modelled by **{label}**: {', '.join(values['unmodelled'])}."]
     lines += [
@@ -110,7 +114,7 @@ def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str
     for name in dict.fromkeys(name for values in metrics.values() for name in values):
         row = [values.get(name) for values in metrics.values()]
         if find_metric(name) is not None and not name.endswith("_all"):
-            lines.append(f"| {name} | {' | '.join(_format_number(value) for value in row)} |")
+            lines.append(f"| {name} | {' | '.join(format_number(value) for value in row)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -165,10 +169,6 @@ def _describe_flight(flight: Flight, truth: Motion) -> str:
         f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "
         f"turbulence severity {flight.severity}"
     )
-
-
-def _format_number(value: Any) -> str:
-    return "–" if value is None else f"{value:.4g}"
 
 
 def make_drift_page(table: Sequence[Mapping[str, Any]]) -> str:

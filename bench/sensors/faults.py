@@ -117,7 +117,7 @@ def _apply_to_triad(
     if stepped or burst is not None:
         added = evaluate_steps(t, stepped, 3) * dt
         if burst is not None:
-            added += spec.random_walk * np.sqrt(dt) * burst
+            added += spec.by_axis("random_walk") * np.sqrt(dt) * burst
         affected: BoolArray = np.asarray(added.any(axis=1))
         if spec.quantization > 0:
             whole = spec.quantization * np.rint(np.cumsum(added, axis=0) / spec.quantization)

@@ -36,14 +36,14 @@ class ImuBias(NamedTuple):
 @kernel
 def _measure_kernel(
     t: FloatArray, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
-    white: FloatArray, random_walk: float, lsb: float, motion_errors: FloatArray, limit: float,
+    white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
     out: FloatArray, valid: BoolArray,
 ) -> None:  # fmt: skip
     """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
 
-    ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no such errors. The bias is linear
-    between knots, so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit``
-    (0: no limit) is clipped and its row of ``valid`` cleared.
+    ``random_walk`` (3,) is by axis. ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no
+    such errors. The bias is linear between knots, so its value in the middle of a sample, times dt, is its
+    integral. A rate beyond ``limit`` (0: no limit) is clipped and its row of ``valid`` cleared.
     """
     j, rest = 0, np.zeros(3)
     for k in range(increment.shape[0]):
@@ -53,12 +53,12 @@ def _measure_kernel(
         t0, t1 = t[knots[j]], t[knots[j + 1]]
         s = (0.5 * (t[k] + t[k + 1]) - t0) / (t1 - t0)
         x, y, z = increment[k, 0], increment[k, 1], increment[k, 2]
-        sd, most = random_walk * np.sqrt(dt), limit * dt
+        root, most = np.sqrt(dt), limit * dt
         for i in range(3):
             drift = bias[j, i] + s * (bias[j + 1, i] - bias[j, i])
             error = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + drift * dt
             if white.shape[0] > 0:
-                error += sd * white[k, i]
+                error += random_walk[i] * root * white[k, i]
             if motion_errors.shape[0] > 0:
                 error += motion_errors[k, i]
             value = increment[k, i] + error
@@ -133,7 +133,7 @@ def _measure_triad(
     """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
     M = np.zeros((3, 3))
     if spec.scale_factor_sd > 0:
-        np.fill_diagonal(M, spec.scale_factor_sd * draw("scale_factor").standard_normal(3))
+        np.fill_diagonal(M, spec.by_axis("scale_factor_sd") * draw("scale_factor").standard_normal(3))
     if spec.misalignment_sd > 0:
         M[~np.eye(3, dtype=bool)] = spec.misalignment_sd * draw("misalignment").standard_normal(6)
     M += imu_terms.draw_cross_axis(spec, draw)
@@ -145,7 +145,7 @@ def _measure_triad(
         white = draw("white").standard_normal((len(t) - 1, 3))
     out = np.empty_like(increment)
     _measure_kernel(
-        t, increment, M, knots, bias, white, spec.random_walk, spec.quantization,
+        t, increment, M, knots, bias, white, spec.by_axis("random_walk"), spec.quantization,
         motion_errors, spec.range, out, valid,
     )  # fmt: skip
     return out, bias[np.searchsorted(knots, slow_rows)]
@@ -167,15 +167,16 @@ def _draw_bias(
         decay = np.exp(-np.diff(t[knots])[:, None] / correlation)
         noise = draw("instability").standard_normal((len(knots), len(sd), 3))
         bias = simulate_gauss_markov(decay, sd, noise)
+        bias *= spec.by_axis("bias_instability") / spec.bias_instability
     if spec.turn_on_bias_sd > 0:
-        bias += spec.turn_on_bias_sd * draw("turn_on").standard_normal(3)
+        bias += spec.by_axis("turn_on_bias_sd") * draw("turn_on").standard_normal(3)
     slow = np.zeros((len(slow_rows), 3))
     if spec.rate_random_walk > 0:
         steps = np.sqrt(np.diff(t[slow_rows], prepend=t[0]))[:, None]
         walk = draw("rate_walk").standard_normal((len(slow_rows), 3))
-        slow += spec.rate_random_walk * np.cumsum(steps * walk, axis=0)
+        slow += spec.by_axis("rate_random_walk") * np.cumsum(steps * walk, axis=0)
     if spec.temperature_sd > 0:
-        slow += warmth[:, None] * (spec.temperature_sd * draw("temperature").standard_normal(3))
+        slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draw("temperature").standard_normal(3))
     if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
         if len(knots) > len(slow_rows):
             slow = np.column_stack([np.interp(t[knots], t[slow_rows], column) for column in slow.T])

@@ -237,17 +237,17 @@ def draw_motion_errors(
     straight line is 0 and its largest deviation 1. Quadratic: q x^2. Gyros also: ``G f + H f^2`` (C_a of
     A-5.1.8, and a square term).
     """
-    terms: dict[str, tuple[float, tuple[int, ...]]] = {
-        "asymmetry": (spec.scale_asymmetry_sd, (3,)),
-        "nonlinearity": (spec.nonlinearity_sd, (3,)),
-        "quadratic": (spec.quadratic_sd, (3,)),
-        "g_sensitivity": (spec.g_sensitivity_sd, (3, 3)),
-        "g2_sensitivity": (spec.g2_sensitivity_sd, (3, 3)),
+    terms: dict[str, tuple[FloatArray, tuple[int, ...]]] = {
+        "asymmetry": (spec.by_axis("scale_asymmetry_sd"), (3,)),
+        "nonlinearity": (spec.by_axis("nonlinearity_sd"), (3,)),
+        "quadratic": (spec.by_axis("quadratic_sd"), (3,)),
+        "g_sensitivity": (spec.by_axis("g_sensitivity_sd"), (3, 3)),
+        "g2_sensitivity": (spec.by_axis("g2_sensitivity_sd"), (3, 3)),
     }
-    if not any(sd > 0 for sd, _ in terms.values()):
+    if not any(sd.any() for sd, _ in terms.values()):
         return np.empty((0, 3))
     a, n, q, G, H = (
-        sd * draw(name).standard_normal(shape) if sd > 0 else np.zeros(shape)
+        sd * draw(name).standard_normal(shape) if sd.any() else np.zeros(shape)
         for name, (sd, shape) in terms.items()
     )
     out = np.empty_like(increment)

@@ -76,8 +76,10 @@ def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Cov
 
     ``step`` is the interval between the instants of the simulated biases [s]; 0: continuous biases. Constant
     biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature bias,
-    vibration and errors that depend on motion are left out. Quantization acts on the integral.
+    vibration and errors that depend on motion are left out. Quantization acts on the integral. The variances
+    are means over the axes.
     """
+    triad = triad.averaged()
     terms: dict[str, allan.Covariance] = {}
     if triad.quantization > 0:
         terms["quantization"] = allan.quantization(triad.quantization)

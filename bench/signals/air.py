@@ -19,7 +19,8 @@ GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 GAMMA = 1.4  # ratio of specific heats of air [1]
 _RADIUS = 6356766.0  # of the Earth, to convert between geometric and geopotential height [m]
 _BOTTOM = (0.0, 11000.0, 20000.0)  # bottom of each layer, geopotential height [m]
-_LAPSE = (-0.0065, 0.0, 0.001)  # temperature gradient in each layer [K/m]
+LAPSE = -0.0065  # temperature gradient of the lowest layer [K/m]
+_LAPSE = (LAPSE, 0.0, 0.001)  # temperature gradient in each layer [K/m]
 _TOP = 32000.0  # [m]
 
 

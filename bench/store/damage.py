@@ -63,7 +63,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
         yield "profile.title", "a text"
     evaluation = profile.get("evaluation", {}) if isinstance(profile, dict) else {}
     for name in ("from_s", "output_hz"):
-        if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name, 0.0), int | float)):
+        if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name), int | float)):
             yield f"profile.evaluation.{name}", "a number"
     for name in ("seed", "run"):
         if not isinstance(summary[name], int):
@@ -74,7 +74,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
             number = value is None or isinstance(value, int | float)
             if find_metric(name) is not None and not number:
                 yield f"metrics.{label}.{name}", "a number"
-        for name, kind in (("reason", str), ("unmodelled", list), ("program", dict)):
+        for name, kind in (("reason", str), ("unmodelled", list), ("same_as", str), ("program", dict)):
             if values.get(name) is not None and not isinstance(values[name], kind):
                 yield f"metrics.{label}.{name}", f"of type {kind.__name__}"
         if not isinstance(values.get("converged"), bool):

@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bench
 from bench.errors import ConfigError
-from bench.scratch import make_scratch, set_aside
+from bench.scratch import LOCK, lock_folder, make_scratch, set_aside
+from bench.store.parquet import PART
 
 MARK = ".bench.json"
 """File that marks a folder as written by bench: version, kind, and the names of all files written."""
 
-RESULTS, EXPORT = "results folder", "export"
+RESULTS, EXPORT, CAMPAIGN = "results folder", "export", "campaign"
 """Kinds of folders."""
 
 _LONGEST = "x" * 150  # no file in a folder has a longer name [characters]
@@ -44,7 +46,8 @@ def check_folder(folder: Path, *, force: bool, kind: str = RESULTS) -> None:
         if any(folder.iterdir()):
             _check_own(folder, kind)
             if not force:
-                raise ConfigError(f"{folder}: the {kind} exists; --force replaces it, -o names another")
+                more = ", --resume continues it" if kind == CAMPAIGN else ""
+                raise ConfigError(f"{folder}: the {kind} exists; --force replaces it, -o names another{more}")
     elif folder.exists():
         raise ConfigError(f"{folder}: a file is there; a {kind} needs a name that is free")
     above = next(place for place in folder.absolute().parents if place.exists())
@@ -65,9 +68,25 @@ def check_file(path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written: permission denied")
 
 
-def _check_own(folder: Path, kind: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; an existing file is left unchanged.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _check_own(folder: Path, kind: str, what: str = "replaced") -> None:
     """Raise ConfigError unless a folder is of this kind and bench wrote every file in it."""
-    refused = f"{folder}: not replaced"
+    refused = f"{folder}: not {what}"
     try:
         mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
         written, found = {*mark["files"], MARK}, mark["kind"]
@@ -80,9 +99,24 @@ def _check_own(folder: Path, kind: str) -> None:
         raise ConfigError(f"{refused}, bench did not write {foreign[0]} in it; move it away or use -o")
 
 
+def _write_mark(folder: Path, kind: str, files: Sequence[str]) -> None:
+    mark = {"bench": bench.__version__, "kind": kind, "files": files}
+    (folder / MARK).write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
+
+
 def _list_names(folder: Path) -> list[str]:
     """Return everything in a folder and its folders, relative to it."""
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+def add_to_mark(folder: Path, name: str) -> None:
+    """Say in the mark of a folder that bench wrote one more file into it; nothing if it has no mark."""
+    try:
+        mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        mark["files"] = sorted({*mark["files"], name})
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return
+    write_text(folder / MARK, json.dumps(mark, indent=1) + "\n")
 
 
 @contextlib.contextmanager
@@ -106,8 +140,7 @@ def make_folder(folder: Path, *, force: bool = False, kind: str = RESULTS) -> It
             partial = scratch / "new"
             partial.mkdir()
             yield partial
-            mark = {"bench": bench.__version__, "kind": kind, "files": _list_names(partial)}
-            (partial / MARK).write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
+            _write_mark(partial, kind, _list_names(partial))
             if folder.exists():
                 if any(folder.iterdir()):
                     _check_own(folder, kind)
@@ -123,3 +156,48 @@ def make_folder(folder: Path, *, force: bool = False, kind: str = RESULTS) -> It
             what = os.strerror(error.errno) if error.errno else str(error)
             raise OSError(error.errno, f"{what}; nothing was written", str(folder)) from error
         raise
+
+
+@contextlib.contextmanager
+def keep_folder(
+    folder: Path, files: Sequence[str], kind: str, *, force: bool = False, resume: bool = False
+) -> Iterator[Path]:
+    """Provide a folder for files that are written one after another and stay if the work is interrupted.
+
+    Parameters
+    ----------
+    folder : Path
+        It is marked, and locked until the end.
+    files : sequence of str
+        The files that may be written in it.
+    kind : str
+        Kind of the folder.
+    force : bool
+        Remove these files of before.
+    resume : bool
+        Use these files of before, if there are any.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be used, or another process works in it.
+    OSError
+        If the folder cannot be written.
+    """
+    resume = resume and folder.is_dir() and any(folder.iterdir())
+    if resume:
+        _check_own(folder, kind, "continued")
+    else:
+        check_folder(folder, force=force, kind=kind)
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = lock_folder(folder)
+    if lock is None and sys.platform != "win32":
+        raise ConfigError(f"{folder}: another process works in this {kind}, or its disk has no file locks")
+    try:
+        for name in () if resume else files:
+            (folder / name).unlink(missing_ok=True)
+        _write_mark(folder, kind, [*files, *(f"{name}{PART}" for name in files), LOCK])
+        yield folder
+    finally:
+        if lock is not None:
+            os.close(lock)

@@ -28,6 +28,10 @@ DAMAGED = (
 """What reading raises if a file is damaged or was not written by bench."""
 
 
+PART = ".part"
+"""Ending of the name of a table that is being written by :func:`write_table`."""
+
+
 def write(path: Path, record: object, layout: Layout | None = None, **facts: Any) -> None:
     """Write a record, or the fields of it that a layout names, with ``facts`` as JSON metadata.
 
@@ -80,16 +84,47 @@ def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Tab
             rows = np.reshape(value, (len(value), len(columns.names)))
             flat = [np.ascontiguousarray(column) for column in rows.T]
         for column, unit, data in zip(columns.names, columns.units, flat, strict=True):
-            array = pa.array(data, type=pa.string() if isinstance(data, tuple) else None)
+            array = _to_arrow(data)
             metadata = {"unit": unit} | ({"frame": columns.frame} if columns.frame else {})
             fields.append(pa.field(column, array.type, nullable=False, metadata=metadata))
             arrays.append(array)
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"bench": json.dumps(facts)}))
 
 
+def _to_arrow(data: Any) -> pa.Array:
+    """Return an array or words as an Arrow array; ``pa.array`` imports pandas where there is one."""
+    if isinstance(data, tuple):
+        words = [word.encode() for word in data]
+        ends = pa.py_buffer(np.cumsum([0, *map(len, words)], dtype=np.int32))
+        return pa.Array.from_buffers(pa.string(), len(words), [None, ends, pa.py_buffer(b"".join(words))])
+    if data.dtype == np.bool_:
+        bits = pa.py_buffer(np.packbits(data, bitorder="little"))
+        return pa.Array.from_buffers(pa.bool_(), len(data), [None, bits])
+    return pa.Array.from_buffers(pa.from_numpy_dtype(data.dtype), len(data), [None, pa.py_buffer(data)])
+
+
+_NUMBERS = {pa.float64(): np.float64, pa.int64(): np.int64}
+
+
+def _to_numpy(column: pa.ChunkedArray) -> Any:
+    """Return a column of a table as an array; its own ``to_numpy`` imports pandas where there is one."""
+    if column.null_count or column.type not in (*_NUMBERS, pa.bool_()):
+        return column.to_numpy()
+    parts: list[Any] = []
+    for chunk in column.chunks:
+        first, last, memory = chunk.offset, chunk.offset + len(chunk), chunk.buffers()[1]
+        if chunk.type == pa.bool_():
+            bits = np.unpackbits(np.frombuffer(memory, np.uint8), count=last, bitorder="little")
+            parts.append(bits[first:].astype(np.bool_))
+        else:
+            parts.append(np.frombuffer(memory, _NUMBERS[chunk.type])[first:last])
+    return np.concatenate(parts) if parts else np.empty(0, _NUMBERS.get(column.type, np.bool_))
+
+
 def read(path: Path, layout: Layout) -> dict[str, Any]:
     """Read the fields of a layout, by name, in the shapes that their record declares."""
-    table = pq.read_table(path)
+    with pq.ParquetFile(path) as file:
+        table = file.read()
     return {name: _get_field(table, columns.names, columns.shape) for name, columns in layout.items()}
 
 
@@ -106,6 +141,32 @@ def read_facts(path: Path) -> Mapping[str, Any]:
 def _get_field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
     if names and table.schema.field(names[0]).type == pa.string():
         return tuple(table.column(names[0]).to_pylist())
-    columns = [table.column(name).to_numpy() for name in names]
+    columns = [_to_numpy(table.column(name)) for name in names]
     rows = np.column_stack(columns) if columns else np.empty((table.num_rows, 0))
     return rows.reshape(len(rows), *(n for n in shape if n is not None))
+
+
+def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str], **facts: Any) -> None:
+    """Write named columns (N,), of numbers or of lists with None for missing values, atomically.
+
+    Parameters
+    ----------
+    units : mapping
+        Column -> its unit, in the metadata of the column.
+    facts : object
+        JSON metadata of the table.
+    """
+    arrays = [pa.array(column) for column in columns.values()]
+    fields = [
+        pa.field(name, array.type, metadata={"unit": units[name]} if name in units else None)
+        for name, array in zip(columns, arrays, strict=True)
+    ]
+    schema = pa.schema(fields, metadata={"bench": json.dumps(facts)})
+    part = path.with_name(path.name + PART)
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), part, compression="zstd")
+    part.replace(path)
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a file of :func:`write_table`."""
+    return pq.read_table(path)

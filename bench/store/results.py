@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,9 +35,11 @@ from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
+from bench.store.folders import write_text
 from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
 
 RECORDING = "flight.rrd"
+REPORT = "report.html"
 OBSERVATIONS = "sensors-observations.parquet"
 DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"
@@ -162,16 +164,22 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     with report_damage(folder):
         errors = {label: _load_errors(path) for label, path in _find_files(folder, "errors")}
         solutions = {label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")}
-    without = sorted(set(summary["metrics"]) - set(solutions))
+    labels = list(summary["metrics"])
+    without = sorted(set(labels) - set(solutions))
     if without:
         raise ConfigError(f"{folder}: metrics of {without[0]!r}, but no solution-{without[0]}.parquet")
     return RunResult(
         **{name: summary.pop(name) for name in SUMMARY},
-        errors=errors,
-        solutions=solutions,
+        errors=_order(errors, labels),
+        solutions=_order(solutions, labels),
         more=summary,
         records=FolderRecords(folder),
     )
+
+
+def _order(by_label: Mapping[str, _T], labels: Sequence[str]) -> dict[str, _T]:
+    """Return records in the order in which the estimators ran; those without metrics follow."""
+    return {label: by_label[label] for label in (*labels, *by_label) if label in by_label}
 
 
 class FolderRecords(Mapping[str, Any]):
@@ -305,16 +313,6 @@ def write_json(path: Path, value: object) -> None:
         If the file cannot be written; an existing file is left unchanged.
     """
     write_text(path, to_json(value))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, atomically; errors as for `write_json`."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def to_json(value: object) -> str:

@@ -79,6 +79,18 @@ def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Traje
     return join_pieces(fly()) if truth is None else truth
 
 
+def read_truth(key: str) -> Trajectory | None:
+    """Return the truth with this :func:`truth_key` from the cache, memory-mapped; None if it is not there."""
+    entry = cache_folder("truth") / key
+    with hold_entry(entry):
+        return _map_truth(entry) if _is_sound(entry) else None
+
+
+def write_truth(key: str, truth: Trajectory) -> None:
+    """Write a truth that was flown elsewhere into the cache, unless it is there."""
+    _fly_into(cache_folder("truth") / key, lambda: [truth])
+
+
 def truth_pieces(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Iterator[Trajectory]:
     """Yield the truth of a flight in pieces, one in memory at a time; arguments as for `cached_truth`.
 

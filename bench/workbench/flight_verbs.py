@@ -29,6 +29,7 @@ def run(
     out: Path | None,
     draw: int,
     recording: bool,
+    report: bool,
     force: bool,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
@@ -44,7 +45,7 @@ def run(
     begun = time.perf_counter()
     with _show_progress(profile) as progress:
         result = api.run(profile, run=draw, progress=progress)
-    api.save(result, folder, recording=recording, force=force)
+    api.save(result, folder, recording=recording, report=report, force=force)
     result_table.print_result(console, profile, result)
     show.print_sanity(console, result.events.select("sanity"))
     print_end(console, folder, begun)
@@ -54,8 +55,11 @@ def run(
 def print_end(console: Console, folder: Path, begun: float) -> None:
     """Print the folder of the results, how long they took, and the next command."""
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
+    page = folder / store.REPORT
+    if page.is_file():
+        console.print(f"Report: {page}", soft_wrap=True)
     if (folder / store.RECORDING).is_file():
-        console.print(f"Next: bench view {folder}")
+        console.print(f"Next: bench view {folder}", soft_wrap=True)
 
 
 def find_own_estimators() -> None:

@@ -27,6 +27,7 @@ def navigate_log(
     places: int,
     out: Path | None,
     recording: bool,
+    report: bool,
     force: bool,
     **log_options: Any,
 ) -> dict[str, Any]:
@@ -57,9 +58,25 @@ def navigate_log(
             table.add_row(*format_drift_row(row))
         console.print(table)
         console.print(DRIFT_MEANING, soft_wrap=True)
-    api.save(result, folder, recording=recording, force=force, say=console.print)
+    api.save(result, folder, recording=recording, report=report, force=force, say=console.print)
     print_end(console, folder, begun)
     return {"metrics": result.metrics, **result.more}
+
+
+def write_report(folder: Path, out: Path | None, *, console: Console) -> None:
+    """Write the report of a results folder, or the index of a folder of results, and print where it is."""
+    from bench.report import writing
+
+    console.print(f"Wrote {writing.write_report(folder, out, console.print)}.", soft_wrap=True)
+
+
+def write_figures(folder: Path, out: Path | None, form: str, *, console: Console, **look: Any) -> None:
+    """Draw the figures of a results folder for a paper, and print where they are."""
+    from bench.report import writing
+
+    out = out or folder.with_name(f"{folder.resolve().name}-figures")
+    written = writing.write_figures(folder, out, form, **look)
+    console.print(f"Wrote {len(written)} figures into {out}.", soft_wrap=True)
 
 
 def solve_fixes(

@@ -12,39 +12,18 @@ from rich.text import Text
 
 from bench.data import NavSolution
 from bench.evaluation import verdict
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.key_figures import (
+    MEANING,
+    OUTAGES,
+    Measured,
+    format_bounds,
+    format_number,
+    list_key_figures,
+)
 from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.wording import one_line
 
-Measured = Mapping[str, Mapping[str, Any]]
-"""Estimator -> metric -> value."""
-
-_SUMMARY = (
-    "pos_rmse_h_m",
-    "pos_claimed_h_m",
-    "pos_rmse_d_m",
-    "cep50_m",
-    "cep95_m",
-    "vel_rmse_3d_mps",
-    "tilt_rmse_deg",
-    "heading_rmse_deg",
-    "heading_convergence_s",
-    "drift_end_percent",
-    "inertial_end_",
-    "outage_",
-    "fault_",
-    "false_alarms_",
-    "nees_mean",
-    "nees_states",
-    "nees_inside_95",
-    "coverage_3sigma_pos",
-    "coverage_3sigma_vel",
-    "coverage_3sigma_phi",
-    "nis_mean_",
-)
-"""Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
-_COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
 _STYLES = {
     verdict.OVERCONFIDENT: "bold red",
     verdict.DIVERGED: "bold red",
@@ -52,15 +31,6 @@ _STYLES = {
     verdict.UNDERCONFIDENT: "yellow",
     verdict.CONSISTENT: "green",
 }
-_MEANING = (
-    "! outside its bounds, which stand beside or below: what this one run allows an honest filter (NEES and "
-    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. nees_mean: "
-    "nees_states is expected. Errors of one run last, so its bounds are wide; many runs tell more."
-)
-_OUTAGES = (
-    "Outages: drift is the error at the end, growth how far the error moved since the start, which may be "
-    "more or less; law is the growth that the datasheets give, root mean square."
-)
 
 
 def print_result(console: Console, profile: Profile, run: RunResult) -> None:
@@ -78,13 +48,13 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     for values in measured.values():
         if text := values.get("verdict_text"):
             console.print(text, style=_STYLES.get(values["verdict"]))
-    names = _list_rows(measured)
+    names = list_key_figures(measured)
     for table in _divide(console, measured, names):
         console.print(table)
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
-        console.print(_MEANING, style="dim")
+        console.print(MEANING, style="dim")
     if any(name.startswith("outage_") for name in names):
-        console.print(_OUTAGES, style="dim")
+        console.print(OUTAGES, style="dim")
     for values in measured.values():
         for text in values.get("drift_text", ()):
             console.print(text)
@@ -102,24 +72,12 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
             stderr = values["program"]["stderr"]
             last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""
             console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
+        if values.get("same_as"):
+            remarks.setdefault(f"the same as {values['same_as']} with these sensors", []).append(label)
         if values.get("unmodelled"):
             remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
     for text, labels in remarks.items():
         console.print(f"{', '.join(labels)}: {text}")
-
-
-def _list_rows(measured: Measured) -> list[str]:
-    """Return the names of the metrics to show, in order; bounds stand beside what they bound."""
-    names = dict.fromkeys(name for values in measured.values() for name in values)
-    found = [
-        name
-        for start in _SUMMARY
-        for name in names
-        if name.startswith(start) and not name.endswith(("_all", "_law_95_h_m")) and find_metric(name)
-    ]
-    if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
-        found.append(_COVERAGE)
-    return found
 
 
 def _divide(console: Console, measured: Measured, names: Sequence[str]) -> Iterator[Table]:
@@ -155,15 +113,8 @@ def _make_table(measured: Measured, names: Sequence[str], *, narrow: bool) -> Ta
 
 def _make_cell(name: str, values: Mapping[str, Any], *, narrow: bool) -> Text:
     """Return a value with its bounds, marked if it is outside."""
-    bounds, outside = verdict.find_bounds(name, values), verdict.is_outside(name, values)
+    outside, bounds = verdict.is_outside(name, values), format_bounds(name, values)
     text = format_number(values.get(name)) + (" !" if outside else "")
-    if bounds is not None:
-        low, high = (None if end is None else f"{end:.2f}" if end < 10 else f"{end:.3g}" for end in bounds)
-        ends = f"{low}-{high}" if low and high else f"≥{low}" if low else f"≤{high}"
-        text += f"\n{ends}" if narrow else f" ({ends.replace('-', ' to ')})"
+    if bounds:
+        text += f"\n{bounds.replace(' to ', '-')}" if narrow else f" ({bounds})"
     return Text(text, "bold red" if outside else "")
-
-
-def format_number(value: Any) -> str:
-    """Return a number with four digits; a dash for None."""
-    return "-" if value is None else f"{value:.4g}"

@@ -64,7 +64,7 @@ class StartingPoint:
         out = np.full((len(sensors.output_t), 16), np.nan)
         out_P = np.full((len(sensors.output_t), 15, 15), np.nan)
         innovations: list[tuple[float, int, int, float, float, float, bool]] = []
-        done = -1
+        turn, dt, done = dtheta[:1], span[:1], -1
         for k in sorted({*fixes, *outputs}):
             if k > done:
                 part = slice(done + 1, k + 1)
@@ -89,7 +89,8 @@ class StartingPoint:
                     y = z[use] - H[use] @ x
                     S = H[use] @ P @ H[use].T + R[use, use]
                     nis = float(y @ np.linalg.solve(S, y))
-                    innovations += [(t[k], code, i, -y[i], S[i, i], nis, nis <= self.gate) for i in range(3)]
+                    now = t[k] if k >= 0 else initial.t
+                    innovations += [(now, code, i, -y[i], S[i, i], nis, nis <= self.gate) for i in range(3)]
                     if nis <= self.gate:
                         K = np.linalg.solve(S, H[use] @ P).T
                         x += K @ y

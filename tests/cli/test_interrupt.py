@@ -79,7 +79,7 @@ def test_a_run_is_interrupted_at_three_instants(tmp_path):
     wrong = [
         line
         for k, after in enumerate((START, 0.5, 1.0))
-        for line in interrupt(tmp_path / str(k), numba.config.CACHE_DIR, after)
+        for line in interrupt(tmp_path / str(k), str(Path(numba.config.CACHE_DIR).parent), after)
     ]
     assert wrong == []
 
@@ -88,7 +88,7 @@ def test_a_run_is_interrupted_at_three_instants(tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_run_is_interrupted_at_twenty_instants(tmp_path):
     """Imports, flight, filter, writing and recording with compiled kernels; then while they are compiled."""
-    warm = numba.config.CACHE_DIR
+    warm = str(Path(numba.config.CACHE_DIR).parent)
     whole = measure(tmp_path / "whole", warm)
     wrong = []
     for k in range(14):
@@ -121,7 +121,7 @@ def test_an_interruption_that_code_in_between_turns_into_something_else(tmp_path
 
     def drop(*args: object, **keywords: object) -> None:
         _Drops()
-        time.sleep(10)
+        time.sleep(60)
 
     def catch(*args: object, **keywords: object) -> None:
         try:
@@ -133,6 +133,6 @@ def test_an_interruption_that_code_in_between_turns_into_something_else(tmp_path
         monkeypatch.setattr(pipeline, "fly", change)
         before = time.monotonic()
         assert main(["run", "short.toml"]) == 130
-        assert time.monotonic() - before < 9
+        assert time.monotonic() - before < 50
         assert capsys.readouterr().err.strip() == "error: interrupted"
         assert [path.name for path in tmp_path.iterdir()] == ["short.toml"]

@@ -18,6 +18,7 @@ import pytest
 
 from bench import config
 from bench.config.datasheets import read_imu
+from bench.config.overrides import split_overrides
 from bench.config.tables import read_toml
 from bench.errors import ConfigError
 from bench.fields import triad_figures_of
@@ -322,13 +323,13 @@ def test_the_document_is_the_profile_as_flown(tmp_path, name):
     )
 
 
-def test_the_matched_profile_differs_in_its_sensors_only():
+def test_the_matched_profile_is_the_same_flight_with_other_sensors():
     documents = [
         dict(config.load_profile(name).document) for name in ("figure-eight", "figure-eight-matched")
     ]
     sensors = [document.pop("sensors") for document in documents]
     for document in documents:
-        del document["title"]
+        del document["title"], document["estimator"]
     assert documents[0] == documents[1]
     assert not set(sensors[0]["assumed"].values()) & set(sensors[1]["assumed"].values())
 
@@ -484,17 +485,39 @@ def test_a_table_and_a_solution_on_the_command_line_are_in_the_present_folder(tm
     (tmp_path / "here").mkdir()
     (tmp_path / "own.toml").write_text((PACKAGE / "profiles" / "figure-eight.toml").read_text())
     monkeypatch.chdir(tmp_path / "here")
-    profile = config.profile
     for key, value, located in (
         ("trajectory", "a.csv", str(tmp_path / "here" / "a.csv")),
         ("script", "a.xml", str(tmp_path / "here" / "a.xml")),
         ("script", "c1721", "c1721"),
         ("jsbsim_root", "../jsbsim", str(tmp_path / "here" / "../jsbsim")),
-        ("estimator.1.use", "file:a.csv", f"file:{tmp_path / 'here' / 'a.csv'}"),
+        ("imu.file", "a.bag", str(tmp_path / "here" / "a.bag")),
+        ("sensors", {"imu": "a.toml"}, {"imu": str(tmp_path / "here" / "a.toml")}),
         ("title", "a.csv", "a.csv"),
     ):
-        assert profile._locate(key, value, tmp_path) == located
-        assert profile._locate(key, value, tmp_path / "here") == value
+        assert split_overrides({key: value}, tmp_path)[0] == {key: located}
+        assert split_overrides({key: value}, tmp_path / "here")[0] == {key: value}
+    for beside in (tmp_path, tmp_path / "here"):  # a datasheet of the catalog is in neither
+        changes = split_overrides({"sensors.gnss.sky.navigation": ["a.nav"]}, beside)[1]
+        assert changes.on_board["gnss"] == {"sky.navigation": [str(tmp_path / "here" / "a.nav")]}
+
+
+def test_an_estimator_on_the_command_line_is_in_the_present_folder(tmp_path, monkeypatch):
+    shipped = (PACKAGE / "profiles" / "static.toml").read_text()
+    (tmp_path / "own.toml").write_text(f"{shipped}\n[[estimator]]\nuse = 'file:beside.csv'\n")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    own = config.load_profile("../own.toml").estimators
+    k = len(own)
+    assert own[-1].beside == Path("..")
+    for overrides in (
+        {f"estimator.{k}.use": "command:./filter {sensors} {solution}"},
+        {f"estimator.{k}": {"use": "file:mine.csv"}},
+        {"estimator": [{"use": "loose-15"}, {"use": "file:mine.csv"}]},
+    ):
+        changed = config.load_profile("../own.toml", overrides, allow_code=True).estimators[-1]
+        assert changed.beside == Path()
+    kept = config.load_profile("../own.toml", {f"estimator.{k}.label": "mine"}).estimators[-1]
+    assert kept.beside == Path("..")
 
 
 def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_path):
@@ -704,6 +727,31 @@ def test_a_figure_may_be_replaced_for_the_filters_alone():
     assert sensors.baro.white_sd == sensors.assumed.baro.white_sd == 2.0
 
 
+def test_a_figure_may_differ_by_axis(tmp_path):
+    plain, _, _ = figures_of()
+    usual = plain.gyro.random_walk
+    x, in_hertz = math.radians(0.6) / 60, math.radians(0.02)
+    key = "sensors.imu.gyro.noise_deg_sqrt_h"
+    on_board, assumed, document = figures_of(**{f"{key}.x": 0.6})
+    assert on_board.gyro.by_axis("random_walk") == pytest.approx([x, usual, usual])
+    assert on_board.gyro.random_walk == pytest.approx(max(x, usual))
+    assert assumed == on_board
+    assert on_board.name == f"{plain.name}, modified"
+    assert config.load_profile("figure-eight", document).sensors.imu == on_board
+    other = {f"{key}.x": 0.6, "sensors.assumed.imu.gyro.noise_deg_s_sqrt_hz.z": 0.02}
+    on_board, assumed, _ = figures_of(**other)
+    assert on_board.gyro.by_axis("random_walk") == pytest.approx([x, usual, usual])
+    assert assumed.gyro.by_axis("random_walk") == pytest.approx([x, usual, in_hertz])
+    path = tmp_path / "unit.toml"
+    path.write_text('source = "by hand"\n[accel]\nturn_on_bias_sd_mg = [1, 2.0, 3]\n')
+    spec = read_imu(path, "unit.toml", {"accel.turn_on_bias_sd_mg.y": 0.5}).accel
+    assert spec.by_axis("turn_on_bias_sd") / 9.80665e-3 == pytest.approx([1.0, 0.5, 3.0])
+    assert spec.averaged().turn_on_bias_sd == pytest.approx(math.sqrt((1 + 0.25 + 9) / 3) * 9.80665e-3)
+    assert read_imu(path, "unit.toml", {"accel.turn_on_bias_sd_mg": 4}).accel.axes == ()
+    with pytest.raises(ConfigError, match="must be a number, or one for each of x, y and z"):
+        read_imu(path, "unit.toml", {"accel.turn_on_bias_sd_mg.y": -0.5})
+
+
 @pytest.mark.parametrize(
     ("key", "message"),
     [
@@ -711,7 +759,8 @@ def test_a_figure_may_be_replaced_for_the_filters_alone():
             "sensors.imu.gyro.nois_deg_sqrt_h",
             "unknown key 'nois_deg_sqrt_h'. Did you mean 'noise_deg_sqrt_h'?",
         ),
-        ("sensors.imu.gyro.noise_deg_sqrt_h.x", "'x' is not a key of a table"),
+        ("sensors.imu.gyro.noise_deg_sqrt_h.w", "'w' is not a key of a table"),
+        ("sensors.imu.gyro.range_deg_s.x", "[gyro] range_deg_s is no figure that may differ by axis"),
         (
             "sensors.radar.white_sd_m",
             "figure-eight.toml: --set sensors.radar.white_sd_m: no radar is on board",

@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 from bench.data import SensorTruth
 from bench.evaluation.claims import count_independent
 from bench.evaluation.metrics import judge
+from bench.evaluation.verdict import is_outside
+from bench.units import split_unit
 from tests.evaluation.solutions import COV, weaving_truth, wrong_solution
 
 RUNS = 40
@@ -89,5 +91,34 @@ def test_errors_of_biases_have_rmse_coverage_and_squares(truth):
     assert found["accel_bias_rmse_z_mg"] == pytest.approx(4e-3 / 9.80665e-3)
     assert found["coverage_3sigma_bias_gyro_bias_x"] == 1.0
     assert found["coverage_3sigma_bias_accel_bias_z"] == 0.0
-    assert found["nees_bias_mean"] == pytest.approx(2.0**2 + 4.0**2)
-    assert found["nees_bias_states"] == 6.0
+    squares = {"gyro_bias_x": 4.0, "accel_bias_z": 16.0}
+    for name in (f"{kind}_bias_{axis}" for kind in ("gyro", "accel") for axis in "xyz"):
+        assert found[f"nees_bias_{name}"] == pytest.approx(squares.get(name, 0.0), abs=1e-9)
+        outside = is_outside(f"nees_bias_{name}", found)  # 2 and 4 sigma all along; 0 has no band
+        assert outside == (name == "accel_bias_z")
+
+
+@pytest.mark.parametrize("tau", [0.0, 3.0, 1e5])
+def test_an_honest_bias_state_stays_in_its_band_and_one_with_half_its_sigma_does_not(truth, tau):
+    """0.5 % of 240 states outside: more than 6 have P < 0.1 %. A sigma of a half shows in the mean
+    square, 4, wherever errors pass, and in every twentieth run-long error.
+    """
+    outside = {1.0: 0, 0.5: 0}
+    names = tuple(f"gyro_bias_{a}_rad_s" for a in "xyz") + tuple(f"accel_bias_{a}_m_s2" for a in "xyz")
+    drawn = SensorTruth(np.array([0.0, 60.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+    solution = wrong_solution(truth, every=2)
+    for k in range(RUNS):
+        off = lasting(np.random.default_rng(k), tau, len(solution), 6)
+        for claim in outside:
+            one = replace(
+                solution,
+                gyro_bias_b=off[:, :3],
+                accel_bias_b=off[:, 3:],
+                extra_names=names,
+                extra=off,
+                extra_sd=np.full_like(off, claim),
+            )
+            found = judge(truth, one, evaluation_from=0.0, outages=(), drawn=drawn)[1]
+            outside[claim] += sum(is_outside(f"nees_bias_{split_unit(name)[0]}", found) for name in names)
+    assert outside[1.0] <= 6
+    assert outside[0.5] > (0.5 if tau < 10.0 else 0.05) * RUNS * 6

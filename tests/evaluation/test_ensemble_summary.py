@@ -13,7 +13,7 @@ FROM_S = 10.0
 SHORT = {
     "duration_s": 40.0,
     "evaluation.from_s": FROM_S,
-    "gnss_outage": [],
+    "gnss_outage": [{"start_s": 20.0, "duration_s": 12.0}],
     "leg": [{"kind": "straight", "duration_s": 5.0}],
     "sensors.imu": "matched-mems",
     "sensors.gnss": "matched-white",
@@ -44,6 +44,46 @@ def test_the_summary_holds_the_statistics_of_the_runs(results):
     assert {sensor for sensor, _ in found.whiteness} == {"baro"}  # GNSS has too few updates
     assert found.cep50_m.value < found.sep50_m.value < found.r95_m.value * 2
     assert found.consistency is None  # 6 runs
+    assert found.diverged == found.failed == ensemble.estimate_rate(0, 6)
+
+
+def test_growth_by_duration_of_an_outage_ends_with_its_metric(results):
+    found = summarize_runs(results, "loose-15", FROM_S).growth
+    grown = np.array([one.metrics["loose-15"]["outage_1_growth_h_m"] for one in results])
+    assert set(found) == {"1"}
+    assert [row.elapsed for row in found["1"]] == [1.0, 3.0, 10.0, 12.0]
+    assert astuple(found["1"][-1].rms) == pytest.approx(astuple(ensemble.pool_rmse(grown**2)))
+    assert found["1"][0].rms.value < found["1"][-1].rms.value
+
+
+def test_nis_along_the_run_is_its_mean_in_parts(results):
+    summary = summarize_runs(results, "loose-15", FROM_S)
+    course = summary.nis_course["gnss_position"]
+    silent = (course.t > 21.0) & (course.t < 31.0)  # the outage
+    assert np.isnan(course.mean[silent]).all()
+    assert np.isfinite(course.mean[~silent]).sum() >= 10
+    table = np.concatenate([one.solutions["loose-15"].innovations.t for one in results])
+    assert table.max() > 39.0
+    baro = summary.nis_course["baro"]
+    assert np.mean(baro.mean) == pytest.approx(summary.nis["baro"].mean, rel=0.02)  # as many in each part
+    assert ((baro.low < baro.mean) & (baro.mean < baro.high)).mean() > 0.9
+
+
+def test_runs_that_failed_and_runs_that_diverged_have_their_rates(results):
+    marks = [{"converged": False, "failed": True}, {"converged": False}, {"converged": False}]
+    others = [
+        replace_metrics(one, {"loose-15": one.metrics["loose-15"] | mark})
+        for one, mark in zip(results, [*marks, {}, {}, {}], strict=True)
+    ]
+    found = summarize_runs(others, "loose-15", FROM_S)
+    assert found.runs == 6
+    for rate, count in ((found.converged, 3), (found.diverged, 2), (found.failed, 1)):
+        assert rate == ensemble.estimate_rate(count, 6)
+
+
+def replace_metrics(result, metrics):
+    fields = {name: getattr(result, name) for name in result.__slots__}
+    return bench.pipeline.RunResult(**{**fields, "metrics": metrics})
 
 
 def test_an_estimator_without_attitude_has_no_attitude(results):
@@ -59,7 +99,6 @@ def test_two_estimators_of_the_same_runs(results):
 
 
 def test_runs_that_did_not_converge_leave_too_few(results):
-    broken = [bench.pipeline.RunResult(**{**{n: getattr(one, n) for n in one.__slots__},
-              "metrics": {"loose-15": {"converged": False}}}) for one in results]  # fmt: skip
+    broken = [replace_metrics(one, {"loose-15": {"converged": False}}) for one in results]
     with pytest.raises(ValueError, match="loose-15: 0 of 6 runs converged; at least 2 are needed"):
         summarize_runs(broken, "loose-15", FROM_S)

@@ -101,7 +101,8 @@ def test_bounds_stand_beside_nees_nis_and_coverage():
 def test_every_remedy_is_an_estimator_whose_states_take_the_error():
     assert remedies.find_remedy(GNSS_MARKOV.takes[0]) == "loose-22 has states for it"
     assert remedies.find_remedy("gyro scale factor") == "loose-mems has states for it"
-    assert remedies.find_remedy("barometer quantization").startswith("no built-in")
+    assert remedies.find_remedy("barometer quantization") == "loose-full has states for it"
+    assert remedies.find_remedy("vibration").startswith("no built-in")
     assert remedies.explain(["barometer quantization"], "pos") == ""
 
 
@@ -118,6 +119,7 @@ def test_no_column_is_lost_at_80_characters(count):
     measured = {
         label: {**add_verdict(label, values), "pos_rmse_h_m": 1000.0 + k} for k, label in enumerate(labels)
     }
+    measured[labels[-1]]["same_as"] = "loose-22"
     out = StringIO()
     result_table.print_metrics(Console(file=out, width=80), measured, dict.fromkeys(labels, solution))
     printed = out.getvalue()
@@ -126,6 +128,7 @@ def test_no_column_is_lost_at_80_characters(count):
     assert printed.count("0.8369 !") == count
     assert printed.count("2.45-3.61") + printed.count("2.45 to 3.61") == count
     assert "…" not in printed
+    assert f"{labels[-1]}: the same as loose-22 with these sensors" in " ".join(printed.split())
 
 
 def test_html_shows_the_verdict_and_marks_what_is_outside():

@@ -372,3 +372,34 @@ def test_a_file_in_the_place_of_an_estimator(run, tmp_path):
     assert_array_equal(solution.t, sensed.data.output_t)
     _, measured = metrics.judge(truth, solution, evaluation_from=5.0, outages=[LOST])
     assert measured["pos_rmse_h_m"] == pytest.approx(2.0, rel=1e-6)
+
+
+def test_the_files_of_kf_gins_are_a_solution(tmp_path):
+    """Columns and units of src/kf_gins.cpp of KF-GINS, its standard deviations beside it."""
+    t = 345_618.0 + 0.5 * np.arange(5)
+    nav = np.column_stack(
+        [
+            0 * t,
+            t,
+            47.0 + 0 * t,
+            11.0 + 0 * t,
+            600.0 + t - t[0],
+            *np.ones((3, 5)),
+            0 * t,
+            2.0 + 0 * t,
+            350.0 + 0 * t,
+        ]
+    )
+    np.savetxt(tmp_path / "KF_GINS_Navresult.nav", nav)
+    std = np.column_stack(
+        [t, *np.full((3, 5), 0.2), *np.full((3, 5), 0.03), *np.full((3, 5), 0.5), *np.ones((12, 5))]
+    )
+    np.savetxt(tmp_path / "KF_GINS_STD.txt", std)
+    found = read_solution(tmp_path / "KF_GINS_Navresult.nav", t_0=345_618.0)
+    assert_allclose(found.t, t - t[0])
+    assert_allclose(found.lla[2], [np.deg2rad(47.0), np.deg2rad(11.0), 601.0])
+    assert_allclose(np.rad2deg(np.stack(rotation.to_euler(found.q_nb)))[:, 0], [0.0, 2.0, 350.0], atol=1e-9)
+    assert_allclose(np.sqrt(np.diag(found.cov[0])), [0.2] * 3 + [0.03] * 3 + [np.deg2rad(0.5)] * 3)
+    np.savetxt(tmp_path / "KF_GINS_STD.txt", std[1:])
+    with pytest.raises(ConfigError, match="the times of KF_GINS"):
+        read_solution(tmp_path / "KF_GINS_Navresult.nav")

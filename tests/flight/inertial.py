@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench import rotation
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, read_only
 from bench.compiled import kernel
 from bench.data import Trajectory
 from bench.earth import EARTH_RATE, WGS84, gravity_kernel, matrix_en, to_ecef
@@ -104,9 +104,8 @@ def navigate(
     n = len(dtheta_b) + 1
     pos, vel, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
     pos[0], vel[0], q[0] = start
-    _navigate_kernel(
-        dt, two_sample, np.ascontiguousarray(dtheta_b), np.ascontiguousarray(dvel_b), pos, vel, q
-    )
+    dtheta_b, dvel_b = (read_only(np.ascontiguousarray(column)) for column in (dtheta_b, dvel_b))
+    _navigate_kernel(dt, two_sample, dtheta_b, dvel_b, pos, vel, q)
     return pos, vel, q
 
 

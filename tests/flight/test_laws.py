@@ -1,7 +1,7 @@
 """Laws of mechanics on every shipped profile, found by glob: what is flown is one motion of one body.
 
 Profiles of more than 15 minutes, and those of other aircraft than the Aerosonde, fly with the slow tests.
-Straights and stands of more than three minutes are cut to one minute; the flights of SHARED are whole.
+They are shortened, see SHORTENED; the flights of SHARED are whole.
 The laws share rotations, normal gravity and the figure of the Earth with the bench, nothing of the flight.
 """
 
@@ -39,6 +39,9 @@ PROFILES = [name for k, (name, spec) in enumerate(_FLIGHTS.items()) if spec not 
 SHARED = {"circuit", "circuit-navion", "climb-cruise-descend", "figure-eight-matched", "high-dynamics"}
 """Profiles whose flights other test files look at too."""
 
+SHORTENED = {"duration": 20.0, "laps": 1, "count": 1, "strips": 2}
+"""Most of a straight or a stand [s], and of what a leg repeats."""
+
 ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
@@ -66,13 +69,12 @@ def _marked(name: str):
     return pytest.param(name, marks=pytest.mark.slow) if slow else name
 
 
-def _cut(spec: FlightSpec) -> FlightSpec:
-    """Return the flight with a minute of each straight or stand of more than three."""
-    long = [isinstance(leg, Straight | Static) and leg.duration > 180.0 for leg in spec.legs]
-    if not any(long):
-        return spec
-    legs = [replace(leg, duration=60.0) if cut else leg for leg, cut in zip(spec.legs, long, strict=True)]
-    return replace(spec, legs=tuple(legs), duration=None)
+def _shorten(spec: FlightSpec) -> FlightSpec:
+    legs = []
+    for leg in spec.legs:
+        values = {name: most for name, most in SHORTENED.items() if getattr(leg, name, 0.0) > most}
+        legs.append(replace(leg, **values))
+    return spec if tuple(legs) == spec.legs else replace(spec, legs=tuple(legs), duration=None)
 
 
 @pytest.fixture(scope="module", params=[_marked(name) for name in PROFILES])
@@ -81,7 +83,7 @@ def flight(request, recorded) -> Flight:
     if request.param in SHARED:
         stretch = recorded(spec)
     else:
-        spec = _cut(spec)
+        spec = _shorten(spec)
         stretch = record_whole(spec)
     return Flight(request.param, spec, truth_of(stretch, spec.rate), same_form_error(stretch.motion))
 

@@ -23,7 +23,7 @@ from bench.navigation import alignment
 from bench.navigation.blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
-from bench.specs import ImuSpec, TriadSpec
+from bench.specs import AxisFigures, ImuSpec, TriadSpec
 from tests.builders import at_rest, band
 from tests.weaving import DEG, IMU, units, weaving
 
@@ -209,6 +209,22 @@ def test_what_tilt_and_biases_have_in_common_is_told(motion):
     assert low < tilts(motion, lambda start: start).mean() < high
     strangers = tilts(motion, lambda start: replace(start, bias_cov=np.zeros((9, 6))))
     assert strangers.mean() > high
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_bias_that_one_axis_hardly_has_leaves_the_covariance_positive_definite(motion):
+    make, spec = MOTIONS[motion]
+    accel, gyro = (
+        replace(triad, axes=(AxisFigures("turn_on_bias_sd", sd, 0.05 * sd, 0.05 * sd),))
+        for triad in (spec.imu.accel, spec.imu.gyro)
+        for sd in [triad.turn_on_bias_sd]
+    )
+    imu = replace(spec.imu, accel=accel, gyro=gyro)
+    spec = replace(spec, imu=imu, assumed=replace(spec.assumed, imu=imu))
+    start, _ = found(make(), spec, seed=3, run=0)
+    P = state_model(start, spec.assumed, ()).P[6:, 6:]
+    sd = np.sqrt(np.diag(P))
+    assert np.linalg.eigvalsh(P / np.outer(sd, sd))[0] > 0
 
 
 @pytest.mark.parametrize("model", ["none", "gauss-markov", "flicker"])

@@ -10,11 +10,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import sensors
+from bench.config import load_profile
+from bench.data import InitialState
 from bench.navigation import cycle
-from bench.navigation.blocks import STEADY, Block, States, index_of, state_model
+from bench.navigation.blocks import index_of, state_model
 from bench.navigation.error_state import GYRO
 from bench.navigation.fusion import Loose
+from bench.navigation.imu_blocks import EVERY_ERROR
 from bench.navigation.measurements import AIDING
+from bench.navigation.states import STEADY, Block, States
+from bench.sensors import imu
+from bench.specs import ImuSpec, TriadSpec, stream
+from tests.builders import first_rows
+from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving
 
 SD, DECAY = 1e-2, 0.02
@@ -86,5 +94,44 @@ def test_a_steady_drive_is_taken_off_the_increments_as_the_bias_is():
     state[10:16], state[16:22] = rng.normal(size=6), rng.normal(size=6)
     dth, dv = rng.normal(size=3), rng.normal(size=3)
     wanted = np.concatenate([dth, dv]) - (state[10:16] + state[16:22]) * 0.02
-    cycle.increments_kernel.py_func(state, 0.02, drives, dth, dv)
+    plain(cycle.increments_kernel)(state, 0.02, drives, np.zeros(3), dth, dv)
     np.testing.assert_allclose(np.concatenate([dth, dv]), wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("triad", "figure", "sd"),
+    [
+        ("gyro", "scale_asymmetry_sd", 1e-3),
+        ("gyro", "nonlinearity_sd", 1e-3),
+        ("gyro", "temperature_sd", 1e-4),
+        ("gyro", "g2_sensitivity_sd", 1e-5),
+        ("accel", "nonlinearity_sd", 1e-3),
+        ("accel", "quadratic_sd", 1e-4),
+        ("accel", "temperature_sd", 1e-3),
+    ],
+)
+def test_an_error_of_the_datasheet_is_taken_off_as_the_sensor_adds_it(figure_eight_truth, triad, figure, sd):
+    """The states at the values that were drawn give back the true increments, in a turn at 7 deg/s."""
+    truth = first_rows(figure_eight_truth, 5001)
+    spec = ImuSpec("one", TriadSpec(range=2.0), TriadSpec(range=30.0))
+    spec = replace(spec, **{triad: replace(getattr(spec, triad), **{figure: sd})})
+    record, _ = imu.measure(truth, spec, 5, 0)
+    shape = (3, 3) if figure.startswith("g2") else (3,)
+    term = figure.removesuffix("_sd").removeprefix("scale_")
+    drawn = sd * stream(5, 0, f"imu.{triad}.{term}").standard_normal(shape)
+    specs = replace(load_profile("figure-eight").sensors.assumed, imu=spec)
+    start = InitialState(0.0, truth.lla[0], truth.vel_n[0], truth.q_nb[0], np.eye(9), "given", 0.0)
+    model = state_model(start, specs, [EVERY_ERROR])
+    state = np.zeros(model.layout.size + 1)
+    state[16:] = drawn.ravel()
+    known = np.array([model.process.thermal[0], *model.process.range])
+    exact = np.concatenate([truth.dtheta_b, truth.dvel_b], axis=1)
+    with_error = np.concatenate([record.dtheta_b, record.dvel_b], axis=1)
+    left = []
+    for k in range(4900, 5000):
+        dth, dv = record.dtheta_b[k].copy(), record.dvel_b[k].copy()
+        plain(cycle.increments_kernel)(state, record.dt[k], model.process.drives, known, dth, dv)
+        left.append(np.concatenate([dth, dv]) - exact[k])
+    added = np.abs(with_error - exact)[4900:].max()
+    assert added > 0
+    assert np.abs(left).max() < 0.02 * added

@@ -78,8 +78,10 @@ def test_it_says_what_loose_22_says(sensed, solution):
     assert first[0] == pytest.approx(first[1], abs=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["circuit", "gnss-denied-leg", "gnss-faults"])
+@pytest.mark.parametrize(
+    "name",
+    ["gnss-faults", *(pytest.param(name, marks=pytest.mark.long) for name in ("circuit", "gnss-denied-leg"))],
+)
 def test_it_says_what_loose_22_says_on_whole_flights(name):
     """4 to 10 minutes, GNSS lost, spoofed and frozen: 5 mm, 0.05 mm/s, 1.5 microradian RMS."""
     profile = load_profile(name)

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from bench import earth, rotation
 from bench.navigation import cycle, error_state, mechanization
+from bench.wide_rows import widened
 
 DIGITS = mpmath.mp.clone()
 DIGITS.dps = 30
@@ -207,12 +208,29 @@ def test_covariance_step_is_the_dense_product():
         Phi = np.diag(decay)
         Phi[:9, :15] += G
         wanted = Phi @ P @ Phi.T + np.diag(q)
-        for kernel in (error_state.covariance_kernel, error_state.covariance_kernel.py_func):
-            got = P.copy()
-            none = np.empty((0, 3), np.int64), np.empty(0)
-            kernel(got, G, decay, q, *none, np.empty((9, n)), np.empty((n, n)), np.empty((6, n)))
-            assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
-            assert (got == got.T).all()
+        got = covariance_step(P, G, decay, q, np.empty((0, 3), np.int64), np.empty(0))
+        assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
+        assert (got == got.T).all()
+
+
+def covariance_step(P, G, decay, noise, drives, factor):
+    """Return P (n, n) after a step; what the kernel must not read is NaN before."""
+    n = len(P)
+    got = widened(P)
+    got[9:, :9] = np.nan
+    fading = int(np.append(np.flatnonzero(decay != 1.0), n)[0])
+    work = error_state.covariance_work(n)
+    error_state.covariance_kernel(got, G, widened(decay), noise, fading, drives, factor, work)
+    error_state.mirror_kernel(got)
+    assert (got[:, n:] == 0).all()
+    return got[:, :n]
+
+
+def test_the_structure_of_a_step_is_that_of_its_numbers():
+    _, _, _, F = dynamics_of(CASES[1])
+    G = np.zeros((9, 15))
+    error_state.transition_kernel(F, 0.5, G)
+    assert tuple(tuple(np.flatnonzero(row).tolist()) for row in G) == error_state.ACTING
 
 
 MEMS_STATES = [
@@ -242,7 +260,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
             state[:10] = nav
             state[begin[name] + index] = sign * size
             dth, dv = w_ib_b * dt, f_b * dt
-            correction(state, dt, drives, dth, dv)
+            correction(state, dt, drives, np.zeros(3), dth, dv)
             rates = long_zeros(6)
             ends.append(one_step(nav, dv / dt, dth / dt, rates, dt))
         return (difference(ends[0], nav) - difference(ends[1], nav)) / (2 * size) / dt
@@ -277,15 +295,13 @@ def test_steps_of_p_phi_and_a_waiting_row_are_one_transition(driven):
         dense[:9, state] += G[:, bias] * by
     root = rng.normal(size=(n, n))
     P, q = root @ root.T, rng.uniform(size=n)
-    got = P.copy()
-    work = np.empty((9, n)), np.empty((n, n)), np.empty((6, n))
-    error_state.covariance_kernel(got, G, decay, q, drives, factor, *work)
+    got = covariance_step(P, G, decay, q, drives, factor)
     wanted = dense @ P @ dense.T + np.diag(q)
     assert_allclose(got, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
     Phi = rng.normal(size=(n, n))
-    accumulated = Phi.copy()
-    error_state.accumulate_kernel(accumulated, G, decay, drives, factor, np.empty((9, n)))
-    assert_allclose(accumulated, dense @ Phi, rtol=1e-12, atol=1e-12)
+    accumulated, work = widened(Phi), error_state.covariance_work(n)
+    error_state.accumulate_kernel(accumulated, G, decay, drives, factor, work)
+    assert_allclose(accumulated[:, :n], dense @ Phi, rtol=1e-12, atol=1e-12)
     h = rng.normal(size=n)
     carried = h.copy()
     error_state.backward_kernel(carried, back, decay, drives, factor, np.empty(n))

@@ -358,12 +358,16 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         ("bench.nowhere:Class", {}, "no module 'bench.nowhere' on the Python path"),
         ("bench.data:Nothing", {}, "bench.data has no class 'Nothing' with a method run"),
         ("bench.data:NavSolution", {}, "bench.data has no class 'NavSolution' with a method run"),
-        ("loose-15", {"gate": 1}, "unknown option 'gate'\n  known options: adaptive_noise, airspeed, baro"),
+        (
+            "loose-15",
+            {"gate": 1},
+            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, alpha_deg",
+        ),
         ("free-inertial", {"gnss": True}, "option 'gnss' is fixed to false; leave it out"),
         (
             "free-inertial",
             {"gate": 1},
-            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, compensate_latency",
+            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, alpha_deg",
         ),
         ("loose-15", {"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan Hz must be a finite number"),

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from bench import earth, rotation, sensors
+from bench.config import load_profile
 from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
@@ -22,7 +23,7 @@ from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.measurements import airspeed_variance, fix_variance, weigh_fixes
 from bench.signals.magnetic import field_n
-from tests.builders import take
+from tests.builders import first_rows, take
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
 RUNS = 8
@@ -406,3 +407,36 @@ def test_a_report_of_nothing_is_the_datasheet(truth):
     assert_allclose(weigh_fixes(fixes, white, "reported")[:, :3], [[white[0], white[1], 49.0]] * len(fixes))
     assert_allclose(weigh_fixes(fixes, white, "larger")[:, 2], max(49.0, white[2]))
     assert_allclose(weigh_fixes(fixes, white, "datasheet"), [white] * len(fixes))
+
+
+@pytest.mark.parametrize("raised", [0.01, 5.0])
+def test_fixes_whose_sd_is_raised_pull_less_and_the_claim_is_right(truth, raised):
+    """240 RTK fixes of 1 cm in the middle of 480; told as 5 m they change the answer, and with 5 m of noise
+    the claim holds by their report only."""
+    rtk = replace(units(), gnss=load_profile("figure-eight", {"sensors.gnss": "rtk-fixed"}).sensors.gnss)
+    rtk = replace(rtk, assumed=replace(rtk.assumed, gnss=rtk.gnss))
+    part = first_rows(truth, int(np.searchsorted(truth.t, 96.0)) + 1)
+    drawn = sensors.sense(part, rtk, 14, 0)
+    fixes, rng = drawn.data.fixes, np.random.default_rng(8)
+    middle = slice(120, 360)
+    assert len(fixes) >= 360
+    noise = np.zeros((len(fixes), 3))
+    noise[middle] = rng.normal(scale=raised, size=(240, 3)) if raised > 1.0 else 0.0
+    cov = fixes.cov_pos_n.copy()
+    cov[middle] = raised**2 * np.eye(3)
+    data = replace(drawn.data, fixes=replace(fixes, lla=earth.displace(fixes.lla, noise), cov_pos_n=cov))
+    found = {}
+    for accuracy in ("datasheet", "reported"):
+        options = {"fix_accuracy": accuracy, "gate_probability": 1e-12}
+        solution = load("loose-15", options).run(data, drawn.initial)
+        errors = judge.error_series(part, solution)
+        inside = (errors.t > 40.0) & (errors.t < fixes.t[359])
+        variance = np.einsum("kii->ki", solution.cov)[inside, :2]
+        found[accuracy] = errors.pos_n[inside, :2], variance
+    (blind, claimed), (told, honest) = found["datasheet"], found["reported"]
+    if raised > 1.0:
+        assert np.mean(blind**2 / claimed) > 100.0
+        assert np.mean(told**2 / honest) < 4.0
+        assert honest.mean() > 10.0 * claimed.mean()
+    else:  # what is reported is what the datasheet says
+        np.testing.assert_allclose(honest, claimed, rtol=0.1)

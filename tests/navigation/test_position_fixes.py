@@ -24,7 +24,7 @@ from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.specs import ImuSpec, TriadSpec
 from tests import twin
-from tests.builders import band
+from tests.builders import band, student
 from tests.exchange import drives, test_log_formats
 from tests.navigation import test_alignment, test_twin
 from tests.weaving import units, weaving
@@ -113,7 +113,7 @@ def test_nis_and_nees_of_a_matched_filter_are_inside_their_bands():
     )
     assert good.low < good.mean < good.high
     assert bad.mean > bad.high
-    assert abs(np.mean(nees) - 9.0) < 3.66 * np.std(nees, ddof=1) / np.sqrt(30)  # Student, 29, 99.9 %
+    assert abs(np.mean(nees) - 9.0) < student(30) * np.std(nees, ddof=1) / np.sqrt(30)
 
 
 def test_gnss_only_finds_its_velocity_by_itself_and_is_consistent():

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation, sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation import restart, timeline
+from bench.navigation import forward, restart, timeline
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from tests.builders import put, take
@@ -251,3 +252,17 @@ def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
     assert len(seen) == 1
     assert seen[0][0] is data
     assert seen[0][1] is drawn.initial
+
+
+def test_a_record_with_a_gap_needs_no_second_compilation(draws, monkeypatch):
+    """What the kernel is given has the same types with the rows that bridge a gap and without them."""
+    kernel, types = forward._fusion_kernel, []
+
+    def watched(*arguments):
+        types.append([numba.typeof(argument) for argument in arguments])
+        kernel(*arguments)
+
+    monkeypatch.setattr(forward, "_fusion_kernel", watched)
+    for data in (draws[0].data, with_gap(draws[0].data, 52.0, 0.3)):
+        FILTER.run(data, draws[0].initial)
+    assert types[0] == types[1]

@@ -14,7 +14,7 @@ from bench.navigation.error_state import StateLayout, moved_state, state_differe
 from bench.navigation.estimator import load
 from bench.navigation.forward import Nodes
 from bench.navigation.smoother import smooth
-from tests.navigation.test_layouts import claims, five_minutes  # noqa: F401 (a fixture)
+from tests.navigation.test_layouts import RUNS, claims
 
 BASE = np.concatenate(
     [[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3), np.zeros(6), [0.0]]
@@ -57,7 +57,7 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
 
 
 @pytest.mark.parametrize("markov", [False, True])
-def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, markov):  # noqa: F811
+def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, markov):
     sensed = pipeline.sense(matched, five_minutes)
     options = {"covariance_hz": 20.0}
     forward = load("loose-22" if markov else "loose-15", options).run(sensed.data, sensed.initial)
@@ -84,7 +84,7 @@ def test_the_outage_is_bridged_from_both_sides(matched, figure_eight_truth):
 
 
 @pytest.mark.parametrize("markov", [False, True])
-def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov):  # noqa: F811
+def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov):
     """200 m north from 150 s on, taken for true 10 s later: what lies before is not drawn after it."""
     sensed = pipeline.sense(matched, five_minutes)
     lla = sensed.data.fixes.lla.copy()
@@ -103,9 +103,9 @@ def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov
 
 
 @pytest.mark.slow
-def test_the_smoother_knows_its_errors(five_minutes):  # noqa: F811
-    """50 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
+def test_the_smoother_knows_its_errors(five_minutes):
+    """40 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
     every_second = load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
-    result = claims("smoother", every_second, five_minutes, 50)
+    result = claims("smoother", every_second, five_minutes, RUNS, covariance_hz=20.0)
     assert not result.rejected, result.reasons
     assert 2 * result.low > 1.25

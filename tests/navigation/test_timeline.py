@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bench import earth, rotation
 from bench.navigation import timeline
+from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
 from tests.builders import assert_same_solution, put, take
 from tests.weaving import units
@@ -151,6 +153,28 @@ def test_a_start_in_the_middle_of_a_record_uses_only_what_comes_after_it(sensed,
         "gnss: 9 rows left out: outside the time of the imu",
         "imu: 1900 rows left out: before the start",
     ]
+
+
+@pytest.mark.parametrize(
+    "name", ["loose-22", "ukf", "classic-22", "bench.workbench.starting_point:StartingPoint"]
+)
+def test_a_measurement_at_the_start_is_compared_with_the_start(truth, sensed, name):
+    """True state, error-free fix in a turn: no innovation. One sample later it would be 0.1 m."""
+    k = 1000
+    start = replace(
+        sensed.initial, t=float(truth.t[k]), lla=truth.lla[k], vel_n=truth.vel_n[k], q_nb=truth.q_nb[k]
+    )
+    arm_b = sensed.data.antenna_b
+    rate_b = truth.dtheta_b[k] / (truth.t[k + 1] - truth.t[k])
+    fixes = put(
+        sensed.data.fixes, 4, t=start.t, t_arrival=start.t,
+        lla=earth.displace(start.lla, rotation.rotate(start.q_nb, arm_b)),
+        vel_n=start.vel_n + rotation.rotate(start.q_nb, np.cross(rate_b, arm_b)),
+    )  # fmt: skip
+    table = load(name, {}).run(replace(sensed.data, fixes=fixes, baro=None), start).innovations
+    first = table.t < start.t + 1e-6
+    assert first.sum() == 6
+    assert_allclose(table.z[first], 0.0, atol=5e-3)  # noise of the gyros on the arm
 
 
 def test_records_without_rows_are_no_aiding(sensed):

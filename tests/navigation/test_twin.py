@@ -1,9 +1,9 @@
 """The compiled loose filter says what its plain twin says (tests/twin.py says what the two share).
 
 1e-6 m, 1e-7 m/s and 1e-8 rad over two minutes at full rate. What this comparison catches is shown below
-by breaking the twin: a sign, a term or a figure that moves the answer beyond the tolerance within half a
-minute. It is blind to single elements of F by latitude, height and the slow rates of the level frame: they
-move less, and the Jacobian test of the error state looks at each of them.
+by breaking the twin: a sign, a term or a figure that moves the answer beyond the tolerance within seconds,
+or half a minute at the latest. It is blind to single elements of F by latitude, height and the slow rates of
+the level frame: they move less, and the Jacobian test of the error state looks at each of them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from bench.data import GnssFixes, ImuData
 from bench.navigation.fusion import Loose, Tight
 from bench.specs import ImuSpec
 from tests import twin
+from tests.builders import take
 from tests.flight.plans import truth_of
 from tests.weaving import BARO, IMU, units, weaving
 
@@ -90,14 +91,17 @@ def test_the_filter_and_its_twin_agree_over_two_minutes(truth, imu):
 
 
 def test_the_filter_and_its_twin_agree_on_the_first_two_minutes_of_the_figure_eight(figure_eight):
+    """A minute of them without GNSS: errors, and with them differences, are larger there."""
     data = first(figure_eight.data, 120.0)
+    t = data.fixes.t
+    data = replace(data, fixes=take(data.fixes, (t < 40.0) | (t >= 100.0)))
     solution = Loose().run(data, figure_eight.initial)
     assert_same(twin.navigate(data, figure_eight.initial), solution)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_filter_and_its_twin_agree_on_the_whole_figure_eight(recorded):
-    """600 s at 100 Hz with a minute without GNSS: errors, and with them differences, are larger there."""
+    """600 s at 100 Hz with a minute without GNSS."""
     profile = config.load_profile("figure-eight")
     sensed = pipeline.sense(profile, truth_of(recorded(profile.flight), 100.0))
     solution = Loose().run(sensed.data, sensed.initial)
@@ -135,7 +139,9 @@ def test_tight_and_its_twin_agree_over_half_a_minute():
         columns = {f: getattr(o, f) for f in type(o).__slots__}
         columns[name] = columns[name] + size * (o.sat % 2)
         broken = replace(sensed.data, observations=type(o)(**columns))
-        assert (distance(twin.navigate(broken, sensed.initial, tight=True), solution) > TIGHT_TOLERANCE).any()
+        answer = twin.navigate(first(broken, 8.0), sensed.initial, tight=True)
+        sound = Tight().run(first(sensed.data, 8.0), sensed.initial)
+        assert (distance(answer, sound) > TIGHT_TOLERANCE).any()
 
 
 def test_they_refuse_and_readmit_the_same_fixes(short):
@@ -305,11 +311,16 @@ DEFECTS = {
 
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defect_moves_the_twin_beyond_the_tolerance(short, monkeypatch, defect):
-    sensed, solution = short
+    sensed, _ = short
     make, *arguments = DEFECTS[defect]
     for name, broken in make(*arguments).items():
         monkeypatch.setattr(twin, name, broken)
-    assert (distance(twin.navigate(sensed.data, sensed.initial), solution) > TOLERANCE).any()
+
+    def moved(seconds):
+        arguments = first(sensed.data, seconds), sensed.initial
+        return (distance(twin.navigate(*arguments), Loose().run(*arguments)) > TOLERANCE).any()
+
+    assert moved(5.0) or moved(30.0)
 
 
 def test_a_baro_a_percent_noisier_than_assumed_is_caught(short):

@@ -13,7 +13,8 @@ from bench.evaluation.error_series import error_series
 from bench.navigation import hypotheses
 from bench.navigation.estimator import load
 from tests.builders import band, steered
-from tests.weaving import DEG, units
+from tests.navigation.test_tight import MATCHED
+from tests.weaving import DEG, GNSS, units
 
 REST, AWAY = 60.0, 60.0
 DRAWS = 20
@@ -51,8 +52,8 @@ def squares(estimator, spec, draws=DRAWS, options=None, **motion):
     return solution.t, np.array(found)
 
 
-def spec_of(start, **changes):
-    spec = replace(units(), output_rate=1.0, **changes)
+def spec_of(start, gnss=GNSS):
+    spec = replace(units(gnss=gnss), output_rate=1.0)
     if start == "level":
         return replace(spec, alignment="level", align_for=30.0)
     return replace(spec, initial_heading_sd=180 * DEG)
@@ -74,13 +75,15 @@ def assert_honest(t, found, at_rest=(35.0, 45.0, 55.0, 59.0), later=(65.0, 70.0,
     [
         ("loose-15", "level", {}),
         ("loose-22", "given", {"standstill": True}),
+        ("tight", "level", {}),
         pytest.param("loose-mems", "level", {}, marks=pytest.mark.long),
         pytest.param("loose-15", "given", {}, marks=pytest.mark.long),
     ],
 )
 def test_tilt_is_honest_at_rest_and_the_heading_is_after_the_first_motion(estimator, start, options):
     """20 draws, 99.9 % bands. One linear filter: tilt NEES of 16 while it stands, 900 once it moves."""
-    t, found = squares(estimator, spec_of(start), options=options)
+    gnss = MATCHED if estimator == "tight" else GNSS
+    t, found = squares(estimator, spec_of(start, gnss), options=options)
     assert_honest(t, found)
 
 

@@ -1,12 +1,14 @@
 """Speed as ratios measured side by side in one run: ``make perf``.
 
-Every ratio is the median over interleaved rounds of two CPU times of the same process, so that a slow or busy
-machine moves both. Whole commands are measured by the CPU time of their own process. Exit status 1 when a
+Filters are measured in units of `tests.perf.dense`, the least of nine interleaved slices each. Every other
+ratio is the median over interleaved rounds of two CPU times of the same process. A slow or busy machine moves
+both sides. Whole commands are measured by the CPU time of their own process. Exit status 1 when a
 limit is exceeded.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import resource
@@ -26,9 +28,11 @@ from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.navigation.fusion import Loose, Tight
+from bench.navigation import estimator
+from bench.navigation.fusion import Loose
 from bench.navigation.mechanization import propagate
 from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
+from tests.perf.dense import epoch_costs
 
 ROUNDS = 7
 
@@ -157,58 +161,63 @@ def every_imu_term() -> ImuSpec:
     )
 
 
-def navigating(truth: Trajectory, sensed: Sensed) -> list[Figure]:
-    """The whole filter against the strapdown alone over the same record."""
-    data, initial = sensed.data, sensed.initial
+def navigating(profile: Profile, matched: Profile) -> list[Figure]:
+    """The filters in units of `tests.perf.dense`, and of the strapdown and of each other."""
+    truth = pipeline.fly(matched)
+    sensed = pipeline.sense(matched, truth)
+    satellites = pipeline.sense(config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}), truth)
+    epochs = len(sensed.data.imu.t)
+
+    def run(use: str, sky: bool = False, **options: object) -> tuple[Callable[[], object], int]:
+        filter_, record = estimator.load(use, options), satellites if sky else sensed
+        return lambda: filter_.run(record.data, record.initial), epochs
 
     def strapdown() -> None:
-        imu = data.imu
-        propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
+        imu, start = sensed.data.imu, sensed.initial
+        propagate(start.lla, start.vel_n, start.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
 
-    full, slow = Loose(), Loose(covariance_hz=20.0)
-    full_22, slow_22 = Loose(gnss_markov=True), Loose(gnss_markov=True, covariance_hz=20.0)
+    def monte_carlo() -> None:
+        drawn = pipeline.sense(matched, truth, 1)
+        pipeline.judge(matched, truth, estimator.load("loose-22", slow).run(drawn.data, drawn.initial))
+
+    every, slow = {"covariance_hz": None}, {"covariance_hz": 20.0}
+    cost = epoch_costs(
+        {
+            "strapdown": (strapdown, epochs),
+            "loose-22, every sample": run("loose-22", **every),
+            "loose-22, 20 Hz": run("loose-22", **slow),
+            "loose-mems, every sample": run("loose-mems", **every),
+            "tight, 20 Hz": run("tight", sky=True, **slow),
+            "gnss-only": run("gnss-only"),
+            "smoother": run("smoother"),
+            "its forward filter": run("loose-15", **slow),
+            "Monte Carlo": (monte_carlo, epochs),
+        }
+    )
+    print(", ".join(f"{name} {1e6 * one:.3f} us" for name, one in cost.items()), "an epoch")
+    dense = cost["dense"]
+    length = float(truth.t[-1] - truth.t[0])
     return [
+        Figure(f"dense / {name}", dense / cost[name], limit, "x", higher_is_better=True)
+        for name, limit in (
+            ("loose-22, every sample", 7.0),
+            ("loose-22, 20 Hz", 16.0),
+            ("loose-mems, every sample", 4.0),
+            ("tight, 20 Hz", 12.0),
+        )
+    ] + [
+        Figure("gnss-only / loose-22, 20 Hz", cost["gnss-only"] / cost["loose-22, 20 Hz"], 0.3, "x"),
+        Figure("smoother / its forward filter", cost["smoother"] / cost["its forward filter"], 2.5, "x"),
+        Figure("sense, loose-22 at 20 Hz, judge / dense", cost["Monte Carlo"] / dense, 0.10, "x"),
         Figure(
-            "loose-22, full covariance / strapdown",
-            ratio(lambda: full_22.run(data, initial), strapdown),
-            16.0,
+            "the same: flight time over CPU time",
+            length / (epochs * cost["Monte Carlo"]),
+            6000.0,
             "x",
+            higher_is_better=True,
         ),
-        Figure(
-            "loose-22, 20 Hz covariance / strapdown",
-            ratio(lambda: slow_22.run(data, initial), strapdown),
-            4.0,
-            "x",
-        ),
-        Figure(
-            "loose-15, full covariance / strapdown",
-            ratio(lambda: full.run(data, initial), strapdown),
-            14.0,
-            "x",
-        ),
-        Figure(
-            "loose-15, 20 Hz covariance / strapdown",
-            ratio(lambda: slow.run(data, initial), strapdown),
-            4.0,
-            "x",
-        ),
+        Figure("loose-22, 20 Hz / strapdown", cost["loose-22, 20 Hz"] / cost["strapdown"], math.inf, "x"),
     ]
-
-
-def tight(profile: Profile, truth: Trajectory) -> list[Figure]:
-    """Sixteen satellites at 1 Hz, as seen from the flight: GPS and GLONASS, some hidden in turns."""
-    flown = config.load_profile(profile.name, {"sensors.gnss": "sky-l1"})
-    sensed = pipeline.sense(flown, truth)
-    data, initial, imu = sensed.data, sensed.initial, sensed.data.imu
-    assert data.observations is not None
-    print(f"{len(data.observations) / (len(data.observations.epoch_start) - 1):.1f} satellites per epoch")
-
-    def strapdown() -> None:
-        propagate(initial.lla, initial.vel_n, initial.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
-
-    slow = Tight(covariance_hz=20.0)
-    cost = ratio(lambda: slow.run(data, initial), strapdown)
-    return [Figure("tight, 20 Hz covariance / strapdown", cost, 8.0, "x")]
 
 
 def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> list[Figure]:
@@ -306,7 +315,7 @@ def commands() -> list[Figure]:
         help_ = [command_cpu("--help", cwd=there, cache=cache) for _ in range(3)]
         fly = [command_cpu("fly", "figure-eight", cwd=there, cache=cache) for _ in range(3)]
     return [
-        Figure("bench run figure-eight, truth cached, kernels warm", float(np.median(flown)), 3.5, "s CPU"),
+        Figure("bench run figure-eight, truth cached, kernels warm", float(np.median(flown)), 4.5, "s CPU"),
         Figure("bench run figure-eight, first ever, compiling", first, 25.0, "s CPU"),
         Figure("bench fly figure-eight, truth cached, kernels warm", float(np.median(fly)), 1.5, "s CPU"),
         Figure("bench --help", float(np.median(help_)), 0.5, "s CPU"),
@@ -357,8 +366,7 @@ def main() -> None:
     truth = pipeline.fly(profile)
     sensed = pipeline.sense(profile, truth)
     figures = [
-        *navigating(truth, sensed),
-        *tight(profile, truth),
+        *navigating(profile, matched),
         *slower_covariance(matched, truth),
         *against_python_ins(truth, sensed),
         *starting(truth),

@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, rotation
-from bench.recording import column, write
-from bench.recording.tabs import satellites
+from bench.recording import column, sky_view, write
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.synthetic import still
@@ -102,7 +101,7 @@ def test_the_recording_holds_them(profile, truth, sensed, tmp_path):
 
 
 def test_the_sky_plot_has_north_up_and_east_right():
-    places = satellites._place(
+    places = sky_view._place(
         np.array([0.0, 0.0, np.pi / 2, np.pi / 4]), np.array([0.0, np.pi / 2, 1.0, np.pi])
     )
     assert_allclose(places, [[0, -1], [1, 0], [0, 0], [0, 0.5]], atol=1e-12)  # the viewer's y points down
@@ -111,6 +110,6 @@ def test_the_sky_plot_has_north_up_and_east_right():
 def test_faults_are_hatched_and_named(profile, truth, sensed, tmp_path):
     path = tmp_path / "flight.rrd"
     write(path, profile, truth, sensed, {}, {}, {})
-    t, _ = column(path, "/satellites/dop/fault", "Scalars:scalars")
+    t, _ = column(path, "/satellites/dop/shaded/fault", "Scalars:scalars")
     assert t.min() == pytest.approx(50.0)
     assert t.max() == pytest.approx(55.0, abs=1e-5)

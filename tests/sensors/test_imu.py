@@ -314,7 +314,7 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
         knots,
         rng.normal(scale=1e-2, size=(len(knots), 3)),
         rng.normal(size=(n, 3)),
-        1e-3,
+        np.array([1e-3, 2e-3, 0.0]),
         1e-4,
         rng.normal(scale=1e-3, size=(n, 3)),
         20.0,

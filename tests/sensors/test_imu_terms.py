@@ -14,8 +14,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.data import AirData
+from bench.fields import triad_figures_of
 from bench.sensors import imu, imu_terms, processes, vibration
-from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
+from bench.specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
 from tests.builders import band
 from tests.synthetic import still, turning
 
@@ -168,6 +169,26 @@ def test_doubling_a_figure_doubles_what_it_does_and_nothing_else(figure):
     before = run(turn, gyro=full)[0].dtheta_b
     after = run(turn, gyro=replace(full, **{figure: 2 * value}))[0].dtheta_b
     assert_allclose(after - before, effect, rtol=0, atol=5e-3 * np.abs(effect).max())
+
+
+BY_AXIS = [name for name, one in triad_figures_of(TriadSpec).items() if one.by_axis]
+
+
+@pytest.mark.parametrize("figure", BY_AXIS)
+def test_a_figure_of_one_axis_acts_on_that_axis_alone(figure):
+    """The other axes keep their bits; three equal figures are one figure."""
+    turn = turning(5.0, 200.0)
+    figures = {**dict.fromkeys(BY_AXIS, 1e-4), "range": 1e3, "bias_correlation": 20.0, "quantization": 1e-7}
+    same, large = TriadSpec(**figures), TriadSpec(**{**figures, figure: 5e-4})
+    alike = replace(same, axes=(AxisFigures(figure, 1e-4, 1e-4, 1e-4),))
+    third = replace(large, axes=(AxisFigures(figure, 1e-4, 1e-4, 5e-4),))
+    usual, whole, one = (run(turn, gyro=spec, accel=spec)[0] for spec in (same, large, third))
+    assert_array_equal(run(turn, gyro=alike)[0].dtheta_b, run(turn, gyro=same)[0].dtheta_b)
+    for column in ("dtheta_b", "dvel_b"):
+        ours, before, after = (getattr(record, column) for record in (one, usual, whole))
+        assert_array_equal(ours[:, :2], before[:, :2])
+        assert_array_equal(ours[:, 2], after[:, 2])
+        assert not np.array_equal(ours[:, 2], before[:, 2])
 
 
 def test_adding_terms_leaves_the_noise_of_the_others_bit_identical():

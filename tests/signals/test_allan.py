@@ -27,7 +27,7 @@ from bench.evaluation.noise_curves import fit_noise, measure_model
 from bench.exchange.resting_log import read_resting_log
 from bench.sensors import processes
 from bench.signals import allan
-from bench.specs import ImuSpec, TriadSpec
+from bench.specs import AxisFigures, ImuSpec, TriadSpec
 
 UNITS = sorted((Path(bench.__file__).parent / "catalog/imu").glob("*.toml"))
 OFF = TriadSpec()
@@ -187,6 +187,14 @@ def test_all_four_terms_at_once():
         bits, white, instability, walk = curve.terms.values()
         assert bits[0] > 0.95 * white[0]
         assert set(np.argmax([white, instability, walk], axis=0)) == {0, 1, 2}
+
+
+def test_axes_that_differ_are_held_against_the_mean_of_their_variances():
+    white = AxisFigures("random_walk", 2e-5, 1e-5, 6e-5)
+    walk = AxisFigures("rate_random_walk", 1e-7, 4e-7, 1e-7)
+    gyro = replace(FULL.gyro, random_walk=6e-5, rate_random_walk=4e-7, axes=(white, walk))
+    for curve in measure_model(replace(FULL, gyro=gyro), 3):
+        assert curve.outside == 0, curve.measured / curve.expected
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,11 @@ def result(truth, sensed) -> RunResult:
     events = Events(np.array([0.5]), np.array([0.5]), ("timeline",), ("1 row left out",), ("imu",))
     loose = dataclasses.replace(solution(m, ("gyro_bias_x_rad_s", "baro_bias_m"), innovations), events=events)
     return RunResult(
-        profile={"title": "a", "leg": [{"kind": "turn"}]},
+        profile={
+            "title": "a",
+            "leg": [{"kind": "turn"}],
+            "evaluation": {"from_s": 0.0, "output_hz": 10.0},
+        },
         seed=7,
         run=2,
         metrics={
@@ -380,6 +384,8 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
         "[]": "not written by bench",
         "{": "not written by bench",
         '{"metrics": {}}': "not written by bench",
+        '{"profile": {"title": "a", "evaluation": {"output_hz": 10}}, "seed": 1, "run": 0, "metrics": {}, '
+        '"provenance": {}}': "profile.evaluation.from_s must be a number",
         "[" * 100_000: "not written by bench",
         json.dumps(
             {**summary, "format": 2}
@@ -801,7 +807,8 @@ def test_what_is_not_there_is_said_with_what_is(result):
 @pytest.mark.parametrize("name", ["all-sensors", "circuit", "gnss-faults"])
 def test_the_start_and_the_datasheets_come_back(name, tmp_path):
     """Of a sky what a receiver does not know is not stored."""
-    specs = bench.load_profile(name).sensors.assumed
+    specs = bench.load_profile(name, {"sensors.imu.gyro.noise_deg_sqrt_h.x": 0.7}).sensors.assumed
+    assert specs.imu.gyro.axes
     initial = InitialState(
         0.0, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), np.diag(np.full(9, np.inf)), "course"
     )

@@ -22,8 +22,11 @@ from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
 from bench.data import ImuData
 from bench.errors import ConfigError
+from bench.evaluation.metrics import METRICS
+from bench.navigation.fusion import Loose
 from bench.specs import stream
 from bench.workbench.check_verb import print_verdicts
+from tests.cli import test_cli
 
 
 def usual(k, scale=1.0, scatter=0.0, nees=9.0):
@@ -42,7 +45,7 @@ def measure(monkeypatch):
     """Replace flights by made-up metrics of draw k; return the draws that were measured."""
     measured = []
 
-    def install(metrics_of=usual, sensors=str, converged=lambda k: True, labels=("loose-15",)):
+    def install(metrics_of=usual, sensors=str, converged=lambda k: True, labels=("loose-15",), reason="lost"):
         class Made:
             draws, seed, truth_digest = None, 7, "truth"
 
@@ -51,7 +54,7 @@ def measure(monkeypatch):
 
             def measure(self, k):
                 measured.append((self.name, k))
-                row = EstimatorDraw(converged(k), metrics_of(k), {"nees_mean": 9.0}, 500)
+                row = EstimatorDraw(converged(k), reason, metrics_of(k), {"nees_mean": 9.0}, 500)
                 return Draw(sensors(k), dict.fromkeys(labels, row))
 
         monkeypatch.setattr(checking, "open_experiment", lambda source, requested, allow_code: Made(source))
@@ -141,12 +144,78 @@ def test_nees_that_comes_nearer_is_better(measure, tmp_path):
 
 
 def test_a_new_divergence_on_the_same_draw_is_worse_and_named(recorded, measure):
-    measure(converged=lambda k: k != 13)
+    measure(converged=lambda k: k not in (13, 15), reason="failed: run() raised ValueError")
     verdicts = check(directory=recorded)
     assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
     (row,) = (row for row in verdicts if row.word == "worse")
-    assert row.note == "lost in draw 13"
-    assert (row.old, row.new) == (1.0, 0.95)
+    assert row.note == "lost in draw 13, 15; draw 13: failed: run() raised ValueError"
+    assert (row.old, row.new) == (1.0, 0.9)
+
+
+class FailsAtTimes(Loose):
+    """Raises in some draws of the noise."""
+
+    def run(self, sensors, initial):
+        if fails_in_draw(sensors.imu.dtheta_b[0, 0]):
+            raise ValueError("unlucky")
+        return super().run(sensors, initial)
+
+
+def fails_in_draw(rate):
+    return round(1e12 * abs(rate)) % 2 == 0
+
+
+def every_metric(k, worse=0.0):
+    """A value of each metric in draw k; ``worse`` moves it away from what it should be."""
+    found = {}
+    for metric, noise in zip(METRICS, stream(1, k, "every").normal(size=len(METRICS)), strict=True):
+        name = metric.name.format("1")
+        value = np.exp(0.3 * noise + worse)
+        if metric.direction == "matched":
+            value = {"nees": 9.0 * value, "nis_": 3.0 * value, "faul": 1.0}.get(name[:4], 0.9 - worse)
+        found[name] = float(value)
+    return found
+
+
+def test_every_metric_is_judged_or_said_not_to_be(measure, tmp_path):
+    judged = [m.name.format("1") for m in METRICS if m.direction != "not judged"]
+    watched = {name for name in every_metric(0) if experiments._is_watched(name)}
+    assert watched == set(judged)
+    measure(lambda k: {name: every_metric(k)[name] for name in judged})
+    record_baselines(["survey.toml"], directory=tmp_path)
+    measure(lambda k: {name: every_metric(k, worse=0.1)[name] for name in judged})
+    found = words(check(directory=tmp_path))
+    assert found == {"converged": "same", **dict.fromkeys(judged, "worse"), "fault_1_detected": "same"}
+
+
+def test_an_offset_in_time_that_is_gone_is_better_and_a_new_one_worse(measure, tmp_path):
+    measure(lambda k: {"time_offset_ms": 5.0 + 0.1 * k if k % 2 else None})
+    record_baselines(["survey.toml"], directory=tmp_path)
+    for values, word in (((0.0, None), "better"), ((5.0, 5.0), "worse")):
+        measure(lambda k, values=values: {"time_offset_ms": values[k % 2] and values[k % 2] + 0.1 * k})
+        assert words(check(directory=tmp_path))["time_offset_ms"] == word
+
+
+def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path):
+    (tmp_path / "short.toml").write_text(test_cli.PROFILE)
+    flight = experiments.Flight(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False)
+    rows = [flight.measure(k).estimators["FailsAtTimes"] for k in range(6)]
+    failed = [not row.converged for row in rows]
+    assert set(failed) == {True, False}
+    for row in rows:
+        assert (row.reason == "failed: run() raised ValueError: unlucky") == (not row.converged)
+        assert any(value is not None for value in row.metrics.values()) == row.converged
+    whole = experiments.make_baseline(flight, [Draw("", {"x": row}) for row in rows], None).estimators["x"]
+    assert whole.converged == tuple(not one for one in failed)
+    assert whole.expected["nees_mean"] == 9.0
+
+
+def test_an_estimator_that_fails_in_every_draw_has_no_baseline(measure, tmp_path):
+    measure(lambda k: {"pos_rmse_h_m": None}, converged=lambda k: False, reason="failed: no such thing")
+    message = "survey: loose-15 has no value in 80 draws, nothing to compare with; draw 0: failed: no such"
+    with pytest.raises(ConfigError, match=message):
+        record_baselines(["survey.toml"], directory=tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_metric_that_is_lost_is_worse(recorded, measure):
@@ -332,7 +401,9 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
     errors = SimpleNamespace(
         t=t, pos_n=np.outer(t, [1.0, 0.0, 2.0]), vel_n=np.ones((110, 3)), nees=t, states=6
     )
-    result = SimpleNamespace(errors={"x": errors}, metrics={"x": {"converged": True}}, sensors=imu(1))
+    result = SimpleNamespace(
+        errors={"x": errors}, metrics={"x": {"converged": True, "reason": None}}, sensors=imu(1)
+    )
     log = SimpleNamespace(
         spec=SimpleNamespace(evaluation_from=9.0),
         records=SimpleNamespace(imu=SimpleNamespace(t=np.array([109.0]))),

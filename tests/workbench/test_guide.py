@@ -37,6 +37,9 @@ ALL = {"README": ROOT / "README.md", **PAGES}
 PARSED = {
     "view": "opens a window",
     "stream": "sends for as long as the run lasted",
+    "campaign": "takes minutes; its tests run it on a short flight",
+    "card": "takes minutes; its tests run it on a short flight",
+    "tune": "takes minutes; its tests run it on a short flight",
     "check": "runs every profile that has limits",
     "make": "sets up an environment",
 }

@@ -6,6 +6,8 @@ The recording is that of `tests/exchange/drives.py`, whose truth and errors are 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +32,7 @@ from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session
 from bench.navigation import estimator
+from bench.navigation.fusion import Loose
 from bench.recording import column
 from tests.exchange import drives
 
@@ -61,6 +64,52 @@ def rewritten(folder, tmp_path, *changes: tuple[str, str]) -> Path:
     path = tmp_path / "drive.toml"
     path.write_text(text)
     return path
+
+
+def test_a_log_that_does_not_fit_into_the_memory_is_refused_before_it_is_read(folder, tmp_path):
+    """3 GB hold 2.7 million rows; the file has 3 million."""
+    rows = np.zeros(3_000_000)
+    names = ("t_s", *drives.imu_columns(drives.sensed()["imu"]))
+    parquet.write_table(pa.table(dict.fromkeys(names, rows)), tmp_path / "imu.parquet")
+    log = rewritten(folder, tmp_path, ('"imu.csv"', '"imu.parquet"'))
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (3 * 10**9, 3 * 10**9)); "
+        f"from bench.cli import main; sys.exit(main(['navigate', {str(log)!r}, '-o', 'out']))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stderr) == (2, "error: imu.parquet: more than 2727272 rows\n")
+
+
+def test_rates_that_overflow_warn_nobody(folder, tmp_path, recwarn):
+    columns = drives.imu_columns(drives.sensed()["imu"])
+    drives.write_csv(tmp_path / "wild.csv", columns | {"gyro_x_rad_s": 1e308 * columns["gyro_x_rad_s"]})
+    found = checks(rewritten(folder, tmp_path, ("imu.csv", "wild.csv")))
+    assert not found["gyro_max_deg_s"].good
+    assert all(len(check.text) < 300 for check in found.values())
+    assert not recwarn.list
+
+
+class Breaks(Loose):
+    """Fails without fixes for more than 10 s."""
+
+    def run(self, sensors, initial):
+        if np.diff(sensors.fixes.t).max() > 10.0:
+            raise ZeroDivisionError("no fix")
+        return super().run(sensors, initial)
+
+
+@pytest.mark.parametrize("withhold", [0, 5])
+def test_an_estimator_that_fails_in_an_outage_of_a_log_has_failed(folder, tmp_path, capsys, withhold):
+    log = rewritten(folder, tmp_path, ("from_s = 40.0", f"from_s = 40.0\nwithhold = {withhold}"))
+    uses = ["-e", f"{__name__}:Breaks", "-e", "loose-15", "--outages", "20", "--places", "2"]
+    assert main(["navigate", str(log), *uses, "--no-rrd", "-o", str(tmp_path / "out")]) == 70
+    assert "ZeroDivisionError: no fix" in capsys.readouterr().err
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    assert result["metrics"]["Breaks"]["verdict_text"] == (
+        "Breaks failed: run() raised ZeroDivisionError: no fix"
+    )
+    assert result["metrics"]["loose-15"]["converged"]
+    assert [row["estimator"] for row in result["outages"]] == ["loose-15"]
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -163,10 +212,11 @@ YAWED = rotation.matrix(rotation.from_euler(0.0, 0.0, 0.6))
         (("accel", lambda v: v / 9.80665), "gravity_ratio", "g in a column of m/s^2"),
         (("accel", lambda v: v * 1.05), "gravity_ratio", "the scale"),
         (("accel", lambda v: -v), "rest_tilt_deg", "mounting_deg"),
+        (("accel", lambda v: v @ YAWED), "triads_deg", "their axes are not the same"),
         (
-            ("accel", lambda v: v @ rotation.matrix(rotation.from_euler(0, 0, 0.6))),
-            "forward_yaw_deg",
-            "forward",
+            ("gyro", lambda v: v * [1.0, 1.0, -1.0]),
+            "imu_axes",
+            "gyros fit the motion with their axes x, y, z taken from x, y, -z",
         ),
         (("t", lambda v: v + 0.07), "imu_shift_s", "time_offset_s"),
         (("t", lambda v: v + 0.5 * (v > 60.0)), "imu_gaps", "1 gaps, the longest 0.51 s"),
@@ -440,6 +490,9 @@ def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_pat
     assert "No recording: no estimator has position, velocity and attitude" in said
     assert (out / "result.json").is_file()
     assert not (out / "flight.rrd").exists()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "a log without truth" in page
+    assert page.count('<svg class="plot"') > 3
 
 
 def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
@@ -578,7 +631,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (('file = "imu.csv"', 'file = "drive.toml"'), "its ending does not show the format"),
         (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
         (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
-        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap"),
+        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap, navego"),
         (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
         (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
         (('gnss = "gnss.toml"', ""), "gnss is missing"),
@@ -630,8 +683,6 @@ def test_options_that_would_not_be_read_are_refused(arguments, words, capsys):
 
 # --- data nobody simulated ----------------------------------------------------------------------------
 
-ROOF = ('imu = "icm-45686"', 'imu = "icm-45686-on-the-roof.toml"')
-
 
 def real(tmp_path, *changes):
     """Return the log of the drive in tests/logs with some lines changed."""
@@ -653,41 +704,39 @@ def test_the_clocks_of_the_drive_are_where_the_motion_says(tmp_path):
     (tmp_path / "sound").mkdir()
     said = checks(real(tmp_path / "sound"))
     assert abs(said["velocity_shift_s"].value) < 0.01
-    assert abs(said["imu_shift_s"].value) < 0.02
+    assert abs(said["imu_shift_s"].value) < 0.03  # its sd is 0.006
     assert [c.name for c in said.values() if not c.good] == ["gnss_invalid_rows"]  # of no fixed ambiguities
 
 
-@pytest.mark.parametrize(
-    ("changes", "rmse", "medians"),
-    [  # the intervals of the guide
-        ((), (0.20, 0.33), {10.0: (1.5, 11.5), 30.0: (20.0, 108.0), 60.0: (73.0, 465.0)}),
-        ((ROOF,), (0.0, 0.067), {10.0: (1.1, 3.2), 30.0: (18.0, 88.0), 60.0: (53.0, 449.0)}),
-    ],
-    ids=["datasheet", "as mounted"],
-)
-def test_the_drive_is_navigated_as_well_as_the_readme_says(tmp_path, changes, rmse, medians):
-    arguments = ["navigate", str(real(tmp_path, *changes)), "-e", "loose-15", "--outages", "10,30,60"]
-    assert main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
+def test_the_drive_is_navigated_as_well_as_the_guide_says(tmp_path):
+    """The command of the guide, but for its folder. The intervals are those that the places allow.
+
+    With wheels the drift is below that of another open program on 16 cuts of this drive, 1.6, 9.8 and 28 m.
+    """
+    arguments = ["navigate", str(real(tmp_path)), "--set", "evaluation.from_s=300", "--outages", "10,30,60"]
+    assert main([*arguments, "--places", "16", "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
     result = json.loads((tmp_path / "out" / "result.json").read_text())
-    metrics = result["metrics"]["loose-15"]
-    assert metrics["withheld_fixes"] > 350
-    assert rmse[0] < metrics["pos_rmse_h_m"] < rmse[1]
-    for row in result["outages"]:
-        low, high = medians[row["duration_s"]]
-        assert row["places"] == 10
-        assert low < row["median_h_m"] < high
-        assert row["median_h_m"] > row["closed_form_median_h_m"]  # the law is a floor
-    if changes:
-        assert metrics["rejected_gnss_position"] < 30
-        assert 1.5 < metrics["nis_mean_gnss_position"] < 6.0  # 3 where the filter knows its noise
+    for metrics in result["metrics"].values():
+        assert metrics["withheld_fixes"] > 150
+        assert metrics["rejected_gnss_position"] < 15
         assert metrics["cep95_m"] < 0.05
+    medians = {
+        "loose-15": {10.0: (1.1, 3.5), 30.0: (15.0, 37.0), 60.0: (71.0, 195.0)},
+        "wheels": {10.0: (0.8, 1.6), 30.0: (1.5, 8.7), 60.0: (4.1, 14.6)},
+    }
+    for row in result["outages"]:
+        low, high = medians[row["estimator"]][row["duration_s"]]
+        assert row["places"] == 16
+        assert low < row["median_h_m"] < high
+        assert row["median_h_low_m"] < row["claimed_median_h_m"] < 1.2 * row["median_h_high_m"]
+    assert "nis_mean_nonholonomic" in result["metrics"]["wheels"]
 
 
 def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
     """What the motion says and what the filter says agree: the offset of the log halves the error."""
     found = []
     other = ("time_offset_s = -0.2", "time_offset_s = -0.125")
-    for name, changes in (("a", (ROOF,)), ("b", (ROOF, other))):
+    for name, changes in (("a", ()), ("b", (other,))):
         (tmp_path / name).mkdir()
         spec = load_log(str(real(tmp_path / name, *changes)))
         recorded = read_records(spec)

@@ -53,8 +53,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
   datasheet: `gbstd`, `abstd` are the standard deviations of the bias process; `initbgstd`, `initbastd` also
   include the turn-on bias; `corrtime` is that of the gyros.
 
-`bench score` reads `KF_GINS_Navresult.nav` once its columns have names: `t_s, lat_deg, lon_deg, alt_m,
-vel_n_mps, vel_e_mps, vel_d_mps, roll_deg, pitch_deg, yaw_deg` from its second on, with
+`bench score` reads `KF_GINS_Navresult.nav`, and the standard deviations in `KF_GINS_STD.txt` beside it, with
 `--t0 {calendar.second:.9g}`."""
 
 

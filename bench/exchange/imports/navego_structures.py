@@ -1,4 +1,4 @@
-"""NaveGo: the structures ``imu`` and ``gnss`` of a MATLAB file.
+"""NaveGo: the structures ``imu`` and ``gnss`` of a MATLAB file, or others that the log names as topic.
 
 Fields and units of ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: imu.t [s], wb [rad/s], fb [m/s^2],
 forward, right, down; gnss.t, lat, lon [rad], h [m], vel [m/s] north, east, down, stdm [m], stdv [m/s].
@@ -7,6 +7,7 @@ forward, right, down; gnss.t, lat, lon [rad], h [m], vel [m/s] north, east, down
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +21,13 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a structure of a NaveGo file."""
     if kind == "baro":
         raise ConfigError(f"{path.name}: NaveGo has no structure for a barometer")
-    variables = read_mat(path)
-    structure = variables.get(kind)
-    if not isinstance(structure, dict):
-        there = ", ".join(sorted(variables))[:200]
-        raise ConfigError(f"{path.name}: no structure {kind!r}; there are {there or 'none'}")
+    structure: Any = read_mat(path)
+    for part in (topic or kind).split("."):
+        inside = structure
+        structure = inside.get(part)
+        if not isinstance(structure, dict):
+            there = ", ".join(sorted(inside))[:200]
+            raise ConfigError(f"{path.name}: no structure {topic or kind!r}; there are {there or 'none'}")
 
     def column(name: str) -> FloatArray:
         if name not in structure:

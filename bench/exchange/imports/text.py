@@ -1,9 +1,10 @@
 """Text files of other tools: increments and fixes of KF-GINS, solutions of RTKLIB.
 
 KF-GINS: columns separated by white space, as in src/fileio/imufileloader.h and gnssfileloader.h of
-github.com/i2Nav-WHU/KF-GINS. IMU: second of week, increments of angle [rad] and velocity [m/s] forward,
-right, down. GNSS: second of week, latitude, longitude [deg], height [m], standard deviations north, east,
-down [m]; a file with 13 columns has the velocity before these standard deviations, and its own behind them.
+github.com/i2Nav-WHU/KF-GINS, its results as in src/kf_gins.cpp. IMU: second of week, increments of angle
+[rad] and velocity [m/s] forward, right, down. GNSS: second of week, latitude, longitude [deg], height [m],
+standard deviations north, east, down [m]; a file with 13 columns has the velocity before these standard
+deviations, and its own behind them.
 
 RTKLIB: the ``.pos`` of RTKPOST and RNX2RTKP, whose last comment line names the columns.
 """
@@ -20,7 +21,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
-from bench.exchange.table_files import MOST_BYTES
+from bench.exchange.table_files import MOST_BYTES, TableColumns
 from bench.signals.orbits import WEEK
 
 _LINE = 4096  # longest line [characters]
@@ -50,6 +51,48 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         values = {"lla": values["lla"], "vel_n": numbers[:, 4:7], "sd_pos": numbers[:, 7:10]}
         values["sd_vel"] = numbers[:, 10:13]
     return LogRows(numbers[:, 0], values)
+
+
+def read_kf_gins_solution(path: Path) -> TableColumns:
+    """Return the columns of a ``.nav`` of KF-GINS, with its standard deviations if ``STD`` is beside it.
+
+    ``..._Navresult.nav``: week, second of week, latitude, longitude [deg], height [m], velocity north, east,
+    down [m/s], roll, pitch, yaw [deg]; ``..._STD.txt``: second, standard deviations of position [m], velocity
+    [m/s], attitude [deg] along n, and of the states of the IMU, which are not used.
+
+    Raises
+    ------
+    ConfigError
+        If a file is not of these columns, or the two have other rows.
+    """
+    rows = _read_numbers(path, _read_lines(path), _parse_row, "a row of numbers")
+    if rows.shape[1] != 11:
+        raise ConfigError(f"{path.name}: a solution of KF-GINS has 11 columns; this has {rows.shape[1]}")
+    columns = {
+        "time": rows[:, 1:2],
+        "position": _to_lla(rows[:, 2:5]),
+        "velocity": rows[:, 5:8],
+        "attitude": np.deg2rad(rows[:, 8:11]),
+    }
+    beside = path.with_name(path.name.replace("Navresult.nav", "STD.txt"))
+    if beside != path and beside.exists():
+        spread = _read_numbers(beside, _read_lines(beside), _parse_row, "a row of numbers")
+        if spread.shape[1] < 10 or not np.array_equal(spread[:, 0], rows[:, 1]):
+            raise ConfigError(
+                f"{beside.name}: must have a time, 9 columns or more, and the times of {path.name}"
+            )
+        columns |= {
+            "sd_pos": spread[:, 1:4],
+            "sd_vel": spread[:, 4:7],
+            "sd_phi": np.deg2rad(spread[:, 7:10]),
+        }
+    names = {
+        "time": ("second of week",),
+        "position": ("lat", "lon", "alt"),
+        "velocity": ("vel_n", "vel_e", "vel_d"),
+        "attitude": ("roll", "pitch", "yaw"),
+    }
+    return TableColumns(columns, names, names, ())
 
 
 def _read_rtklib(path: Path) -> LogRows:

@@ -100,6 +100,10 @@ class Classic22:
             outputs[k] = outputs.get(k, 0) + 1
 
         flight = FilterLoop(self.options, sensors, initial)
+        if len(t):  # what is measured at the start sees the rate of the first sample
+            flight.w_b = np.array(dtheta[0]) / steps.span[0]
+        for fix_row, baro_row in arrived.get(-1, ()):
+            flight.update(initial.t, fix_row, baro_row)
         answers = [flight.answer()] * outputs.get(-1, 0)
         for k, (now, dt) in enumerate(zip(t.tolist(), steps.span.tolist(), strict=True)):
             flight.advance(dt, dtheta[k], dvel[k], steps.unknown[k])

@@ -1,4 +1,4 @@
-"""Draw figures. The only module that imports matplotlib."""
+"""Draw Allan deviations into a picture."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from bench.arrays import BoolArray
 from bench.data import Innovations
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
 from bench.instruments import INSTRUMENTS
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import (
+from bench.plots.content import Content, Tab
+from bench.plots.series import (
     AXES_N,
     BAND,
     MOST_ROWS,
@@ -22,7 +22,6 @@ from bench.recording.drawing import (
     Series,
     draw_dots,
     draw_line,
-    entity,
 )
 
 _MEASURED = {
@@ -31,6 +30,7 @@ _MEASURED = {
     **{row.innovation: (row.quantity, row.unit) for row in INSTRUMENTS.values()},
 }
 """Title and unit by sensor."""
+_SILENT = 5.0  # a sensor is silent after so many of its usual intervals
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
@@ -51,37 +51,42 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             if len(components) > 1:
                 axis = AXES_N[component]
                 name += f" {axis}"
-            path = entity("estimators", label, "innovation", sensor, axis)
             series = _innovation_series(table, here & (table.component == component), colour)
+            path = ("estimators", label, "innovation", sensor, axis)
             row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.evaluation_from))
         squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
-        path = entity("estimators", label, "nis", sensor)
+        place = ("estimators", label, "nis", sensor)
         dof = int(nis.dof.max())
-        rows.append([*row, _chi_square(content, path, f"{label}: NIS of {title}", squares, dof)])
+        rows.append([*row, _chi_square(content, place, f"{label}: NIS of {title}", squares, dof)])
     if np.isfinite(error.nees).any():
         nees = draw_line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
         if not rows or len(rows[-1]) > 2:
             rows.append([])
-        path = entity("estimators", label, "nees")
-        rows[-1].append(_chi_square(content, path, f"{label}: NEES", nees, error.states))
+        rows[-1].append(
+            _chi_square(content, ("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
+        )
     return rows
 
 
 def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> tuple[Series, ...]:
     t, z, three, used = table.t[rows], table.z[rows], 3.0 * np.sqrt(table.S[rows]), table.accepted[rows]
-    bounds = Series("bounds", t, np.column_stack([three, -three]), ("±3√S", "±3√S"), (BAND, BAND), (1.0, 1.0))
+    three = three.copy()
+    if len(t) > 2:  # the gates end where the sensor falls silent
+        three[:-1][np.diff(t) > _SILENT * np.median(np.diff(t))] = np.nan
+    bounds = Series(
+        "bounds", t, np.column_stack([three, -three]), ("±3√S",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1)
+    )
     series = [bounds, draw_dots("used", t[used], z[used], "used", colour)]
     if not used.all():
         series.append(draw_dots("rejected", t[~used], z[~used], "rejected", REJECTED, size=3.0))
     return tuple(series)
 
 
-def _chi_square(content: Content, path: str, title: str, squares: Series, dof: int) -> Plot:
+def _chi_square(content: Content, path: tuple[str, ...], title: str, squares: Series, dof: int) -> Plot:
     """Return a plot of normalized squares with the central 95 % of chi-square."""
     edges = [chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)]
-    band = Series(
-        "band", squares.t[[0, -1]], np.array([edges, edges]), ("95 % band",) * 2, (BAND, BAND), (1.0, 1.0)
-    )
+    t, values = squares.t[[0, -1]], np.array([edges, edges])
+    band = Series("band", t, values, ("95 % band",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1))
     return Plot(path, f"{title} ({dof} expected)", (band, squares), content.evaluation_from)
 
 

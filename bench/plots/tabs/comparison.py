@@ -8,8 +8,8 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import Plot, Rows, draw_line, entity
+from bench.plots.content import Content, Tab
+from bench.plots.series import Plot, Rows, draw_line
 
 FAR = 20.0
 """A filter whose error is so many times that of the middle one leaves a comparison, and flattens none."""
@@ -28,12 +28,12 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     for title, size in sizes.items():
         lines = {label: size(error) for label, error in errors.items()}
         series = tuple(
-            draw_line(entity("of", label)[1:], errors[label].t, values, label, colours[label])
+            draw_line(label, errors[label].t, values, label, colours[label])
             for label, values in lines.items()
             if np.isfinite(values).any()
         )
         if len(series) > 1:
-            path = entity("comparison", title.partition(" ")[0])
+            path = ("comparison", title.partition(" ")[0])
             rows.append([Plot(path, title, series, content.evaluation_from, FAR)])
     return {"": rows}
 

@@ -1,6 +1,6 @@
 """The tabs of plots.
 
-A tab is a constant `bench.recording.content.Tab` in a module of this folder. Nothing else lists it.
+A tab is a constant `bench.plots.content.Tab` in a module of this folder. Nothing else lists it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import pkgutil
 from collections.abc import Iterator
 from importlib import import_module
 
-from bench.recording.content import Tab
+from bench.plots.content import Tab
 
 
 def _declared() -> Iterator[Tab]:

@@ -10,38 +10,34 @@ import numpy as np
 from bench import rotation
 from bench.data import Trajectory
 from bench.instruments import INSTRUMENTS, Instrument
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import (
+from bench.plots.content import Content, Tab
+from bench.plots.series import (
     AXES_N,
     AXIS_COLOURS,
     BAND,
     ESTIMATORS,
     FIX,
-    SLOW,
     TRUTH,
     Plot,
     Rows,
     Series,
     draw_dots,
     draw_line,
-    entity,
-    thin,
 )
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
     truth, sensed = content.motion, content.sensed
-    keep = thin(truth.t, SLOW)
-    t, vel_n = truth.t[keep], truth.vel_n[keep]
+    t, vel_n = truth.t, truth.vel_n
     air, controls, fixes = truth.air, truth.controls, sensed.data.fixes
     measured: dict[str, list[Series]] = {}
     for name, record in sensed.data.instruments.items():
         measured.setdefault(INSTRUMENTS[name].trace.plot, []).extend(_trace(INSTRUMENTS[name], record))
-    euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb[keep])))
+    euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb)))
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
     what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
-    altitude = [draw_line(what, t, truth.lla[keep, 2], f"{what} (ellipsoidal)", colour)]
+    altitude = [draw_line(what, t, truth.lla[:, 2], f"{what} (ellipsoidal)", colour)]
     altitude += measured.pop("altitude", [])
     if fixes is not None:
         altitude.append(draw_dots("gnss", fixes.t, fixes.lla[:, 2], "GNSS antenna", FIX))
@@ -84,7 +80,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         filled = [
             (name, title, tuple(line for line in series if len(line.t))) for name, title, series in group
         ]
-        rows.append([Plot(entity("flight", name), title, series) for name, title, series in filled if series])
+        rows.append([Plot(("flight", name), title, series) for name, title, series in filled if series])
     return {"": [row for row in rows if row]}
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import NavSolution
 from bench.instruments import INSTRUMENTS
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import AXES_B, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma, entity
+from bench.plots.content import Content, Tab
+from bench.plots.series import AXES_B, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
 from bench.units import STANDARD_GRAVITY
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
@@ -58,7 +58,7 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             series = [draw_three_sigma("estimated", solution.t, value, sd, "estimated", colour, around=value)]
             if len(drawn.t):
                 series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH))
-            path = entity("estimators", label, "bias", name)
+            path = ("estimators", label, "bias", name)
             row.append(Plot(path, f"{label}: {title}", tuple(series), content.evaluation_from))
         if row:
             rows.append(row)

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from bench.evaluation.error_series import BLOCKS
-from bench.recording.content import Content, Tab
-from bench.recording.drawing import AXES_N, Plot, Rows, draw_three_sigma, entity
+from bench.plots.content import Content, Tab
+from bench.plots.series import AXES_N, Plot, Rows, draw_three_sigma
 
 
 def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> Mapping[str, Rows]:
@@ -25,7 +25,7 @@ def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> 
             if np.isfinite(values[:, k]).any():
                 title = f"{what} error about {axis}" if block == "phi" else f"{axis} {what} error"
                 series = draw_three_sigma("error", error.t, values[:, k], sigma[:, k], "error", colour)
-                path = entity("estimators", label, what, axis)
+                path = ("estimators", label, what, axis)
                 rows.append([Plot(path, f"{label}: {title} [{unit}]", (series,), content.evaluation_from)])
         found[label] = rows
     return found

@@ -1,10 +1,9 @@
-"""What a recording is made of, and what a tab of plots is."""
+"""What of a run there is to plot, and what a tab of plots is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
-from bench.recording.drawing import Colour, Rows, estimator_colours
+from bench.plots.series import Colour, Rows, estimator_colours
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +40,19 @@ class Carrier:
 Motion = Trajectory | Carrier
 
 
-def carrier(solutions: Mapping[str, NavSolution]) -> Carrier:
-    """Return the motion the first estimator that has one says there was, where it is finite."""
+def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> Carrier:
+    """Return the motion the first estimator that has one says there was, where it is finite.
+
+    If not ``in_space``, a position is enough.
+
+    Raises
+    ------
+    NothingToShowError
+        If there is none.
+    """
     for one in solutions.values():
-        good = np.isfinite(np.hstack([one.lla, one.vel_n, one.q_nb])).all(axis=1)
+        parts = [one.lla, one.vel_n, one.q_nb] if in_space else [one.lla]
+        good = np.isfinite(np.hstack(parts)).all(axis=1)
         if good.any():
             rows = (one.t[good], one.lla[good], one.vel_n[good], one.q_nb[good])
             return Carrier(*rows, no_air(), no_controls(), no_events())
@@ -70,10 +78,8 @@ class Content:
 
 @dataclass(frozen=True, slots=True)
 class Tab:
-    """A tab of the recording: a constant in a module of `bench.recording.tabs`."""
+    """A tab of the recording and a section of the report: a constant in a module of `bench.plots.tabs`."""
 
     name: str
     place: int  # tabs stand in the order of it
     plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the estimator; "": of none
-    view: Callable[[], Any] | None = None  # a view of another kind beside the plots
-    send: Callable[[Any, Content], None] | None = None  # what that shows, into a stream

@@ -1,0 +1,1 @@
+"""Campaigns: one command, many runs. Plan, engine, journal and tables."""

@@ -1,0 +1,94 @@
+"""The journal of a campaign: one line for each finished run, appended by the driver alone.
+
+A line is a checksum, a space, and a JSON object with the ``key`` of the run. A line whose checksum is wrong,
+such as the last one after a power cut, counts as not written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+NAME = "journal.jsonl"
+"""Name of the journal in the folder of a campaign."""
+
+_DIGITS = 16  # of the checksum
+
+
+class Journal:
+    """The finished runs of a campaign by key; the rows stay on disk. Leaving its context closes it.
+
+    If a run has several lines, the last one counts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._places: dict[str, tuple[int, int]] = {}
+        self._end = 0  # of the last whole line
+        self.damaged = 0  # lines that do not count
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        with path.open("rb") as file:
+            for line in file:
+                if not line.endswith(b"\n"):  # it was being written when the driver ended
+                    break
+                row = _parse(line)
+                if row is None:
+                    self.damaged += 1
+                else:
+                    self._places[row["key"]] = (self._end, len(line))
+                self._end += len(line)
+        os.ftruncate(self._descriptor, self._end)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        os.close(self._descriptor)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._places
+
+    def __getitem__(self, key: str) -> dict[str, Any]:
+        start, length = self._places[key]
+        row = _parse(os.pread(self._descriptor, length, start))
+        if row is None:
+            raise OSError(0, "damaged while it was in use", str(self._path))
+        return row
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Write a row with its ``key``, and wait until it is on the disk.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; what was written before is kept.
+        """
+        text = json.dumps(row, allow_nan=False, separators=(",", ":")).encode()
+        line = _sum(text) + b" " + text + b"\n"
+        try:
+            written = 0
+            while written < len(line):
+                written += os.pwrite(self._descriptor, line[written:], self._end + written)
+            os.fsync(self._descriptor)
+        except OSError as error:
+            why = f"{error.strerror}; what is finished is kept, --resume continues"
+            raise OSError(error.errno, why, str(self._path)) from error
+        self._places[str(row["key"])] = (self._end, len(line))
+        self._end += len(line)
+
+
+def _sum(text: bytes) -> bytes:
+    return hashlib.sha256(text).hexdigest()[:_DIGITS].encode()
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    """Return the row of a line, or None if the line is damaged."""
+    checksum, _, text = line.rstrip(b"\n").partition(b" ")
+    if checksum != _sum(text):
+        return None
+    row: dict[str, Any] = json.loads(text)
+    return row

@@ -1,0 +1,356 @@
+"""Run a campaign: fly, let the workers run, keep a journal, and write the tables."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from bench import pipeline, store
+from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
+from bench.campaigns.engine import Lost, Pool, compute
+from bench.campaigns.groups import gather
+from bench.campaigns.journal import NAME, Journal
+from bench.campaigns.outcome import Outcome, compare, summarize
+from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
+from bench.campaigns.pools import ExecutorPool, ProcessPool
+from bench.campaigns.worker import RunTask, choose_step, fly, measure
+from bench.errors import ConfigError, FlightError
+from bench.evaluation.ensemble import Comparison
+from bench.scratch import make_scratch
+
+SUMMARY = "campaign.json"
+"""File with the figures and sentences of a campaign."""
+
+
+_WAVE = 50  # flights before their runs: all fit into the cache of truth
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a campaign is."""
+
+    runs: int
+    done: int  # those taken from the journal included
+    failed: int  # of them, as a whole
+    new: int  # finished since the start
+    elapsed: float  # since the start [s]
+    flown: float  # flight time of the new runs [s]
+
+    @property
+    def rate(self) -> float:
+        """Runs per second."""
+        return self.new / self.elapsed if self.elapsed else 0.0
+
+    @property
+    def remaining(self) -> float | None:
+        """Time to the end [s]; None before the first run."""
+        return (self.runs - self.done) / self.rate if self.rate else None
+
+    @property
+    def real_time(self) -> float:
+        """Seconds of flight per second."""
+        return self.flown / self.elapsed if self.elapsed else 0.0
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The result of a campaign."""
+
+    outcomes: tuple[Outcome, ...]
+    comparisons: tuple[Comparison, ...]
+    runs: Any  # pyarrow.Table, a row for each run and estimator
+    epochs: Any  # pyarrow.Table, a row for each estimator and instant
+    planned: int
+    finished: int
+    failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
+    timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
+    interrupted: bool
+    folder: Path | None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the figures mean."""
+        own = (text for outcome in self.outcomes for text in outcome.sentences)
+        return (*own, *(one.sentence for one in self.comparisons))
+
+    def __repr__(self) -> str:
+        """Return the number of runs and the sentences."""
+        return "\n".join([f"<Campaign: {self.finished} of {self.planned} runs>", *self.sentences])
+
+
+def campaign(
+    profile: str | Path,
+    runs: int | None = None,
+    *,
+    flights: int | None = None,
+    seed: int | None = None,
+    estimators: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> Campaign:
+    """Run many noise draws of a profile on all processors and return their statistics.
+
+    Draw k is ``bench.run(profile, run=k)``. A script that calls this guards its start by
+    ``if __name__ == "__main__"``, because the processes import it.
+
+    Parameters
+    ----------
+    profile : str or Path
+        Shipped name, path of a profile, or path of a study.
+    runs, flights : int or None
+        Noise draws of each flight, default 200; flights with turbulence of their own, default 1.
+    seed, estimators, overrides, allow_code
+        As for `bench.load_profile`.
+    jobs, executor, scheduler, out, force, resume, progress
+        As for :func:`run_campaign`; ``out`` is its folder.
+
+    Returns
+    -------
+    campaign : Campaign
+        ``runs`` and ``epochs`` are Arrow tables, ``outcomes`` and ``comparisons`` figures with intervals,
+        ``sentences`` what they mean.
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+        If no run can begin, or the folder cannot be used.
+    """
+    if resume and (out is None or force):
+        raise ConfigError("bench.campaign: resume continues the campaign in out, and force replaces it")
+    plan = plan_runs(
+        str(profile),
+        runs,
+        flights=flights,
+        seed=seed,
+        estimators=estimators,
+        overrides=overrides,
+        allow_code=allow_code,
+    )
+    folder = None if out is None else Path(out)
+    return run_campaign(
+        plan,
+        jobs=jobs,
+        executor=executor,
+        scheduler=scheduler,
+        folder=folder,
+        force=force,
+        resume=resume,
+        progress=progress,
+    )
+
+
+def run_campaign(
+    plan: Plan,
+    *,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    folder: Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> Campaign:
+    """Run what a plan holds and return its tables and sentences.
+
+    The result does not depend on the number of processes or the order in which runs finish. After Ctrl-C it
+    is that of the runs that are finished.
+
+    Parameters
+    ----------
+    plan : Plan
+        As `bench.campaigns.plan` makes it.
+    jobs : int or None
+        Number of processes; None takes one for each processor.
+    executor : Executor or None
+        Use the ``jobs`` workers of this executor instead of processes of its own.
+    scheduler : str or None
+        Use the workers of the Dask scheduler at this address; it needs the extra "cluster".
+    folder : Path or None
+        Where journal and tables are written; None leaves nothing behind.
+    force : bool
+        Replace the campaign in the folder.
+    resume : bool
+        Continue the campaign in the folder, if there is one: runs of the same profile, estimators and
+        versions are taken from its journal; those that failed as a whole are tried again.
+    progress : callable
+        Called at the start and after each run.
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+        As for :func:`campaign`.
+    OSError
+        If the journal cannot be written; ``resume`` continues from there.
+    """
+    begun = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        place = stack.enter_context(
+            make_scratch()
+            if folder is None
+            else store.keep_folder(
+                folder, (NAME, RUNS, EPOCHS, SUMMARY), store.CAMPAIGN, force=force, resume=resume
+            )
+        )
+        journal = stack.enter_context(Journal(place / NAME))
+        try:
+            with _open_pool(plan, jobs or count_processors(), executor, scheduler) as pool:
+                _work(plan, journal, pool, progress)
+            interrupted = False
+        except KeyboardInterrupt:
+            interrupted = True
+        return _finish(plan, journal, place, folder, begun, interrupted=interrupted)
+
+
+def count_processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+def _open_pool(
+    plan: Plan, jobs: int, executor: Executor | None, scheduler: str | None
+) -> contextlib.AbstractContextManager[Pool]:
+    if scheduler is not None:
+        from bench.campaigns.cluster import ClusterPool
+
+        used = {choice.use: choice for cell in plan.cells for choice in cell.profile.estimators}
+        return ClusterPool(scheduler, list(used.values()))
+    return ProcessPool(jobs) if executor is None else ExecutorPool(executor, jobs)
+
+
+def _work(plan: Plan, journal: Journal, pool: Pool, progress: Callable[[Progress], None]) -> None:
+    """Run what the journal does not hold, and write each finished run into it."""
+    todo: dict[int, list[PlannedRun]] = {}
+    for planned in plan.runs:
+        key = plan.run_key(planned)
+        if key not in journal or "error" in journal[key]:
+            todo.setdefault(planned.cell, []).append(planned)
+    for cell in {plan.cells[k].condition: plan.cells[k] for k in todo}.values():
+        pipeline.build_estimators(cell.profile)
+    known = len(plan.runs) - sum(map(len, todo.values()))
+    counter = _Counter(len(plan.runs), known, progress)
+    lengths: dict[str, float] = {}
+    numbers, warm = list(todo), set[tuple[str, ...]]()
+    for begin in range(0, len(numbers), _WAVE):
+        wave = [plan.cells[k] for k in numbers[begin : begin + _WAVE]]
+        firsts = [next(c for c in plan.cells if c.condition == cell.condition) for cell in wave]
+        _fly([*firsts, *wave], lengths, pool)
+        tasks, first = list[RunTask](), list[int]()
+        for cell, number, its_first in zip(wave, numbers[begin : begin + _WAVE], firsts, strict=True):
+            uses = tuple(choice.use for choice in cell.profile.estimators)
+            if uses not in warm:  # its kernels are compiled once, not by every worker
+                first.append(len(tasks))
+                warm.add(uses)
+            step = choose_step(lengths[its_first.truth_key], cell.profile.sensors.output_rate)
+            tasks += [
+                RunTask(plan.run_key(one), cell.truth_key, cell.profile, one.run, step)
+                for one in todo[number]
+            ]
+        for k, found in compute(measure, tasks, pool, first):
+            row = {"key": tasks[k].key, "error": found.reason} if isinstance(found, Lost) else found
+            journal.append(row)
+            counter.count(lengths[tasks[k].truth_key], failed="error" in row)
+
+
+def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
+    """Fly into the cache what is not there, check the times of the profiles, and add the durations [s]."""
+    new = {cell.truth_key: cell for cell in cells if cell.truth_key not in lengths}
+    profiles = [cell.profile for cell in new.values()]
+    for k, length in enumerate(map(fly, profiles)) if pool.remote else compute(fly, profiles, pool):
+        if isinstance(length, Lost):
+            raise FlightError(f"{list(new.values())[k].profile.name}: {length.reason} while it flew")
+        lengths[list(new)[k]] = length
+    pool.share(list(new))
+    for cell in cells:
+        pipeline.check_times(cell.profile, lengths[cell.truth_key])
+
+
+class _Counter:
+    """Reports the progress of a campaign."""
+
+    def __init__(self, runs: int, known: int, progress: Callable[[Progress], None]) -> None:
+        self._runs, self._known, self._progress = runs, known, progress
+        self._new, self._failed, self._flown, self._begun = 0, 0, 0.0, time.perf_counter()
+        progress(Progress(runs, known, 0, 0, 0.0, 0.0))
+
+    def count(self, length: float, *, failed: bool) -> None:
+        self._new += 1
+        self._failed += failed
+        self._flown += length
+        elapsed, done = time.perf_counter() - self._begun, self._known + self._new
+        self._progress(Progress(self._runs, done, self._failed, self._new, elapsed, self._flown))
+
+
+def _finish(
+    plan: Plan, journal: Journal, place: Path, folder: Path | None, begun: float, *, interrupted: bool
+) -> Campaign:
+    """Write the tables and the summary of the finished runs."""
+    outcomes: list[Outcome] = []
+    comparisons: list[Comparison] = []
+    epochs: list[dict[str, Any]] = []
+    for _, groups in itertools.groupby(gather(plan, journal), lambda group: group.number):
+        of_condition = list(groups)
+        outcomes += map(summarize, of_condition)
+        comparisons += compare(of_condition)
+        epochs += map(describe_instants, of_condition)
+    failed: dict[str, str] = {}
+    cpu: list[float] = []
+
+    def rows() -> Iterator[tuple[PlannedRun, Mapping[str, Any]]]:
+        for planned in plan.runs:
+            if (key := plan.run_key(planned)) in journal:
+                row = journal[key]
+                if "error" in row:
+                    failed[plan.cells[planned.cell].repeat(planned.run)] = row["error"]
+                cpu.append(sum(row.get("cpu_s", {}).values()))
+                yield planned, row
+
+    write_runs(place / RUNS, plan, rows())
+    write_epochs(place / EPOCHS, plan, epochs)
+    result = Campaign(
+        outcomes=tuple(outcomes),
+        comparisons=tuple(comparisons),
+        runs=store.read_table(place / RUNS),
+        epochs=store.read_table(place / EPOCHS),
+        planned=len(plan.runs),
+        finished=len(cpu),
+        failed=failed,
+        timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
+        interrupted=interrupted,
+        folder=folder,
+    )
+    profiles = {cell.condition: cell.profile.document for cell in reversed(plan.cells)}
+    conditions = [
+        {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
+        for number, one in enumerate(plan.conditions)
+    ]
+    store.write_json(place / SUMMARY, describe(result) | {"conditions": conditions})
+    return result
+
+
+def describe(campaign: Campaign) -> dict[str, Any]:
+    """Return the figures and sentences of a campaign, for JSON."""
+    return {
+        "planned": campaign.planned,
+        "finished": campaign.finished,
+        "failed": campaign.failed,
+        "sentences": campaign.sentences,
+        "outcomes": [asdict(one) for one in campaign.outcomes],
+        "comparisons": [asdict(one) for one in campaign.comparisons],
+        "timing": campaign.timing,
+        **store.provenance(),
+    }

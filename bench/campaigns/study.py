@@ -1,0 +1,131 @@
+"""STUDY.toml: profiles, estimators and values to vary, every combination a condition of one campaign."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from bench.config.checks import is_code
+from bench.config.tables import ROWS, Table, check_table, read_toml
+from bench.errors import ConfigError
+
+Values = Mapping[str, Any]
+"""Dotted keys of a profile, as --set takes them, and their values."""
+
+MOST_CONDITIONS = 10_000
+"""Conditions of a study."""
+
+
+class _StudyTable(Table):
+    profiles: Annotated[tuple[str, ...], ROWS, Field(min_length=1)]
+    runs: Annotated[int, Field(ge=1)] = 200
+    flights: Annotated[int, Field(ge=1)] = 1
+    seed: Annotated[int, Field(ge=0)] | None = None
+    estimators: Annotated[tuple[str, ...], ROWS, Field(min_length=1)] | None = None
+    set_: dict[str, Any] = Field(default_factory=dict, alias="set")
+    variant: Annotated[tuple[dict[str, Any], ...], ROWS] = ()
+    sweep: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a campaign varies."""
+
+    name: str
+    profiles: tuple[str, ...]
+    runs: int = 200  # noise draws of each flight
+    flights: int = 1  # of each condition, each with turbulence of its own
+    seed: int | None = None
+    estimators: tuple[str, ...] | None = None
+    fixed: Values = field(default_factory=dict)
+    varied: tuple[Values, ...] = ({},)  # one for each condition of a profile
+
+    def conditions(self) -> Iterator[tuple[str, Values]]:
+        """Yield profile and varied values of each condition, in order."""
+        return itertools.product(self.profiles, self.varied)
+
+
+def is_study(source: str) -> bool:
+    """Return whether a file is a study and not a profile."""
+    return source.endswith(".toml") and "profiles" in read_toml(Path(source), source)
+
+
+def read_study(source: str, *, allow_code: bool = False) -> Study:
+    """Read a study; profiles in it are found beside it, or shipped.
+
+    Raises
+    ------
+    ConfigError
+        If the file is wrong, or names code without permission.
+    """
+    path = Path(source)
+    table = check_table(_StudyTable, read_toml(path, source), source)
+    fixed = _flatten(table.set_)
+    variants = [_flatten(row) for row in table.variant] or [{}]
+    sweep = _flatten(table.sweep)
+    wrong = [
+        f"{source}: [sweep] {key} = {value!r} must be a list of values"
+        for key, value in sweep.items()
+        if not isinstance(value, list) or not value
+    ]
+    keys = [*fixed, *dict.fromkeys(key for row in variants for key in row), *sweep]
+    wrong += [
+        f"{source}: {key} is given twice, in [set], [[variant]] or [sweep]"
+        for key in dict.fromkeys(keys)
+        if keys.count(key) > 1
+    ]
+    code = [use for use in table.estimators or () if is_code(use)]
+    if code and not allow_code:
+        wrong.append(f"{source}: {code[0][:60]!r} runs code on this machine; --allow-code permits it")
+    if wrong:
+        raise ConfigError(*wrong)
+    combinations = [
+        {**row, **dict(zip(sweep, values, strict=True))}
+        for row in variants
+        for values in itertools.product(*sweep.values())
+    ]
+    if len(combinations) * len(table.profiles) > MOST_CONDITIONS:
+        raise ConfigError(f"{source}: more than {MOST_CONDITIONS} conditions")
+    return Study(
+        name=path.stem,
+        profiles=tuple(_locate(name, path.parent) for name in table.profiles),
+        runs=table.runs,
+        flights=table.flights,
+        seed=table.seed,
+        estimators=table.estimators,
+        fixed=fixed,
+        varied=tuple(combinations),
+    )
+
+
+def _locate(profile: str, beside: Path) -> str:
+    """Return a profile of a study as the command line in the present folder names it."""
+    return os.path.relpath(beside / profile) if profile.endswith(".toml") else profile
+
+
+def _flatten(table: Values, above: str = "") -> dict[str, Any]:
+    """Return the values of nested tables by dotted key."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            found |= _flatten(value, f"{above}{key}.")
+        else:
+            found[above + key] = value
+    return found
+
+
+def format_value(value: Any) -> str:
+    """Return a value of TOML as text in one line, with all its digits."""
+    if isinstance(value, Mapping):
+        inner = (f"{json.dumps(key)} = {format_value(one)}" for key, one in value.items())
+        return f"{{{', '.join(inner)}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(format_value, value))}]"
+    return json.dumps(value) if isinstance(value, str | bool) else str(value)

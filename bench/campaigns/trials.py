@@ -1,0 +1,235 @@
+"""What a filter is tuned on: noise draws of a profile, or a recorded log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from bench import log_pipeline, pipeline
+from bench.arrays import BoolArray, FloatArray
+from bench.campaigns.engine import Lost, Pool, compute
+from bench.campaigns.worker import RunTask, choose_step, measure
+from bench.config import load_profile
+from bench.config.datasheets import MODIFIED, SENSORS
+from bench.config.library import find_profile
+from bench.errors import ConfigError
+from bench.evaluation import ensemble
+from bench.evaluation.consistency import nis_by_sensor
+from bench.evaluation.ensemble import Estimate
+from bench.run_result import RunResult
+from bench.specs import Profile
+from bench.store import truth_key
+from bench.units import SAME_INSTANT
+
+Goal = Literal["consistency", "rmse"]
+Figures = Mapping[str, float]
+"""Key of --set -> value of a figure that the filter assumes."""
+
+_STRETCHES = 10  # of each half of a log: each counts as a draw
+_LEAST = 2
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a filter does, as an optimiser sees it."""
+
+    nees_ratio: float  # mean NEES over its expectation
+    nis_ratios: Mapping[str, float]  # mean NIS over its expectation, by sensor
+    rmse: float  # horizontal [m]
+    converged: float  # rate [1]
+
+    def cost(self, goal: Goal) -> float:
+        """Return what is to be small."""
+        lost = 100.0 * (1.0 - self.converged)
+        if goal == "rmse":
+            return lost + float(np.log(self.rmse))
+        nis = [float(np.log(ratio)) ** 2 for ratio in self.nis_ratios.values()]
+        return lost + float(np.log(self.nees_ratio)) ** 2 + (float(np.mean(nis)) if nis else 0.0)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How a filter does on data that were not used for tuning, with 95 % intervals."""
+
+    rmse_h_m: Estimate
+    nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
+
+
+class Trial(Protocol):
+    """Data that tune a filter, and other data that judge it."""
+
+    label: str  # of the filter
+    assumed: dict[str, str]  # kind of sensor -> name of the datasheet that the filter assumes
+    beside: Path  # where a datasheet is searched
+
+    def score(self, figures: Figures) -> Score:
+        """Return how the filter does with these figures on the data for tuning."""
+
+    def judge(self, figures: Figures) -> Judged:
+        """Return how it does with them on the other data."""
+
+
+class ProfileTrial:
+    """Noise draws of a profile: 0 to ``runs`` - 1 tune, as many after them judge.
+
+    ``options`` are those of `bench.config.load_profile` but for the estimators.
+    """
+
+    def __init__(
+        self, source: str, estimator: str, runs: int, pool: Pool, options: Mapping[str, Any]
+    ) -> None:
+        self._source, self._estimator, self._runs, self._pool = source, estimator, runs, pool
+        self._options = options
+        profile = self._load({})
+        pipeline.build_estimators(profile)
+        self._end = float(pipeline.fly(profile).t[-1])
+        pipeline.check_times(profile, self._end)
+        self._truth_key = truth_key(profile.flight)
+        self.label = profile.estimators[0].label
+        self.beside = find_profile(source)[0].parent
+        self.assumed = _list_assumed(profile.document)
+
+    def _load(self, figures: Figures) -> Profile:
+        given = {**(self._options.get("overrides") or {}), **figures}
+        return load_profile(
+            self._source, **{**self._options, "overrides": given}, estimators=[self._estimator]
+        )
+
+    def _measure(self, figures: Figures, draws: Sequence[int]) -> list[Mapping[str, Any]]:
+        profile = self._load(figures)
+        step = choose_step(self._end, profile.sensors.output_rate)
+        tasks = [RunTask(str(run), self._truth_key, profile, run, step) for run in draws]
+        rows = dict(compute(measure, tasks, self._pool))
+        found: list[Mapping[str, Any]] = []
+        for k in range(len(tasks)):
+            row = rows[k]
+            wrong = row.reason if isinstance(row, Lost) else row.get("error")
+            if isinstance(row, Lost) or wrong:
+                raise ConfigError(f"{self._source}: draw {draws[k]} has no result: {wrong}")
+            found.append(row["estimators"][self.label])
+        return found
+
+    def score(self, figures: Figures) -> Score:
+        """Return how the filter does with these figures in the first draws."""
+        rows = self._measure(figures, range(self._runs))
+        good = [row for row in rows if row["metrics"]["converged"]]
+        if not good:
+            return Score(math.e, {}, math.e, 0.0)
+        sums: dict[str, FloatArray] = {}
+        for row in good:
+            for sensor, dof in row["nis_dof"].items():
+                updates = row["metrics"][f"updates_{sensor}"]
+                new = np.array([row["metrics"][f"nis_mean_{sensor}"] * updates, dof])
+                sums[sensor] = sums.get(sensor, np.zeros(2)) + new
+        mean_squares, nees = _draw_values(good)
+        return Score(
+            nees_ratio=float(nees.mean()),
+            nis_ratios={sensor: float(total / dof) for sensor, (total, dof) in sums.items()},
+            rmse=float(np.sqrt(mean_squares.mean())),
+            converged=len(good) / len(rows),
+        )
+
+    def judge(self, figures: Figures) -> Judged:
+        """Return how it does with them in the other draws."""
+        rows = self._measure(figures, range(self._runs, 2 * self._runs))
+        return _judge(*_draw_values([row for row in rows if row["metrics"]["converged"]]))
+
+
+class LogTrial:
+    """A log: the withheld fixes of its first half tune, those of its second half judge."""
+
+    def __init__(
+        self, source: str, estimator: str, overrides: Mapping[str, Any], *, allow_code: bool
+    ) -> None:
+        self._source, self._overrides, self._allow_code = source, overrides, allow_code
+        self._estimator = estimator
+        result = self._navigate({})
+        [self.label] = result.metrics
+        self.beside = Path(source).parent
+        self.assumed = _list_assumed(result.profile)
+
+    def _navigate(self, figures: Figures) -> RunResult:
+        log = log_pipeline.read_log(
+            self._source,
+            estimators=[self._estimator],
+            allow_code=self._allow_code,
+            overrides={**self._overrides, **figures},
+        )
+        self._from = log.spec.evaluation_from
+        return log_pipeline.navigate_log(log)
+
+    def _split(self, t: FloatArray) -> FloatArray:
+        """Return the edges of the stretches of the judged time."""
+        return np.linspace(self._from, float(t.max()) + SAME_INSTANT, 2 * _STRETCHES + 1)
+
+    def score(self, figures: Figures) -> Score:
+        """Return how the filter does with these figures in the first half."""
+        result = self._navigate(figures)
+        errors, innovations = result.errors[self.label], result.solutions[self.label].innovations
+        edges = self._split(errors.t)
+        inside = (errors.t >= edges[0]) & (errors.t < edges[_STRETCHES])
+        nis = nis_by_sensor(innovations, self._from)
+        first = {name: series.t < edges[_STRETCHES] for name, series in nis.items()}
+        mean_squares, nees = _stretch_values(result, self.label, [inside])
+        return Score(
+            nees_ratio=float(nees.mean()),
+            nis_ratios={
+                name: float(series.nis[first[name]].sum() / series.dof[first[name]].sum())
+                for name, series in nis.items()
+                if first[name].any()
+            },
+            rmse=float(np.sqrt(mean_squares.mean())),
+            converged=float(result.metrics[self.label]["converged"]),
+        )
+
+    def judge(self, figures: Figures) -> Judged:
+        """Return how it does with them in the second half."""
+        result = self._navigate(figures)
+        t = result.errors[self.label].t
+        edges = self._split(t)[_STRETCHES:]
+        inside = [(t >= a) & (t < b) for a, b in pairwise(edges)]
+        return _judge(*_stretch_values(result, self.label, [rows for rows in inside if rows.any()]))
+
+
+def _list_assumed(document: Mapping[str, Any]) -> dict[str, str]:
+    """Return the names of the datasheets that a profile or a log assumes."""
+    names = {kind: name for kind, name in document["sensors"]["assumed"].items() if kind in SENSORS}
+    for kind, name in names.items():
+        if name.endswith(MODIFIED):
+            raise ConfigError(
+                f"tuning starts from datasheets in files, not from --set of figures of {kind}: write them "
+                f"into a file and give it with --set sensors.assumed.{kind}"
+            )
+    return names
+
+
+def _draw_values(rows: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, FloatArray]:
+    """Return the horizontal mean squares and the ratios of NEES of draws."""
+    metrics = [row["metrics"] for row in rows]
+    mean_squares = np.array([one["pos_rmse_h_m"] for one in metrics], float) ** 2
+    return mean_squares, np.array([one["nees_mean"] / one["nees_states"] for one in metrics], float)
+
+
+def _stretch_values(
+    result: RunResult, label: str, inside: Sequence[BoolArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the horizontal mean squares and the ratios of NEES of stretches of a log."""
+    errors = result.errors[label]
+    squares = np.square(errors.pos_n[:, :2]).sum(axis=1)
+    mean_squares = np.array([squares[rows].mean() for rows in inside])
+    return mean_squares, np.array([errors.nees[rows].mean() for rows in inside]) / errors.states
+
+
+def _judge(mean_squares: FloatArray, nees: FloatArray) -> Judged:
+    """Return pooled values with intervals; the mean NEES is positive, so its interval is that of a root."""
+    if len(nees) < _LEAST:
+        raise ConfigError("too few draws converged to judge the tuned filter")
+    root = ensemble.pool_rmse(nees)
+    ratio = Estimate(root.value**2, root.low**2, root.high**2)
+    return Judged(ensemble.pool_rmse(mean_squares), ratio)

@@ -1,0 +1,213 @@
+"""Find factors on the noises that a filter assumes, so that its covariance describes its errors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.campaigns.pools import ProcessPool
+from bench.campaigns.running import count_processors
+from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
+from bench.config.library import find_datasheet
+from bench.config.tables import read_toml
+from bench.errors import ConfigError
+from bench.wording import suggest
+
+DEFAULT_FACTORS = (
+    "imu.gyro.noise",
+    "imu.accel.noise",
+    "gnss.gnss.pos_h_white,gnss.gnss.pos_v_white",
+    "gnss.gnss.vel_white",
+)
+"""Beginnings of the figures that share a factor, if none are asked for: kind, table and key."""
+
+_LARGEST = 100.0  # factor
+_FIRST_STEP = 2.0  # factor
+_PULL = 1e-3  # cost of the square of the logarithm of a factor: one without effect stays 1
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Factors on assumed noises, and what they change."""
+
+    label: str
+    goal: Goal
+    factors: Mapping[str, float]  # beginning of the figures -> factor
+    before: Judged
+    after: Judged
+    evaluations: int
+    datasheets: Mapping[str, str]  # kind of sensor -> text of the tuned datasheet
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was found."""
+        found = [f"{name}: {factor:.3g} times the datasheet" for name, factor in self.factors.items()]
+        for name, title in (("nees_ratio", "NEES over its expectation"), ("rmse_h_m", "horizontal RMSE [m]")):
+            old, new = (getattr(one, name) for one in (self.before, self.after))
+            found.append(
+                f"{title}, on data not used for tuning: {old.value:.3g} ({old.low:.3g} to {old.high:.3g}) "
+                f"before, {new.value:.3g} ({new.low:.3g} to {new.high:.3g}) after"
+            )
+        return tuple(found)
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write the tuned datasheets, ``<kind>-tuned.toml``, and return the files.
+
+        ``[sensors.assumed]`` of a profile or a log names them.
+        """
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        paths = [Path(folder) / f"{kind}-tuned.toml" for kind in self.datasheets]
+        for path, text in zip(paths, self.datasheets.values(), strict=True):
+            path.write_text(text, encoding="utf-8")
+        return paths
+
+
+def tune(
+    source: str | Path,
+    estimator: str,
+    *,
+    log: bool = False,
+    goal: Goal = "consistency",
+    factors: Sequence[str] | None = None,
+    runs: int = 20,
+    evaluations: int = 60,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    jobs: int | None = None,
+    progress: Callable[[int, int, float], None] = lambda number, most, cost: None,
+) -> Tuning:
+    """Find factors on the noises that an estimator assumes, and judge them on other data.
+
+    Parameters
+    ----------
+    source : str or Path
+        Profile, or the TOML file of a log.
+    estimator : str
+        The one to tune.
+    log : bool
+        The source is a log: withheld fixes of its first half tune, those of its second half judge.
+    goal : str
+        "consistency": NEES and NIS at their expectation; "rmse": least horizontal RMSE.
+    factors : sequence of str or None
+        Beginnings of the figures that share a factor, such as "imu.gyro.noise", several with commas between
+        them; None takes those of `DEFAULT_FACTORS` that the assumed datasheets have.
+    runs : int
+        Draws of a profile that tune; as many others judge.
+    evaluations : int
+        Most sets of factors to try.
+    seed, overrides, allow_code
+        As for `bench.load_profile`; a log has no seed.
+    jobs : int or None
+        Number of processes for a profile.
+    progress : callable
+        Called with the number of the set, the most there may be, and its cost.
+
+    Returns
+    -------
+    tuning : Tuning
+        Found by the method of Nelder and Mead on the logarithms of the factors.
+
+    Raises
+    ------
+    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+        If the source, the estimator or a factor is wrong, or a draw cannot be judged.
+    """
+    from scipy.optimize import minimize
+
+    with ProcessPool(jobs or count_processors()) as pool:
+        trial: Trial
+        if log:
+            trial = LogTrial(str(source), estimator, overrides or {}, allow_code=allow_code)
+        else:
+            options = {"seed": seed, "overrides": overrides, "allow_code": allow_code}
+            trial = ProfileTrial(str(source), estimator, runs, pool, options)
+        known = _read_figures(trial)
+        groups = _group_figures(known, factors)
+        tried: dict[tuple[float, ...], float] = {}
+
+        def cost(x: FloatArray) -> float:
+            key = tuple(float(value) for value in x)
+            if key not in tried:
+                score = trial.score(_name_keys(_scale(groups, known, np.exp(x))))
+                tried[key] = score.cost(goal) + _PULL * float(x @ x)
+                progress(len(tried), evaluations, tried[key])
+            return tried[key]
+
+        n, step, reach = len(groups), np.log(_FIRST_STEP), np.log(_LARGEST)
+        simplex = np.vstack([np.zeros(n), step * np.eye(n)])
+        settings = {"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
+        minimize(cost, np.zeros(n), method="Nelder-Mead", bounds=[(-reach, reach)] * n, options=settings)
+        best = np.exp(min(tried, key=lambda key: tried[key]))
+        figures = _scale(groups, known, best)
+        before, after = trial.judge({}), trial.judge(_name_keys(figures))
+    return Tuning(
+        label=trial.label,
+        goal=goal,
+        factors=dict(zip(groups, best.tolist(), strict=True)),
+        before=before,
+        after=after,
+        evaluations=len(tried),
+        datasheets=_write_datasheets(trial, figures),
+    )
+
+
+def _read_figures(trial: Trial) -> dict[str, float]:
+    """Return the figures of the assumed datasheets that are above zero, by kind, table and key."""
+    found: dict[str, float] = {}
+    for kind, name in trial.assumed.items():
+        for table, rows in read_toml(*find_datasheet(kind, name, trial.beside)).items():
+            if isinstance(rows, Mapping):
+                numbers = {key: value for key, value in rows.items() if isinstance(value, int | float)}
+                found |= {f"{kind}.{table}.{key}": float(x) for key, x in numbers.items() if x > 0}
+    return found
+
+
+def _group_figures(known: Mapping[str, float], asked: Sequence[str] | None) -> dict[str, list[str]]:
+    """Return the figures that share each factor."""
+    groups = {
+        starts: [key for key in known if key.startswith(tuple(starts.split(",")))]
+        for starts in asked or DEFAULT_FACTORS
+    }
+    empty = [start for start, keys in groups.items() if not keys]
+    if asked and empty:
+        raise ConfigError(f"no assumed figure begins with {empty[0]!r}{suggest(empty[0], known, 'figures')}")
+    found = {start: keys for start, keys in groups.items() if keys}
+    if not found:
+        raise ConfigError(f"the assumed datasheets have no figure to tune{suggest('', known, 'figures')}")
+    return found
+
+
+def _scale(
+    groups: Mapping[str, Sequence[str]], known: Mapping[str, float], factors: FloatArray
+) -> dict[str, float]:
+    """Return the figures times their factors."""
+    pairs = zip(groups.values(), factors.tolist(), strict=True)
+    return {key: known[key] * factor for keys, factor in pairs for key in keys}
+
+
+def _name_keys(figures: Mapping[str, float]) -> dict[str, float]:
+    """Return figures by their keys of --set: the filter alone assumes them."""
+    return {f"sensors.assumed.{key}": value for key, value in figures.items()}
+
+
+def _write_datasheets(trial: Trial, figures: Mapping[str, float]) -> dict[str, str]:
+    """Return the texts of the datasheets with the tuned figures, all else as it was."""
+    texts = {}
+    for kind in dict.fromkeys(key.partition(".")[0] for key in figures):
+        path, _ = find_datasheet(kind, trial.assumed[kind], trial.beside)
+        table, lines = "", [f"# {trial.assumed[kind]}, its noise tuned for {trial.label} by bench tune."]
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if header := re.fullmatch(r"\[(\w+)\]\s*", line):
+                table = header[1]
+            key, equals, _ = line.partition("=")
+            value = figures.get(f"{kind}.{table}.{key.strip()}") if equals else None
+            lines.append(line if value is None else f"{key.rstrip()} = {value:.6g}")
+        texts[kind] = "\n".join(lines) + "\n"
+    return texts

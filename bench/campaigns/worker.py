@@ -1,0 +1,144 @@
+"""What a worker does: one run, and what is kept of it."""
+
+from __future__ import annotations
+
+from base64 import b64decode, b64encode
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from bench import pipeline, store
+from bench.arrays import FloatArray
+from bench.data import ErrorSeries, NavSolution, Trajectory
+from bench.errors import BenchError
+from bench.evaluation.consistency import nis_by_sensor
+from bench.evaluation.error_series import heading_sd, select_epochs
+from bench.run_result import RunResult
+from bench.specs import Profile
+from bench.units import SAME_INSTANT
+from bench.wording import one_line
+
+MOST_INSTANTS = 600
+"""Instants of a run whose errors are kept."""
+
+CHANNELS = {
+    "pos_err_n_m": "m",
+    "pos_err_e_m": "m",
+    "pos_err_d_m": "m",
+    "vel_err_n_mps": "m/s",
+    "vel_err_e_mps": "m/s",
+    "vel_err_d_mps": "m/s",
+    "tilt_deg": "deg",
+    "heading_err_deg": "deg",
+    "pos_sd_h_m": "m",
+    "pos_sd_d_m": "m",
+    "heading_sd_deg": "deg",
+    "nees": "1",
+}
+"""What is kept at each instant, and its unit; ``sd`` is what the estimator claims."""
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """One run for a worker."""
+
+    key: str
+    truth_key: str
+    profile: Profile
+    run: int
+    step: float  # interval of the instants that are kept [s]
+
+
+def measure(task: RunTask) -> dict[str, Any]:
+    """Run a task and return its row of the journal; a run that raises has only an ``error``."""
+    row: dict[str, Any] = {"key": task.key}
+    try:
+        truth = _get_truth(_Keyed(task.truth_key, task.profile))
+        result = pipeline.run(task.profile, task.run, truth=truth)
+    except Exception as error:
+        what = str(error) if isinstance(error, BenchError) else repr(error)
+        return {**row, "error": one_line(what)[:500]}
+    cpu_s = result.provenance["cpu_s"]
+    labels = result.metrics
+    found = {label: _collect(result, label, task) for label in labels}
+    return {**row, "step": task.step, "cpu_s": cpu_s, "estimators": found}
+
+
+def fly(profile: Profile) -> float:
+    """Fly the truth of a profile into the cache and return its duration [s]."""
+    return float(pipeline.fly(profile).t[-1])
+
+
+def choose_step(duration: float, rate: float) -> float:
+    """Return the interval of at most `MOST_INSTANTS` instants of a flight, a multiple of 1 / rate [s]."""
+    return max(1, ceil(duration * rate / MOST_INSTANTS - SAME_INSTANT)) / rate
+
+
+def encode(columns: FloatArray) -> str:
+    """Return numbers in single precision as text."""
+    return b64encode(np.ascontiguousarray(columns, "<f4").tobytes()).decode()
+
+
+def decode(text: str) -> FloatArray:
+    """Return the numbers (M, C) of :func:`encode`, a column for each of `CHANNELS`."""
+    return np.frombuffer(b64decode(text), "<f4").reshape(-1, len(CHANNELS))
+
+
+@dataclass(frozen=True)
+class _Keyed:
+    key: str
+    profile: Profile = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _get_truth(flight: _Keyed) -> Trajectory:
+    """Return the truth of a flight; that of the last call is kept open."""
+    truth = store.read_truth(flight.key)
+    return pipeline.fly(flight.profile) if truth is None else truth
+
+
+def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
+    """Return what is kept of an estimator: its metrics, and its errors at some instants."""
+    errors, solution = result.errors[label], result.solutions[label]
+    nis = nis_by_sensor(solution.innovations, task.profile.evaluation_from - SAME_INSTANT)
+    return {
+        "metrics": {name: value for name, value in result.metrics[label].items() if _is_plain(value)},
+        "states": errors.states,
+        "nis_dof": {sensor: int(series.dof.sum()) for sensor, series in nis.items()},
+        "instants": encode(_thin(errors, solution, task.step)),
+    }
+
+
+def _is_plain(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def _thin(errors: ErrorSeries, solution: NavSolution, step: float) -> FloatArray:
+    """Return the `CHANNELS` (M, C) at whole multiples of a step, from the first on; NaN where unknown."""
+    number = np.round(errors.t / step).astype(np.int64)
+    wanted = (number > 0) & (number <= MOST_INSTANTS)
+    rows = np.flatnonzero((np.abs(errors.t - number * step) < SAME_INSTANT) & wanted)
+    at = select_epochs(solution, rows)
+    with np.errstate(invalid="ignore"):
+        variance = np.einsum("kii->ki", at.cov)
+        claimed = {
+            "pos_sd_h_m": np.sqrt(variance[:, 0] + variance[:, 1]),
+            "pos_sd_d_m": np.sqrt(variance[:, 2]),
+            "heading_sd_deg": np.rad2deg(heading_sd(at)),
+        }
+    found: Mapping[str, FloatArray] = {
+        **{f"pos_err_{axis}_m": errors.pos_n[rows, k] for k, axis in enumerate("ned")},
+        **{f"vel_err_{axis}_mps": errors.vel_n[rows, k] for k, axis in enumerate("ned")},
+        "tilt_deg": np.rad2deg(np.hypot(*errors.phi_n[rows, :2].T)),
+        "heading_err_deg": np.rad2deg(errors.heading[rows]),
+        **claimed,
+        "nees": errors.nees[rows],
+    }
+    kept = np.full((int(number[rows].max(initial=0)), len(CHANNELS)), np.nan)
+    with np.errstate(over="ignore"):  # beyond single precision: infinite
+        kept[number[rows] - 1] = np.column_stack([found[name] for name in CHANNELS])
+    return kept

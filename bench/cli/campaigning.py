@@ -1,0 +1,156 @@
+"""The verbs of many runs: campaign, tune and card."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import click
+
+from bench.cli.group import (
+    FILE,
+    STATUS,
+    code_option,
+    commands,
+    estimator_option,
+    force_option,
+    json_option,
+    new_console,
+    out_option,
+    seed_option,
+    set_option,
+)
+from bench.errors import DONE, INTERRUPTED, NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profile", metavar="PROFILE|STUDY.toml")
+@click.option(
+    "--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each flight  [default: 200]"
+)
+@click.option(
+    "--flights", type=click.IntRange(min=1), metavar="N", help="flights, each with its own turbulence"
+)
+@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@click.option("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
+@out_option("folder for journal and tables  [default: campaigns/<profile>-<seed>]")
+@estimator_option("evaluate only this one, of the profile")
+@set_option
+@seed_option
+@click.option("--resume", is_flag=True, help="continue the campaign in the folder: run only what is missing")
+@json_option("the statistics")
+@force_option("campaign")
+@code_option("profile")
+def campaign(profile: str, as_json: bool, **options: Any) -> int:
+    """Run many noise draws of a profile and say what they tell together.
+
+    PROFILE is a .toml file, or the name of a shipped profile (bench list). STUDY.toml
+    names profiles and the values to vary: every combination is a condition with its
+    own statistics. Finished runs are in the journal at once: after Ctrl-C, kill -9 or
+    a full disk, --resume continues.
+
+    \b
+    Examples:
+      bench campaign figure-eight --runs 200 -e loose-15 -e loose-22
+      bench campaign figure-eight --runs 200 -e loose-15 -e loose-22 --resume
+      bench campaign my_flight.toml --runs 1 --flights 100 --set sensors.imu=stim300
+      bench campaign which_unit.toml -o units
+
+    \b
+    Writes to DIR: runs.parquet (a row for each run and estimator, with the command
+    that repeats it), epochs.parquet (mean and percentiles over the runs at up to 600
+    instants, NEES with its band), campaign.json (figures and sentences) and the
+    journal.
+    """
+    if options["jobs"] and options["scheduler"]:
+        raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")
+    from bench.campaigns.running import describe
+    from bench.store import to_json
+    from bench.workbench.campaign_verb import run_campaign
+
+    result = run_campaign(profile, console=new_console(stderr=as_json), **options)
+    if as_json:
+        click.echo(to_json(describe(result)), nl=False)
+    if result.interrupted:
+        return INTERRUPTED
+    good = not result.failed and all(one.converged.value == 1.0 for one in result.outcomes)
+    return DONE if good else NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("source", metavar="PROFILE|LOG.toml")
+@click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to tune")
+@click.option("--log", is_flag=True, help="it is a log: withheld fixes of its two halves tune and judge")
+@click.option(
+    "--goal",
+    type=click.Choice(["consistency", "rmse"]),
+    default="consistency",
+    help="NEES and NIS at their expectation, or the least horizontal RMSE",
+)
+@click.option(
+    "--factor",
+    "factors",
+    multiple=True,
+    callback=lambda ctx, param, given: given or None,
+    metavar="START",
+    help="one factor for all figures that begin so: imu.gyro.noise; repeat for more",
+)
+@click.option("--runs", type=click.IntRange(min=2), default=20, metavar="N", help="draws that tune")
+@click.option("--evaluations", type=click.IntRange(min=2), default=60, metavar="N", help="most sets to try")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@click.option("-o", "--out", type=FILE, default="tuned", metavar="DIR", help="folder for the datasheets")
+@set_option
+@seed_option
+@json_option("factors and figures")
+@force_option("tuned datasheet")
+@code_option("profile or log")
+def tune(source: str, as_json: bool, **options: Any) -> int:
+    """Find factors on the noises that a filter assumes.
+
+    The first noise draws of PROFILE tune; as many others judge, before and after. With
+    --log the withheld fixes of the first half of a recording tune, those of its second
+    half judge. Writes the datasheets that the filter should assume.
+
+    \b
+    Examples:
+      bench tune figure-eight -e loose-22
+      bench tune drive.toml --log -e loose-15 --set sensors.assumed.imu=icm-45686
+      bench run figure-eight -e loose-22 --set sensors.assumed.imu=tuned/imu-tuned.toml
+    """
+    if options["log"] and options["seed"] is not None:
+        raise click.UsageError("a log has no seed")
+    from bench.store import to_json
+    from bench.workbench.tune_verb import run_tuning
+
+    found = run_tuning(source, console=new_console(stderr=as_json), **options)
+    if as_json:
+        click.echo(to_json(asdict(found)), nl=False)
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to judge")
+@click.option("--against", default="loose-full", metavar="NAME", help="the one to compare it with")
+@click.option("--quick", is_flag=True, help="three flights of 8 draws instead of seven of 40")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
+@json_option("the card")
+@force_option("card")
+def card(as_json: bool, estimator: str, **options: Any) -> int:
+    """Judge a filter over a fixed suite of flights, beside a built-in one.
+
+    Accuracy is a ratio to the other filter on the same noise, with its interval. Version
+    and hash of the suite stand on the card: two cards with equal hashes compare.
+
+    \b
+    Examples:
+      bench card -e mine:Filter --quick
+      bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
+    """
+    from bench.store import to_json
+    from bench.workbench.campaign_verb import run_card
+
+    found = run_card(estimator, console=new_console(stderr=as_json), **options)
+    if as_json:
+        click.echo(to_json(asdict(found)), nl=False)
+    return DONE

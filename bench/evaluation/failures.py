@@ -1,0 +1,51 @@
+"""An estimator that failed: a solution without values, with events that say why."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import EventRow, Events, NavSolution, no_innovations
+from bench.errors import EstimatorFailedError
+
+FAILED, TRACEBACK = "failed", "traceback"
+"""Kinds of events: there is no solution, for the reason in the text; where in the code it was raised."""
+
+
+def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = ()) -> NavSolution:
+    """Return a solution that is NaN at the instants t (M,) [s], with the reason as an event."""
+    m = len(t)
+    return NavSolution(
+        t=t,
+        lla=np.full((m, 3), np.nan),
+        vel_n=np.full((m, 3), np.nan),
+        q_nb=np.full((m, 4), np.nan),
+        gyro_bias_b=np.full((m, 3), np.nan),
+        accel_bias_b=np.full((m, 3), np.nan),
+        cov=np.full((m, 9, 9), np.nan),
+        extra_names=(),
+        extra=np.empty((m, 0)),
+        extra_sd=np.empty((m, 0)),
+        innovations=no_innovations(),
+        events=Events.from_rows([(0.0, 0.0, FAILED, why), *events]),
+    )
+
+
+def describe_error(label: str, error: EstimatorFailedError) -> tuple[str, list[EventRow]]:
+    """Return why an estimator failed, and an event with its traceback."""
+    text = "".join(traceback.format_exception(error.__cause__ or error))
+    return str(error).removeprefix(f"estimator {label!r}: "), [(0.0, 0.0, TRACEBACK, text)]
+
+
+def describe_failure(solution: NavSolution) -> dict[str, Any]:
+    """Return what the metrics of a failed estimator say of it; empty if it did not fail."""
+    reasons = solution.events.select(FAILED)
+    if not reasons:
+        return {}
+    found = {"converged": False, "reason": f"failed: {reasons[0][2]}", "failed": True}
+    raised = solution.events.select(TRACEBACK)
+    return found | ({"traceback": raised[0][2]} if raised else {})

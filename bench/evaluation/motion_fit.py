@@ -1,0 +1,302 @@
+"""Fit of what an IMU measured to the velocities of a receiver, with no assumption on how the vehicle moves.
+
+Over a stretch of some seconds the gyros give the attitude C_sb relative to that at its start, s; with it the
+accelerometers give the velocity gained, u. In an inertial frame i, Earth-fixed at the start of the stretch,
+the receiver gives the same velocity, Y, from its own velocities and gravity:
+
+    Y(t) = v_0 + C_is (u(t - shift) + C_sb(t) (w x arm))
+
+v_0 and C_is are free in every stretch: C_is by Wahba's problem (Markley and Crassidis, Fundamentals of
+Spacecraft Attitude Determination and Control, 2014, section 5.4). Biases and gains of both triads, a rotation
+between them, the shift of the clocks and the arm are common to all stretches: Gauss-Newton, with the
+derivatives of u integrated along with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import kernel
+from bench.earth import EARTH_RATE, gravity_n, matrix_en
+from bench.rotation import from_rotvec, matrix, skew
+from bench.units import STANDARD_GRAVITY
+
+NAMES = (
+    *("gyro_bias_x", "gyro_bias_y", "gyro_bias_z"),  # [rad/s]
+    "gyro_gain",  # logarithm of measured by true
+    *("accel_bias_x", "accel_bias_y", "accel_bias_z"),  # [m/s^2]
+    "accel_gain",
+    *("turn_x", "turn_y", "turn_z"),  # of the accelerometers against the gyros [rad]
+    "shift",  # to add to the times of the IMU [s]
+    *("arm_x", "arm_y", "arm_z"),  # of the antenna, beyond the one given [m]
+)
+# what is known before: no more than that the units are about right and the arm was measured, not guessed
+_PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
+_LONGEST = 2.0  # step of an iteration, in these standard deviations: a wrong unit is far from linear
+_KERNEL = 11  # parameters whose derivatives are integrated
+_GYRO_GAIN, _ACCEL_GAIN, _SHIFT, _ARM = 3, 7, 11, slice(12, 15)
+LENGTH = 20.0  # of a stretch [s]
+_FEWEST = 8  # fixes in a stretch
+_MOST = 150  # stretches; those in which the velocity changes most are used
+_GAP = 0.5  # of the IMU inside a stretch [s]
+_HALF = 0.05  # step of the derivative by time [s]
+_MARGIN = 1.0  # to the ends of the IMU record [s]: clocks may differ
+_NOISE = 0.05  # of the velocities of a receiver [m/s]: stretches that fit better than this count alike
+
+
+@kernel
+def _integrate_kernel(
+    t: FloatArray,
+    gyro: FloatArray,
+    accel: FloatArray,
+    first: IntArray,
+    begin: IntArray,
+    cuts: FloatArray,
+    u: FloatArray,
+    U: FloatArray,
+    C_sb: FloatArray,
+    rate: FloatArray,
+) -> None:
+    """Fill u (K, 3), its derivatives U (K, 3, 11), C_sb (K, 3, 3) and the rate (K, 3) at the cuts (K,).
+
+    Stretch w has the cuts begin[w] to begin[w + 1]; its first cut lies in the interval first[w]. The rates
+    (N, 3) hold over the intervals that end at t (N,).
+    """
+    C, M, E = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    psi, f = np.zeros((3, 4)), np.zeros(3)
+    for w in range(len(begin) - 1):
+        row, time = first[w], cuts[begin[w]]
+        for a in range(3):
+            for b in range(3):
+                C[a, b] = 1.0 if a == b else 0.0
+                psi[a, b] = 0.0
+            psi[a, 3] = 0.0
+        for k in range(begin[w], begin[w + 1]):
+            before = max(k - 1, begin[w])
+            for a in range(3):
+                u[k, a] = u[before, a] if k > before else 0.0
+                for p in range(11):
+                    U[k, a, p] = U[before, a, p] if k > before else 0.0
+            while time < cuts[k]:
+                end = min(t[row], cuts[k])
+                h = 0.5 * (end - time)
+                x, y, z = gyro[row, 0], gyro[row, 1], gyro[row, 2]
+                size = np.sqrt(x * x + y * y + z * z)
+                s, c = h, 0.5 * h * h
+                if size * h > 1e-4:
+                    s, c = np.sin(size * h) / size, (1.0 - np.cos(size * h)) / (size * size)
+                E[0, 0], E[0, 1], E[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+                E[1, 0], E[1, 1], E[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
+                E[2, 0], E[2, 1], E[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
+                for half in range(2):  # the force turns with the attitude in the middle
+                    for a in range(3):
+                        for b in range(3):
+                            M[a, b] = C[a, 0] * E[0, b] + C[a, 1] * E[1, b] + C[a, 2] * E[2, b]
+                    for a in range(3):
+                        for b in range(3):
+                            C[a, b] = M[a, b]
+                            psi[a, b] += h * M[a, b]
+                        psi[a, 3] += h * (M[a, 0] * x + M[a, 1] * y + M[a, 2] * z)
+                    if half == 1:
+                        continue
+                    for a in range(3):
+                        f[a] = C[a, 0] * accel[row, 0] + C[a, 1] * accel[row, 1] + C[a, 2] * accel[row, 2]
+                    for a in range(3):
+                        i, j = (a + 1) % 3, (a + 2) % 3
+                        u[k, a] += 2.0 * h * f[a]
+                        U[k, a, 7] += 2.0 * h * f[a]
+                        for p in range(4):
+                            U[k, a, p] += 2.0 * h * (psi[i, p] * f[j] - psi[j, p] * f[i])
+                        for p in range(3):
+                            q, r = (p + 1) % 3, (p + 2) % 3
+                            U[k, a, 4 + p] += 2.0 * h * C[a, p]
+                            U[k, a, 8 + p] += 2.0 * h * (C[a, r] * accel[row, q] - C[a, q] * accel[row, r])
+                time = end
+                if time >= t[row]:
+                    row += 1
+            for a in range(3):
+                for b in range(3):
+                    C_sb[k, a, b] = C[a, b]
+                rate[k, a] = gyro[row, a]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretches:
+    """Stretches of a recording in which IMU and receiver can be compared."""
+
+    begin: IntArray  # (W + 1,) first fix of each among those below
+    fix_t: FloatArray  # (K,) [s]
+    gained: FloatArray  # (K, 3) velocity of the receiver without gravity, in i of each stretch [m/s]
+    vel_n: FloatArray  # (K, 3)
+    C_in: FloatArray  # (K, 3, 3)
+    change: FloatArray  # (W,) of the velocity between fixes [m/s]
+
+    def __len__(self) -> int:
+        return len(self.begin) - 1
+
+    @property
+    def slices(self) -> list[slice]:
+        """The rows of each stretch."""
+        return [slice(a, b) for a, b in zip(self.begin[:-1], self.begin[1:], strict=True)]
+
+    def take_liveliest(self, count: int) -> Stretches:
+        """Return the stretches in which the velocity changes most, in order of time."""
+        kept = np.sort(np.argsort(-self.change, kind="stable")[:count])
+        rows = np.concatenate([np.empty(0, np.int64), *(np.arange(*self.begin[k : k + 2]) for k in kept)])
+        begin = np.concatenate([[0], np.cumsum(np.diff(self.begin)[kept])])
+        return Stretches(
+            begin, self.fix_t[rows], self.gained[rows], self.vel_n[rows], self.C_in[rows], self.change[kept]
+        )
+
+
+def find_stretches(imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray) -> Stretches:
+    """Return the stretches of an IMU with times (N,) and a receiver with times (M,) and velocities, n."""
+    if len(t) < _FEWEST or len(imu_t) < 2:
+        return Stretches(
+            np.zeros(1, np.int64), t[:0], np.empty((0, 3)), vel_n[:0], np.empty((0, 3, 3)), t[:0]
+        )
+    gaps = imu_t[1:][np.diff(imu_t) > _GAP]
+    blocks = np.floor((t - t[0]) / max(LENGTH, 1.5 * _FEWEST * float(np.median(np.diff(t))))).astype(int)
+    blocks = blocks * (len(gaps) + 1) + np.searchsorted(gaps, t)
+    blocks[(t < imu_t[0] + _MARGIN) | (t > imu_t[-1] - _MARGIN)] = -1
+    C_en = matrix_en(lla[:, 0], lla[:, 1])
+    vel_e = np.einsum("kij,kj->ki", C_en, vel_n)
+    spin = np.array([0.0, 0.0, EARTH_RATE])
+    gravity = np.einsum("kij,kj->ki", C_en, gravity_n(lla[:, 0], lla[:, 2]))
+    found = []
+    for block in np.unique(blocks[blocks >= 0]):
+        rows = np.flatnonzero(blocks == block)
+        if len(rows) < _FEWEST:
+            continue
+        since = t[rows] - t[rows[0]]
+        C_ie = matrix(from_rotvec(since[:, None] * spin))
+        extra = gravity[rows] - 2.0 * np.cross(spin, vel_e[rows])
+        middle = 0.5 * (extra[1:] + extra[:-1]) * np.diff(since)[:, None]
+        steps = np.diff(vel_e[rows], axis=0) - middle
+        halfway = matrix(from_rotvec(0.5 * (since[1:] + since[:-1])[:, None] * spin))
+        gained = np.vstack([np.zeros(3), np.cumsum(np.einsum("kij,kj->ki", halfway, steps), axis=0)])
+        change = float(np.std(np.diff(vel_n[rows], axis=0)))
+        found.append((change, rows, gained, C_ie @ C_en[rows]))
+    rows = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
+    return Stretches(
+        np.concatenate([[0], np.cumsum([len(one[1]) for one in found])]).astype(np.int64),
+        t[rows],
+        np.vstack([np.empty((0, 3)), *(one[2] for one in found)]),
+        vel_n[rows],
+        np.vstack([np.empty((0, 3, 3)), *(one[3] for one in found)]),
+        np.array([one[0] for one in found]),
+    ).take_liveliest(_MOST)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionFit:
+    """The fitted parameters, in the order of `NAMES`, and how well each stretch fits."""
+
+    values: FloatArray  # (15,)
+    cov: FloatArray  # (15, 15)
+    rms: FloatArray  # (W,) residuals of each stretch [m/s]
+    C_nb: FloatArray  # (K, 3, 3) at the fixes
+    heading_sd: FloatArray  # (W,) of C_nb [rad]
+
+
+def fit_motion(
+    stretches: Stretches,
+    t: FloatArray,
+    gyro: FloatArray,
+    accel: FloatArray,
+    arm_b: FloatArray,
+    iterations: int = 6,
+) -> MotionFit:
+    """Fit all parameters.
+
+    Parameters
+    ----------
+    stretches : Stretches
+        What the receiver says.
+    t, gyro, accel : (N,), (N, 3), (N, 3) arrays
+        Ends of the intervals [s], mean rates [rad/s] and specific forces [m/s^2], b.
+    arm_b : (3,) array
+        Antenna relative to the IMU as assumed [m], b.
+    iterations : int
+        Gauss-Newton steps.
+    """
+    values = np.zeros(len(NAMES))
+    values[_ACCEL_GAIN] = _guess_gain(accel)
+    weights = np.ones(len(stretches))
+    for step in range(iterations + 1):
+        u, U, C_sb, rate, u_dot = _integrate(stretches, t, gyro, accel, values)
+        swing = np.einsum("kij,kj->ki", C_sb, np.cross(rate, arm_b + values[_ARM]))
+        normal, pull = np.diag(_PRIOR_SD**-2), -values / _PRIOR_SD**2
+        scores, rms, C_nb, heading_sd = [], [], np.empty((len(u), 3, 3)), []
+        for weight, rows in zip(weights, stretches.slices, strict=True):
+            x, y = u[rows] + swing[rows], stretches.gained[rows]
+            a, b = x - x.mean(axis=0), y - y.mean(axis=0)
+            C_is = _fit_attitude(a, b)
+            turned = a @ C_is.T
+            residual = (b - turned).ravel()
+            J = np.empty((len(x), 3, len(NAMES)))
+            J[..., :_KERNEL] = C_is @ U[rows]
+            J[..., :8] *= -1.0
+            J[..., _SHIFT] = -u_dot[rows] @ C_is.T
+            J[..., _ARM] = C_is @ C_sb[rows] @ _cross_matrices(rate[rows])
+            J = (J - J.mean(axis=0)).reshape(-1, len(NAMES))
+            Q = np.linalg.qr(_cross_matrices(-turned).reshape(-1, 3))[0]  # what another C_is would change
+            J, residual = J - Q @ (Q.T @ J), residual - Q @ (Q.T @ residual)
+            rms.append(np.sqrt(residual @ residual / (len(residual) - 6)))
+            normal += weight * J.T @ J
+            pull += weight * J.T @ residual
+            scores.append(weight * (J.T @ residual))
+            C_nb[rows] = np.swapaxes(stretches.C_in[rows], 1, 2) @ C_is @ C_sb[rows]
+            level = stretches.C_in[rows][0][:, 2]
+            heading_sd.append(np.hypot(rms[-1], _NOISE) / max(np.linalg.norm(np.cross(level, turned)), 1e-9))
+        inverse = np.linalg.inv(normal)
+        if step == iterations:
+            break
+        values = values + np.clip(inverse @ pull, -_LONGEST * _PRIOR_SD, _LONGEST * _PRIOR_SD)
+        values[_SHIFT] = np.clip(values[_SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
+        weights = 1.0 / (np.square(rms) + _NOISE**2)
+    spread = np.array(scores)
+    factor = len(spread) / max(len(spread) - 1, 1)
+    cov = inverse @ (factor * spread.T @ spread + np.diag(_PRIOR_SD**-2)) @ inverse
+    cov[np.diag_indices(len(cov))] = np.maximum(np.diag(cov), np.diag(inverse))
+    return MotionFit(values, cov, np.array(rms), C_nb, np.array(heading_sd))
+
+
+def _fit_attitude(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) that turns vectors a (K, 3) into b best, by singular values."""
+    left, _, right = np.linalg.svd(b.T @ a)
+    return np.asarray((left * [1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right)
+
+
+_CROSS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)
+
+
+def _cross_matrices(v: FloatArray) -> FloatArray:
+    """Return the matrices (K, 3, 3) of the cross products with vectors (K, 3)."""
+    return np.asarray((v @ _CROSS).reshape(-1, 3, 3))
+
+
+def _guess_gain(accel: FloatArray) -> float:
+    """Return where to start with the gain of the accelerometers: far from 0 only if a unit is wrong."""
+    ratio = float(np.median(np.linalg.norm(accel, axis=1))) / STANDARD_GRAVITY
+    return 0.0 if 0.5 < ratio < 2.0 or ratio == 0.0 else float(np.log(ratio))
+
+
+def _integrate(
+    stretches: Stretches, t: FloatArray, gyro: FloatArray, accel: FloatArray, values: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return u, U, C_sb, the rate at the fixes and the derivative of u by time, for some parameters."""
+    w = gyro * np.exp(-values[_GYRO_GAIN]) - values[:3]
+    f = (accel * np.exp(-values[_ACCEL_GAIN]) - values[4:7]) @ matrix(from_rotvec(values[8:11])).T
+    at = stretches.fix_t - values[_SHIFT]
+    half = min(_HALF, 0.5 * float(np.diff(at).min(initial=np.inf)))
+    cuts = (at[:, None] + [-half, 0.0, half]).ravel()
+    begin = 3 * stretches.begin
+    u, U = np.empty((len(cuts), 3)), np.empty((len(cuts), 3, _KERNEL))
+    C_sb, rate = np.empty((len(cuts), 3, 3)), np.empty((len(cuts), 3))
+    first = np.searchsorted(t, cuts[begin[:-1]], "right")
+    _integrate_kernel(t, w, f, first, begin, cuts, u, U, C_sb, rate)
+    return u[1::3], U[1::3], C_sb[1::3], rate[1::3], (u[2::3] - u[::3]) / (2.0 * half)

@@ -1,0 +1,93 @@
+"""A recording as its checks see it: the sound rows of IMU and receiver in order of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import GnssFixes, ImuData
+from bench.earth import matrix_en, to_ecef
+
+STILL = 0.2
+"""Ground speed below which a vehicle counts as standing still [m/s]."""
+STILL_AT_LEAST = 2.0
+"""Shortest standstill that is used [s]."""
+_WILD = 1e5  # a number beyond it in SI is damage, not motion in another unit
+_STEP = 0.02  # samples closer than this are averaged [s]: no vehicle turns much within it
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Result of one check."""
+
+    name: str  # ends in the unit of the value
+    value: float | None  # None if it could not be measured
+    text: str
+    good: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedMotion:
+    """Rates and specific forces of an IMU, means over 20 ms at least, and the fixes of a receiver."""
+
+    t: FloatArray  # (N,) ends of the intervals [s]
+    gyro: FloatArray  # (N, 3) [rad/s], b
+    accel: FloatArray  # (N, 3) [m/s^2], b
+    fix_t: FloatArray  # (M,) [s]
+    lla: FloatArray  # (M, 3)
+    vel_n: FloatArray  # (M, 3) [m/s]; NaN without
+    most_rate: float  # largest angular rate of any sample [rad/s]
+
+    @classmethod
+    def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
+        """Take the valid rows whose time increases."""
+        dt = imu.dt[:, None]
+        gyro, accel = imu.dtheta_b / dt, imu.dvel_b / dt
+        most = float(np.abs(gyro[imu.valid]).max(initial=0.0))
+        sane = (np.abs(np.hstack([gyro, accel])) < _WILD).all(axis=1)
+        keep = _find_ordered(imu.t, imu.valid & sane)
+        good = _find_ordered(fixes.t, fixes.valid & ~(np.abs(fixes.vel_n) > _WILD).any(axis=1))
+        t, gyro, accel = imu.t[keep], gyro[keep], accel[keep]
+        many = max(1, round(_STEP / float(np.median(np.diff(t))))) if len(t) > 1 else 1
+        if many > 1 and len(t) >= many:
+            whole = len(t) // many * many
+            gyro, accel = (x[:whole].reshape(-1, many, 3).mean(axis=1) for x in (gyro, accel))
+            t = t[many - 1 : whole : many]
+        return cls(t, gyro, accel, fixes.t[good], fixes.lla[good], fixes.vel_n[good], most)
+
+    @property
+    def speed(self) -> FloatArray:
+        """Speed (M,) over ground [m/s]."""
+        return np.asarray(np.hypot(self.vel_n[:, 0], self.vel_n[:, 1]))
+
+    def find_standstills(self) -> list[tuple[float, float]]:
+        """Return start and end [s] of every standstill between fixes."""
+        still = np.concatenate([[False], self.speed < STILL, [False]])
+        edges = np.flatnonzero(still[1:] != still[:-1])
+        t = self.fix_t
+        spans = [(float(t[a]), float(t[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        return [(a, b) for a, b in spans if b - a >= STILL_AT_LEAST]
+
+    def take_velocities(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return times, positions and velocities of the fixes with a velocity.
+
+        If less than half of them have one, the velocities are those between neighbouring positions.
+        """
+        good = np.asarray(np.isfinite(self.vel_n).all(axis=1))
+        if 2 * good.sum() >= len(good):
+            return self.fix_t[good], self.lla[good], self.vel_n[good]
+        usual = float(np.median(np.diff(self.fix_t)))
+        near = np.flatnonzero(np.diff(self.fix_t) < 2.5 * usual)
+        step = np.diff(to_ecef(self.lla), axis=0)[near] / np.diff(self.fix_t)[near, None]
+        lla = self.lla[near]
+        vel_n = np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), step)
+        return 0.5 * (self.fix_t[near] + self.fix_t[near + 1]), lla, vel_n
+
+
+def _find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
+    """Return the valid rows with a time after those of all valid rows before."""
+    rows = np.flatnonzero(valid)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
+    return rows[t[rows] > before]

@@ -1,0 +1,141 @@
+"""Motion along the axes of a vehicle: what wheels or wings do not allow is a measurement of zero.
+
+The velocity of the axle is ``u = C' v_n + w x l``, b, with l the axle as seen from the IMU; that of an
+aircraft through the air is ``u = C' (v_n - wind - gust)``. Either moves along an axis turned from the forward
+axis of b by a yaw and a pitch,
+
+    yaw   = axis_yaw   + slip_yaw (1 + |side|)
+    pitch = axis_pitch + slip_pitch + pitch_by_force push
+
+with push the forward force on a vehicle or the change of the load on wings, and side the sideways force on
+tyres over `SLIP_FORCE`. ``c`` of component 0, 1, 2 is that axis, that to its right and that below, in b.
+
+Roads, tyres and suspension err for seconds, not for samples. What lasts is in the states above; what is left
+is the shaking of the axle, whose correlation of a tenth of a second the interval of the samples outlives. Air
+is felt once a second: its gusts last for seconds, too, and are states.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner
+from bench.data import ImuData
+from bench.navigation.blocks import Index
+from bench.navigation.cycle import FilterState, Work
+from bench.navigation.error_state import GYRO, PHI, VEL
+from bench.navigation.mechanization import matrix_kernel
+from bench.units import STANDARD_GRAVITY
+
+SLIP_FORCE = 1.5  # specific force at which tyres slip twice as much; 7.5 times at 1 g [m/s^2]
+INTERVAL = 0.2  # of the samples; two correlation times of a shaking axle [s]
+AIR_INTERVAL = 1.0  # of the samples in flight [s]
+RATE_SPAN = 0.1  # over which a rate is averaged [s]
+LEAN = 0.5  # time in which tyres and suspension follow the force [s]
+SHAKING_SD = 0.05  # of the velocity of an axle on a paved road, sideways and vertical [m/s]
+AIR_SD = 0.3  # of the velocity through the air, sideways and along the third axis: gusts below a second [m/s]
+
+
+def samples(imu: ImuData, rows: IntArray, *, flying: bool) -> tuple[IntArray, FloatArray]:
+    """Return where a vehicle is sampled, and how it turned and was pushed there.
+
+    Parameters
+    ----------
+    imu : ImuData
+        Record.
+    rows : (K,) array of int
+        Rows in use.
+    flying : bool
+        On wings, not on wheels.
+
+    Returns
+    -------
+    last : (W,) array of int
+        Index into ``rows`` of the last sample of each interval of `INTERVAL` or `AIR_INTERVAL`.
+    motion_b : (W, 5) array
+        As measured: mean rate over 0.1 s [rad/s], b; push [m/s^2] and side [1] of the mean force over `LEAN`.
+    """
+    interval = AIR_INTERVAL if flying else INTERVAL
+    t, dt = imu.t[rows], imu.dt[rows]
+    if len(t) == 0:
+        return np.empty(0, np.int64), np.empty((0, 5))
+    number = np.floor((t - t[0]) / interval + 1e-6)
+    last = np.flatnonzero(np.diff(number) > 0)
+    sums = np.cumsum(np.column_stack([dt, imu.dtheta_b[rows], imu.dvel_b[rows]]), axis=0)
+
+    def mean(span: float) -> FloatArray:
+        first = np.searchsorted(t, t[last] - span + 1e-6) - 1
+        total = sums[last] - np.where(first[:, None] >= 0, sums[first], 0.0)
+        return np.asarray(total[:, 1:] / total[:, :1])
+
+    force = mean(LEAN)[:, 3:]
+    push = force[:, 2] + STANDARD_GRAVITY if flying else force[:, 0]
+    side = np.zeros(len(last)) if flying else force[:, 1] / SLIP_FORCE
+    return last, np.column_stack([mean(RATE_SPAN)[:, :3], push, side])
+
+
+@inner
+def along_kernel(
+    component: int,
+    w_ib_b: FloatArray,
+    push: float,
+    side: float,
+    now: FilterState,
+    index: Index,
+    H: FloatArray,
+    work: Work,
+) -> float:
+    """Return a component of the velocity along the vehicle [m/s], and fill its row H (n,).
+
+    A layout without a vehicle has its axle at the IMU and its axes in b. ``w_ib_b`` is the measured rate. The
+    rotation of the Earth is neglected: 1e-4 m/s.
+    """
+    state, at, axle, gust, C = now.state, index.axis_yaw, index.axle_b, index.gust_n, work.C
+    u, c, lever, w, v = work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3], work.vectors[4]
+    matrix_kernel(state, C)
+    yaw, pitch, slipping = 0.0, 0.0, 1.0 + abs(side)
+    for i in range(3):
+        lever[i] = state[axle + 1 + i] if axle >= 0 else 0.0
+        v[i] = state[3 + i]
+        if gust >= 0:
+            v[i] -= state[gust + 1 + i]
+            if i < 2:
+                v[i] -= state[index.wind_north + 1 + i]
+        w[i] = w_ib_b[i] - state[GYRO + 1 + i]
+    if at >= 0:
+        yaw = state[at + 1] + state[at + 3] * slipping
+        pitch = state[at + 2] + state[at + 4] + state[at + 5] * push
+    sy, cy, sp, cp = np.sin(yaw), np.cos(yaw), np.sin(pitch), np.cos(pitch)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        u[i] = C[0, i] * v[0] + C[1, i] * v[1] + C[2, i] * v[2]
+        u[i] += w[j] * lever[k] - w[k] * lever[j]
+    forward = cp * (cy * u[0] + sy * u[1]) - sp * u[2]
+    right = cy * u[1] - sy * u[0]
+    down = sp * (cy * u[0] + sy * u[1]) + cp * u[2]
+    if component == 0:
+        c[0], c[1], c[2] = cy * cp, sy * cp, -sp
+        along, by_yaw, by_pitch = forward, cp * right, -down
+    elif component == 1:
+        c[0], c[1], c[2] = -sy, cy, 0.0
+        along, by_yaw, by_pitch = right, -cy * u[0] - sy * u[1], 0.0
+    else:
+        c[0], c[1], c[2] = cy * sp, sy * sp, cp
+        along, by_yaw, by_pitch = down, sp * right, forward
+    for i in range(3):
+        H[VEL + i] = C[i, 0] * c[0] + C[i, 1] * c[1] + C[i, 2] * c[2]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        H[PHI + i] = H[VEL + j] * v[k] - H[VEL + k] * v[j]  # C c x v
+        H[GYRO + i] = c[j] * lever[k] - c[k] * lever[j]
+        if axle >= 0:
+            H[axle + i] = c[j] * w[k] - c[k] * w[j]
+        if gust >= 0:
+            H[gust + i] = -H[VEL + i]
+            if i < 2:
+                H[index.wind_north + i] = -H[VEL + i]
+    if at >= 0:
+        H[at], H[at + 2] = by_yaw, by_yaw * slipping
+        H[at + 1], H[at + 3], H[at + 4] = by_pitch, by_pitch, by_pitch * push
+    return float(along)

@@ -1,0 +1,80 @@
+"""The index page of a folder of results: a row for each results folder below it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import bench
+from bench import store
+from bench.errors import ConfigError
+from bench.evaluation.key_figures import format_number
+from bench.report import page
+
+INDEX = "index.html"
+
+
+class _Row(NamedTuple):
+    """One estimator of one results folder."""
+
+    folder: str
+    link: str  # to its report
+    title: str
+    seed: int
+    run: int
+    label: str
+    word: str  # of its verdict
+    kind: str  # class of the verdict
+    error: str  # horizontal [m]
+    claimed: str  # [m]
+
+
+def find_folders(root: Path) -> list[Path]:
+    """Return the results folders below a folder, two levels deep."""
+    found = {path.parent for depth in ("*", "*/*") for path in root.glob(f"{depth}/{store.RESULT}")}
+    return sorted(found)
+
+
+def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
+    """Write the index of results folders, with links to their reports.
+
+    Returns
+    -------
+    problems : list of str
+        A message for each folder that could not be read.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; an existing file is left unchanged.
+    """
+    rows: list[_Row] = []
+    problems: list[str] = []
+    for folder in folders:
+        try:
+            rows += _list_rows(folder, store.read_summary(folder), path.parent)
+        except ConfigError as error:
+            problems += error.lines
+    store.write_text(path, page.render("index.html.jinja", rows=rows, version=bench.__version__))
+    return problems
+
+
+def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_Row]:
+    name = folder.relative_to(root).as_posix()
+    title = str(summary["profile"].get("title", ""))
+    return [
+        _Row(
+            name,
+            f"{name}/{store.REPORT}" if (folder / store.REPORT).is_file() else "",
+            title,
+            int(summary["seed"]),
+            int(summary["run"]),
+            label,
+            str(values.get("verdict", "")),
+            page.mark_of(str(values.get("verdict", "")))[0],
+            format_number(values.get("pos_rmse_h_m")),
+            format_number(values.get("pos_claimed_h_m")),
+        )
+        for label, values in summary["metrics"].items()
+    ]

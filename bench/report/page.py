@@ -1,0 +1,376 @@
+"""The report of a results folder: one HTML page that needs no other file and no network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import bench
+from bench import earth, store
+from bench.config.library import find_unit
+from bench.data import Trajectory
+from bench.errors import ConfigError, NothingToShowError
+from bench.evaluation import verdict
+from bench.evaluation.key_figures import MEANING, OUTAGES, format_bounds, format_number, list_key_figures
+from bench.evaluation.metrics import find_metric
+from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.instruments import INSTRUMENTS
+from bench.places import PACKAGE
+from bench.plots import series
+from bench.plots.content import Content, carrier
+from bench.plots.tabs import TABS
+from bench.report import svg
+from bench.run_result import RunResult
+from bench.wording import replace_control
+
+_MARKS = {
+    verdict.CONSISTENT: ("good", "✓"),
+    verdict.UNDERCONFIDENT: ("wide", "△"),
+    verdict.NO_CLAIM: ("none", "–"),
+}
+"""Verdict -> class of its card, and a sign for those who do not see colours; all others are bad."""
+_BAD = ("bad", "✗")
+_INTRODUCTIONS = {
+    "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
+    "Position": "Estimate minus truth, and ±3σ as the filter claims it: an honest filter stays inside.",
+    "Velocity": "Estimate minus truth, and ±3σ as the filter claims it.",
+    "Attitude": "Error angles about north, east and down, and ±3σ as the filter claims it.",
+    "Biases": "Biases as estimated, with ±3σ, and as they were drawn.",
+    "Innovations": "Measured minus expected, with ±3√S. NIS and NEES, with the central 95 % of chi-square.",
+    "Flight": "How it was flown, and what the instruments reported of it.",
+    "Satellites": "What the receiver had of the sky.",
+}
+"""Name of a tab -> what its plots show."""
+
+
+class Cell(NamedTuple):
+    """A figure in a table."""
+
+    text: str
+    bounds: str
+    outside: bool
+
+
+class Figure(NamedTuple):
+    """A plot with its caption."""
+
+    title: str
+    legend: tuple[tuple[str, str, str], ...]  # (name, colour, kind) of each line, band or dots
+    drawing: str
+
+
+def write(path: Path, name: str, result: RunResult) -> None:
+    """Write the report of a result.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write; it is written completely or not at all.
+    name : str
+        Of the results folder.
+    result : RunResult
+        As `bench.run` or `bench.load` returns it.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    store.write_text(path, make_page(name, result))
+
+
+def check_page(path: Path) -> None:
+    """Raise ConfigError if a page cannot be written: no folder, or a file that bench did not write."""
+    store.check_file(path)
+    if path.is_file() and b'name="generator" content="bench' not in path.read_bytes()[:2000]:
+        raise ConfigError(f"{path}: not replaced, bench did not write it; -o names another file")
+
+
+def make_page(name: str, result: RunResult) -> str:
+    """Return the report of a result as HTML; ``name`` is that of its folder."""
+    content = gather_content(result)
+    profile = result.profile
+    shades = series.shades(result.events) if content is not None else ()
+    window = (float(content.motion.t[0]), float(content.motion.t[-1])) if content else (0.0, 1.0)
+    sections = list(_draw_sections(content, window, shades)) if content else []
+    return render(
+        "page.html.jinja",
+        title=str(profile.get("title", name)),
+        name=name,
+        facts=list(_list_facts(result)),
+        cards=[_make_card(label, values, result) for label, values in result.metrics.items()],
+        labels=list(result.metrics),
+        figures=_fill_table(result.metrics, list_key_figures(result.metrics)),
+        all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
+        meaning=MEANING,
+        outages=OUTAGES if any(n.startswith("outage_") for n in list_key_figures(result.metrics)) else "",
+        drift_columns=DRIFT_COLUMNS,
+        drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
+        drift_meaning=DRIFT_MEANING,
+        checks=result.more.get("validity", ()),
+        track=_draw_track(content) if content else "",
+        track_legend=_list_track_legend(content) if content else (),
+        phases=_list_phases(content, window) if content else (),
+        shades=[(shade.key, shade.name) for shade in shades],
+        sections=sections,
+        units=list(_list_units(profile)),
+        events=list(_list_events(result)),
+        provenance=list(_list_provenance(result.provenance)),
+        command=_find_command(result),
+        document=store.to_json(profile),
+        version=bench.__version__,
+    )
+
+
+def gather_content(result: RunResult) -> Content | None:
+    """Return what there is to plot; None if neither a truth nor a solution with a motion is known."""
+    if result.sensed is None:
+        return None
+    try:
+        motion = result.truth if result.truth is not None else carrier(result.solutions, in_space=False)
+    except NothingToShowError:
+        return None
+    begun = float(result.profile["evaluation"]["from_s"])
+    return Content(motion, result.sensed, result.solutions, result.errors, begun)
+
+
+# --- words and tables ---------------------------------------------------------------------------------
+
+
+def _list_facts(result: RunResult) -> Iterable[str]:
+    profile = result.profile
+    if "log" in result.more:
+        kept = profile.get("evaluation", {}).get("withhold")
+        yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
+        if kept:
+            yield f"one fix in {kept} kept from the filters"
+    else:
+        yield f"seed {result.seed}, run {result.run}"
+    for key in ("aircraft", "script", "trajectory"):
+        if key in profile:
+            yield f"{key} {profile[key]!s}"
+    if result.truth is not None:
+        yield f"{result.truth.t[-1] - result.truth.t[0]:.0f} s"
+    if wind := profile.get("wind"):
+        yield f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°, turbulence {wind['turbulence']}"
+    if "evaluation" in profile:
+        yield f"figures count from {profile['evaluation']['from_s']:g} s on"
+
+
+def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
+    word = str(values.get("verdict", ""))
+    kind, mark = mark_of(word)
+    remarks = [
+        f"{begun:g} to {end:g} s: {text}"
+        for what in ("alignment", "restart")
+        if label in result.solutions
+        for begun, end, text in result.solutions[label].events.select(what)
+    ]
+    return {
+        "label": label,
+        "word": word,
+        "kind": kind,
+        "mark": mark,
+        "text": str(values.get("verdict_text") or ""),
+        "drifts": [text.removeprefix(f"{label}, ") for text in values.get("drift_text", ())],
+        "remarks": remarks,
+        "unmodelled": list(values.get("unmodelled") or ()),
+    }
+
+
+def mark_of(word: str) -> tuple[str, str]:
+    """Return the class and the sign of a verdict."""
+    return _MARKS.get(word, _BAD)
+
+
+def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    names = dict.fromkeys(name for values in measured.values() for name in values)
+    return [name for name in names if find_metric(name) is not None]
+
+
+def _fill_table(
+    measured: Mapping[str, Mapping[str, Any]], names: Iterable[str]
+) -> list[tuple[str, str, list[Cell]]]:
+    """Return name, meaning and a cell for each estimator of the metrics."""
+    return [(name, _explain(name), [_make_cell(name, one) for one in measured.values()]) for name in names]
+
+
+def _explain(name: str) -> str:
+    metric = find_metric(name)
+    function = getattr(metric, "function", None)
+    return str(getattr(function, "func", function).__doc__ or "").partition("\n")[0] if metric else ""
+
+
+def _make_cell(name: str, values: Mapping[str, Any]) -> Cell:
+    return Cell(
+        format_number(values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
+    )
+
+
+def _list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:
+    """Yield kind, name, title and note of each sensor on board or assumed."""
+    on_board = profile.get("sensors") or profile.get("assumed") or {}
+    titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
+    assumed = on_board.get("assumed", {}) if isinstance(on_board, Mapping) else {}
+    for kind, title in titles.items():
+        name = on_board.get(kind)
+        if isinstance(name, str):
+            entry = find_unit(kind, name)
+            note = entry.note if entry else "own datasheet"
+            other = assumed.get(kind)
+            if isinstance(other, str) and other != name:
+                note = f"the filters assume {other}. {note}"
+            yield title, name, entry.title if entry else "", note
+
+
+def _list_events(result: RunResult) -> Iterable[tuple[str, str, str, str]]:
+    rows = [(start, end, "", kind, text) for start, end, kind, text, *_ in result.events.rows()]
+    for label, solution in result.solutions.items():
+        rows += [(start, end, label, kind, text) for start, end, kind, text, *_ in solution.events.rows()]
+    for start, end, label, kind, text in sorted(rows):
+        when = f"{start:.1f}" if end <= start else f"{start:.1f} to {end:.1f}"
+        yield when, label, kind.replace("_", " "), text
+
+
+def _list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    for key, value in provenance.items():
+        if isinstance(value, Mapping):
+            inner = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in value.items())
+            yield key.replace("_", " "), ", ".join(inner)
+        else:
+            yield key.replace("_", " "), "-" if value is None else str(value)
+
+
+def _find_command(result: RunResult) -> str:
+    """Return the command that makes the same result again."""
+    name = result.provenance.get("profile")
+    if name is None:
+        return ""
+    if "log" in result.more:
+        return f"bench navigate {name}"
+    return f"bench run {name} --seed {result.seed}" + (f" --run {result.run}" if result.run else "")
+
+
+# --- drawings -----------------------------------------------------------------------------------------
+
+
+def _draw_sections(
+    content: Content, window: tuple[float, float], shades: tuple[series.Shade, ...]
+) -> Iterable[dict[str, Any]]:
+    for tab in TABS:
+        groups = [
+            {
+                "label": label,
+                "rows": [[_make_figure(plot, window, shades) for plot in row] for row in _join_rows(rows)],
+            }
+            for label, rows in tab.plots(content).items()
+            if any(rows)
+        ]
+        if groups:
+            introduction = _INTRODUCTIONS.get(tab.name, "")
+            yield {"name": tab.name, "introduction": introduction, "groups": groups}
+
+
+def _join_rows(rows: series.Rows) -> series.Rows:
+    """Return rows of plots for a wide page: those of a single plot stand beside each other."""
+    single = [plot for row in rows if len(row) == 1 for plot in row]
+    return [*([single] if single else []), *(row for row in rows if len(row) > 1)]
+
+
+def _make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]) -> Figure:
+    legend: dict[str, tuple[str, str, str]] = {}
+    for one in plot.series:
+        for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
+            in_band = one.band is not None and k in one.band
+            kind = "band" if in_band else "dots" if one.marks else "line"
+            shown = one.colours[0] if in_band else colour
+            legend.setdefault(name, (name, svg.css_colour(shown), kind))
+    title = plot.title.partition(": ")[2] or plot.title
+    return Figure(title, tuple(legend.values()), svg.draw(plot, window, shades))
+
+
+def _draw_track(content: Content) -> str:
+    origin = content.motion.lla[0]
+    known = isinstance(content.motion, Trajectory)
+    paths = (
+        [("truth", series.TRUTH, earth.local_ned(content.motion.lla[::20], origin)[:, :2])] if known else []
+    )
+    for label, solution in content.solutions.items():
+        good = np.isfinite(solution.lla).all(axis=1)
+        if good.any():
+            paths.append((label, content.colours[label], earth.local_ned(solution.lla[good], origin)[:, :2]))
+    fixes = content.sensed.data.fixes
+    dots = np.empty((0, 2))
+    if fixes is not None:
+        good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
+        dots = earth.local_ned(fixes.lla[good], origin)[:, :2]
+    return svg.draw_track(paths, dots) if paths else ""
+
+
+def _list_track_legend(content: Content) -> list[tuple[str, str, str]]:
+    legend = (
+        [("truth", svg.css_colour(series.TRUTH), "line")] if isinstance(content.motion, Trajectory) else []
+    )
+    legend += [(label, svg.css_colour(colour), "line") for label, colour in content.colours.items()]
+    return legend + ([("GNSS", svg.css_colour(series.FIX), "dots")] if content.sensed.data.fixes else [])
+
+
+def _list_phases(content: Content, window: tuple[float, float]) -> list[tuple[float, float, str, float]]:
+    """Return left edge and width [%], words and start [s] of each leg."""
+    length = window[1] - window[0]
+    legs = content.motion.events.select("leg")
+    return [
+        (100.0 * (start - window[0]) / length, 100.0 * (end - start) / length, text, start)
+        for start, end, text in legs
+    ]
+
+
+# --- the page -----------------------------------------------------------------------------------------
+
+
+def _read(name: str) -> str:
+    return (PACKAGE / "report" / name).read_text(encoding="utf-8")
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page from a template of this package, with the style and the script all pages share.
+
+    What a value holds is text: nothing in it is read as HTML. The policy of the page allows its own
+    script, no other, and no network.
+    """
+    script = _read("page.js")
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src '{_hash(script)}'"
+    page: str = _load_template(template).render(
+        style=_read("page.css"), script=script, policy=policy, **values
+    )
+    return page
+
+
+@cache
+def _load_template(name: str) -> Any:
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_clean,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.from_string(_read(name))
+
+
+def _clean(value: Any) -> Any:
+    """Return a text without control characters; what is HTML already stays."""
+    return replace_control(value) if type(value) is str else value
+
+
+def _hash(script: str) -> str:
+    """Return the hash by which the security policy of the page allows its own script and no other."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

@@ -1,0 +1,292 @@
+"""Plots as SVG: lines, bands and dots in a frame with round numbers.
+
+A line with more points than pixels keeps the least and the greatest value of each column: no spike
+is lost. Coordinates are tenths of a pixel, in whole numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.plots.series import Colour, Plot, Series, Shade, round_number
+from bench.wording import replace_control
+
+WIDTH, HEIGHT = 420, 170
+"""Size of a plot with its numbers [pixels]."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 14, 6, 20
+_GRAIN = 10.0  # steps per pixel
+_STRAIGHT = 2.0  # points so near the line between their neighbours are left out [steps]
+_DOT = 3  # diameter [pixels]
+_FAR = 20.0  # beyond so many widths or heights points are not told apart
+
+Window = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Where values lie in a picture: an area in steps, and the values at its edges."""
+
+    x: Window  # values at the left and the right edge
+    y: Window  # values at the lower and the upper edge
+    width: int  # [pixels]
+    height: int  # [pixels]
+
+    def place(self, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return columns and rows of points [steps]; those far away are drawn nearer."""
+        across = np.clip((x - self.x[0]) / (self.x[1] - self.x[0]), -_FAR, _FAR) * self.width
+        up = (y - self.y[0]) / (self.y[1] - self.y[0])
+        down = np.clip(1.0 - up, -_FAR, _FAR) * self.height
+        return np.rint(_GRAIN * across).astype(np.int64), np.rint(_GRAIN * down).astype(np.int64)
+
+
+def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
+    """Return a plot as an SVG element.
+
+    Parameters
+    ----------
+    plot : Plot
+        What to draw.
+    window : (float, float)
+        First and last instant of the axis [s].
+    shades : sequence of Shade
+        Intervals to shade behind the lines.
+    """
+    frame = Frame(window, plot.limits(), WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM)
+    body = [_draw_shade(frame, shade) for shade in shades]
+    body += [_draw_band(frame, series) for series in plot.series if series.band is not None]
+    for series in plot.series:
+        body += _draw_series(frame, series)
+    marks = [
+        f'<text x="{_LEFT - 6}" y="{_TOP + row / _GRAIN + 4:.0f}" text-anchor="end">{text}</text>'
+        for row, text in _mark_rows(frame)
+    ]
+    words = escape(replace_control(describe(plot)))
+    return (
+        f'<svg class="plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{words}">'
+        f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame))}</g>{_open_area(frame, plot)}'
+        f"{_draw_grid(frame)}{''.join(body)}</svg></svg>"
+    )
+
+
+def describe(plot: Plot) -> str:
+    """Return a plot in words: its title, and how far each line reaches from ``scale_from`` on."""
+    parts = []
+    for series in plot.series:
+        for k, name in enumerate(series.names):
+            values = series.values[series.t >= plot.scale_from, k]
+            values = values[np.isfinite(values)]
+            if len(values) and name not in series.names[:k]:
+                parts.append(f"{name} {values.min():.3g} to {values.max():.3g}")
+    return f"{plot.title}: {', '.join(parts)}" if parts else f"{plot.title}: no values"
+
+
+def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray) -> str:
+    """Return a track seen from above as an SVG element, north up, equal scales.
+
+    Parameters
+    ----------
+    paths : sequence of (name, colour, (N, 2) array)
+        North and east [m], finite; the first sets the scale.
+    dots : (M, 2) array
+        North and east of fixes [m].
+    """
+    first = paths[0][2]
+    low, high = first.min(axis=0), first.max(axis=0)
+    middle, reach = 0.5 * (low + high), 0.56 * max(float((high - low).max()), 1.0)
+    width = height = 420
+    north, east = ((float(m - reach), float(m + reach)) for m in middle)
+    frame = Frame(east, north, width, height)
+    body = [_draw_dots(frame, dots[:, 1], dots[:, 0], "fix")] if len(dots) else []
+    for _, colour, path in reversed(paths):
+        x, y = frame.place(path[:, 1], path[:, 0])
+        body.append(_stroke(_join(np.column_stack(_straighten(x, y))), colour))
+    step = round_number(reach)
+    bar = step / (2.0 * reach) * width
+    return (
+        f'<svg class="track" viewBox="0 0 {width} {height}" role="img" '
+        f'aria-label="Track from above, north up, {2.0 * reach:.4g} m wide">'
+        f'<svg viewBox="0 0 {width * 10} {height * 10}">{"".join(body)}</svg>'
+        f'<path class="bar" d="M16 {height - 16}h{bar:.1f}"/>'
+        f'<text x="16" y="{height - 22}">{_format_length(step)}</text>'
+        f'<path class="bar" d="M{width - 20} 44V16m-5 8l5 -8l5 8"/>'
+        f'<text x="{width - 20}" y="58" text-anchor="middle">N</text></svg>'
+    )
+
+
+def _format_length(metres: float) -> str:
+    return f"{metres / 1e3:g} km" if metres >= 1e3 else f"{metres:g} m"
+
+
+def _open_area(frame: Frame, plot: Plot) -> str:
+    """Return the start of the area of the lines; the script of the page reads what its edges are worth."""
+    edges = " ".join(f"{edge:.9g}" for edge in (*frame.x, *frame.y))
+    return (
+        f'<svg class="area" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
+        f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
+        f'data-edges="{edges}">'
+    )
+
+
+def round_steps(low: float, high: float, most: int) -> FloatArray:
+    """Return round numbers in an interval, at most so many.
+
+    Examples
+    --------
+    >>> round_steps(0.0, 600.0, 7).tolist()
+    [0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0]
+    """
+    step = round_number((high - low) / most)
+    while np.floor(high / step) - np.ceil(low / step) + 1 > most:
+        step = round_number(2.6 * step)
+    return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) + 0.0  # no -0
+
+
+def _mark_rows(frame: Frame) -> Iterable[tuple[float, str]]:
+    steps = round_steps(*frame.y, 5)
+    _, rows = frame.place(np.full(len(steps), frame.x[0]), steps)
+    return [(float(row), _format_mark(value)) for row, value in zip(rows, steps, strict=True)]
+
+
+def _format_mark(value: float) -> str:
+    thousands = abs(value) >= 1e4
+    text = f"{value / 1e3:.6g}k" if thousands else f"{0.0 if abs(value) < 1e-12 else value:.6g}"
+    return text.replace("-", "−")
+
+
+def _mark_times(frame: Frame) -> Iterable[str]:
+    steps = round_steps(*frame.x, 7)
+    columns, _ = frame.place(steps, np.full(len(steps), frame.y[0]))
+    for column, value in zip(columns, steps, strict=True):
+        x = _LEFT + column / _GRAIN
+        yield f'<text x="{x:.0f}" y="{HEIGHT - 5}" text-anchor="middle">{_format_mark(value)}</text>'
+
+
+def _draw_grid(frame: Frame) -> str:
+    rows = "".join(f"M0 {row:.0f}h{frame.width * 10}" for row, _ in _mark_rows(frame))
+    return f'<path class="rule" d="{rows}"/>'
+
+
+def _draw_shade(frame: Frame, shade: Shade) -> str:
+    parts = []
+    for start, end in shade.intervals:
+        x, _ = frame.place(np.array([start, max(end, start)]), np.zeros(2))
+        width = max(int(x[1] - x[0]), 10)
+        parts.append(f'<rect x="{x[0]}" width="{width}" height="{frame.height * 10}"/>')
+    return f'<g class="{shade.key}">{"".join(parts)}</g>'
+
+
+def _draw_band(frame: Frame, series: Series) -> str:
+    """Return the area between the two lines of a band, in the colour of the first line of the series."""
+    assert series.band is not None
+    one, two = (series.values[:, k] for k in series.band)
+    low, high = np.minimum(one, two), np.maximum(one, two)
+    good = np.isfinite(low) & np.isfinite(high)
+    parts = []
+    for rows in _split_runs(good):
+        x, down = _outline(frame, series.t[rows], low[rows], np.minimum)
+        x_up, up = _outline(frame, series.t[rows], high[rows], np.maximum)
+        if len(x) == 1:
+            continue
+        there, back = _straighten(x_up, up), _straighten(x, down)
+        parts.append(_join(np.column_stack([*there])) + "L" + _join(np.column_stack([*back])[::-1])[1:] + "z")
+    return f'<path class="band" d="{"".join(parts)}" style="--c:{css_colour(series.colours[0])}"/>'
+
+
+def _outline(frame: Frame, t: FloatArray, values: FloatArray, farther: np.ufunc) -> tuple[IntArray, IntArray]:
+    """Return the outer edge of a band: in each pixel column the value that is farther out."""
+    x, y = frame.place(t, values)
+    column = x // int(_GRAIN)
+    if len(x) <= frame.width:
+        return x, y
+    first = np.append(0, np.flatnonzero(np.diff(column)) + 1)
+    outer = np.maximum if farther is np.minimum else np.minimum  # rows count downwards
+    return x[first], outer.reduceat(y, first)
+
+
+def _draw_series(frame: Frame, series: Series) -> Iterable[str]:
+    edges = series.band or ()
+    for k, colour in enumerate(series.colours):
+        values = series.values[:, k]
+        good = np.isfinite(values)
+        if k in edges or not good.any():
+            continue
+        if series.marks:
+            yield _draw_dots(frame, series.t[good], values[good], "dots", colour)
+        else:
+            runs = [_thin(*frame.place(series.t[rows], values[rows])) for rows in _split_runs(good)]
+            yield _stroke("".join(_join(np.column_stack(_straighten(*run))) for run in runs), colour)
+
+
+def _thin(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the lowest and the highest point of each pixel column, in the order in which they came."""
+    column = x // int(_GRAIN)
+    first = np.append(0, np.flatnonzero(np.diff(column)) + 1)
+    if len(x) <= 2 * len(first):
+        return x, y
+    top, bottom = np.minimum.reduceat(y, first), np.maximum.reduceat(y, first)
+    falls = 2 * y[first] <= top + bottom  # begins nearer its top: rows count downwards
+    pairs = np.column_stack([np.where(falls, top, bottom), np.where(falls, bottom, top)])
+    return np.repeat(x[first], 2), pairs.ravel()
+
+
+def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Colour | None = None) -> str:
+    """Return dots; those of one pixel column that touch become one stroke."""
+    good = np.isfinite(x) & np.isfinite(y)
+    columns, rows = frame.place(x[good], y[good])
+    grid = int(_GRAIN)
+    cells = np.unique(np.column_stack([columns // grid, rows // grid]), axis=0)
+    if not len(cells):
+        return ""
+    apart = (np.diff(cells[:, 0]) != 0) | (np.diff(cells[:, 1]) > _DOT)
+    first = np.append(0, np.flatnonzero(apart) + 1)
+    last = np.append(first[1:], len(cells)) - 1
+    at = grid * cells + grid // 2
+    marks = zip(at[first].tolist(), at[last, 1].tolist(), strict=True)
+    path = "".join(f"M{a} {b}v{end - b}" for (a, b), end in marks)
+    style = "" if colour is None else f' style="--c:{css_colour(colour)}"'
+    return f'<path class="{kind}" d="{path}"{style}/>'
+
+
+def _split_runs(good: np.ndarray) -> list[slice]:
+    """Return the runs of rows that are good."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _straighten(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
+    """Leave out points that lie on the line between their neighbours."""
+    for _ in range(8):
+        if len(x) < 3:
+            break
+        before, here, after = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
+        count = len(x[here])
+        dx, dy = (v[after][:count] - v[before][:count] for v in (x, y))
+        off = dx * (y[here] - y[before][:count]) - dy * (x[here] - x[before][:count])
+        keep = np.ones(len(x), bool)
+        keep[here] = np.abs(off) > _STRAIGHT * np.maximum(np.hypot(dx, dy), 1.0)
+        if keep.all():
+            break
+        x, y = x[keep], y[keep]
+    return x, y
+
+
+def _join(points: IntArray) -> str:
+    """Return the path data of a line: the first point, then steps."""
+    first, steps = points[0], np.diff(points, axis=0)
+    return f"M{first[0]} {first[1]}" + (
+        f"l{' '.join(map(str, steps.ravel().tolist()))}" if len(steps) else "h1"
+    )
+
+
+def _stroke(data: str, colour: Colour) -> str:
+    return f'<path class="line" d="{data}" style="--c:{css_colour(colour)}"/>'
+
+
+def css_colour(colour: Colour) -> str:
+    """Return a colour as it is written in CSS."""
+    return f"#{colour[0]:02x}{colour[1]:02x}{colour[2]:02x}"

@@ -1,0 +1,90 @@
+"""Write pages and figures of results folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bench import store
+from bench.errors import ConfigError
+from bench.report import index, page, paper
+
+
+def write_report(
+    folder: str | Path, out: str | Path | None = None, say: Callable[[str], object] = lambda text: None
+) -> Path:
+    """Write the report of a results folder, or the index of a folder of results, as a page of HTML.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder, or a folder with results folders in it, two levels deep.
+    out : str, Path or None
+        The file to write. Default ``report.html`` in the results folder, or ``index.html`` in the folder of
+        results, where each results folder without a report gets one.
+    say : callable
+        Called with a message for each results folder that cannot be read.
+
+    Returns
+    -------
+    path : Path
+        The file that was written.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If there are no results, or a file is there that bench did not write.
+    OSError
+        If a file cannot be written; an existing file is left unchanged.
+    """
+    folder = Path(folder)
+    folders = [] if (folder / store.RESULT).is_file() else index.find_folders(folder)
+    path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
+    if not folders:
+        result = store.load(folder)
+        page.check_page(path)
+        page.write(path, folder.resolve().name, result)
+        if out is None:
+            store.add_to_mark(folder, store.REPORT)
+        return path
+    page.check_page(path)
+    for one in folders:
+        if not (one / store.REPORT).exists():
+            try:
+                write_report(one)
+            except ConfigError as error:
+                say(str(error))
+    index.write_index(path, folders)
+    return path
+
+
+def write_figures(
+    folder: str | Path, out: str | Path, form: str = "pdf", *, width_mm: float = 88.0, serif: bool = False
+) -> list[Path]:
+    """Draw the figures of a results folder for a paper, one file for each tab and estimator.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder.
+    out : str or Path
+        A new folder for the files.
+    form : {"pdf", "svg", "png"}
+        Their format.
+    width_mm : float
+        Their width [mm].
+    serif : bool
+        Letters with serifs.
+
+    Returns
+    -------
+    written : list of Path
+        The files, such as ``loose-15-position.pdf``.
+    """
+    if form not in paper.FORMATS:
+        raise ConfigError(f"form = {form!r} must be one of {', '.join(paper.FORMATS)}")
+    out, result = Path(out), store.load(folder)
+    store.check_folder(out, force=False)
+    with store.make_folder(out) as partial:
+        written = paper.write_figures(partial, result, form, width_mm=width_mm, serif=serif)
+    return [out / path.name for path in written]

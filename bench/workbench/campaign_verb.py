@@ -1,0 +1,186 @@
+"""The verbs campaign and card: progress while the runs go on, then figures and sentences."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+from rich.text import Text
+
+from bench import store
+from bench.campaigns import plan, running
+from bench.campaigns.card import Card, make_card
+from bench.campaigns.outcome import Outcome
+from bench.campaigns.running import Campaign, Progress
+from bench.errors import ConfigError
+from bench.evaluation.ensemble import Estimate
+from bench.evaluation.key_figures import format_number
+from bench.workbench.console import PlainConsole
+from bench.workbench.flight_verbs import find_own_estimators
+
+CAMPAIGNS = Path("campaigns")
+"""Default folder for campaigns."""
+
+_IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
+_MOST_FAILURES = 5  # that are printed
+
+
+def run_campaign(
+    profile: str,
+    *,
+    console: Console,
+    out: Path | None,
+    jobs: int | None,
+    scheduler: str | None,
+    force: bool,
+    resume: bool,
+    **options: Any,
+) -> Campaign:
+    """Run a campaign, print and return its result; options are those of `bench.campaigns.plan.plan_runs`.
+
+    If ``out`` is None the folder is ``campaigns/<profile>-<seed>``.
+    """
+    find_own_estimators()
+    planned = plan.plan_runs(profile, **options)
+    folder = out or CAMPAIGNS / f"{planned.name}-{planned.cells[0].profile.seed}"
+    with _show_progress(planned.name) as progress:
+        result = running.run_campaign(
+            planned,
+            jobs=jobs,
+            scheduler=scheduler,
+            folder=folder,
+            force=force,
+            resume=resume,
+            progress=progress,
+        )
+    print_campaign(console, result)
+    return result
+
+
+@contextlib.contextmanager
+def _show_progress(name: str) -> Iterator[Callable[[Progress], None]]:
+    """Provide a function that shows how far a campaign is, on a terminal."""
+    screen = PlainConsole(stderr=True)
+    if not screen.is_interactive:
+        yield lambda progress: None
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn())
+    with Bar(
+        *columns, TextColumn("{task.fields[text]}", markup=False), console=screen, transient=True
+    ) as bar:
+        task = bar.add_task(f"flying {name}", total=None, text="")
+
+        def show(now: Progress) -> None:
+            bar.update(
+                task, description=name, total=now.runs, completed=now.done, text=describe_progress(now)
+            )
+
+        yield show
+
+
+def describe_progress(now: Progress) -> str:
+    """Return how far a campaign is, in words.
+
+    Examples
+    --------
+    >>> describe_progress(Progress(200, 50, 1, 40, 20.0, 24000.0))
+    '50 of 200 runs, 1 failed, 2.00 runs/s, 75 s left, 1200 x real time'
+    """
+    parts = [f"{now.done} of {now.runs} runs"]
+    parts += [f"{now.failed} failed"] if now.failed else []
+    if now.remaining is not None:
+        parts += [f"{now.rate:.2f} runs/s", f"{_format_time(now.remaining)} left"]
+        parts.append(f"{now.real_time:.0f} x real time")
+    return ", ".join(parts)
+
+
+def _format_time(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def print_campaign(console: Console, result: Campaign) -> None:
+    """Print the figures, the sentences, and where the files are."""
+    several = len({one.condition for one in result.outcomes}) > 1
+    if result.outcomes:
+        console.print(_compare_conditions(result) if several else _compare_estimators(result))
+        console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
+    sentences = () if several else result.sentences
+    if several:
+        console.print(f"The sentences on each condition are in {running.SUMMARY}.", style="dim")
+    for sentence in sentences:
+        console.print(sentence, soft_wrap=True)
+    for command, reason in list(result.failed.items())[:_MOST_FAILURES]:
+        console.print(Text(f"failed: {reason}; {command}", "red"), soft_wrap=True)
+    if len(result.failed) > _MOST_FAILURES:
+        console.print(f"{len(result.failed) - _MOST_FAILURES} more failed.")
+    missing = result.planned - result.finished
+    done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
+    console.print(f"Wrote {result.folder}: {done} in {result.timing['wall_s']:.1f} s.", soft_wrap=True)
+    if missing:
+        console.print("The same command with --resume continues.")
+
+
+def _compare_estimators(result: Campaign) -> Table:
+    """Return a table with a column for each estimator."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for one in result.outcomes:
+        table.add_column(one.label, justify="right")
+    for name in dict.fromkeys(name for one in result.outcomes for name in one.errors):
+        table.add_row(name, *(_format_estimate(one.errors.get(name)) for one in result.outcomes))
+    if any(one.consistency for one in result.outcomes):
+        table.add_row("ANEES / n", *(_format_estimate(_find_ratio(one)) for one in result.outcomes))
+    return table
+
+
+def _compare_conditions(result: Campaign) -> Table:
+    """Return a table with a row for each condition and estimator."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for name in ("condition", "estimator", "converged", *_IN_ROWS, "ANEES / n"):
+        table.add_column(name, justify="left" if name in ("condition", "estimator") else "right")
+    for one in result.outcomes:
+        cells = [
+            _format_estimate(estimate) for estimate in (*map(one.errors.get, _IN_ROWS), _find_ratio(one))
+        ]
+        table.add_row(one.condition, one.label, f"{one.converged_runs} of {one.runs}", *cells)
+    return table
+
+
+def _find_ratio(outcome: Outcome) -> Estimate | None:
+    found = outcome.consistency
+    return Estimate(found.ratio, found.low, found.high) if found else None
+
+
+def _format_estimate(estimate: Estimate | None) -> str:
+    if estimate is None:
+        return "-"
+    return f"{format_number(estimate.value)} ({estimate.low:.3g} to {estimate.high:.3g})"
+
+
+def run_card(estimator: str, *, console: Console, out: Path | None, force: bool, **options: Any) -> Card:
+    """Make the card of an estimator, print it and write it; options are those of `bench.make_card`."""
+    find_own_estimators()
+    if out is not None:
+        store.check_file(out)
+        if out.exists() and not force:
+            raise ConfigError(f"{out}: exists; --force replaces it")
+    with _show_progress(f"card of {estimator}") as progress:
+        card = make_card(estimator, progress=progress, **options)
+    suite = f"suite {card.suite}, {card.suite_hash}, {card.draws} draws of each flight"
+    console.print(f"{card.estimator}, beside {card.against}: {suite}; 95 % intervals", soft_wrap=True)
+    for sentence in card.sentences:
+        console.print(sentence, soft_wrap=True)
+    if out is not None:
+        store.write_json(out, asdict(card))
+        console.print(f"Wrote {out}.")
+    return card

@@ -1,0 +1,220 @@
+"""The verb new log: look at a recorded file and write a first LOG.toml."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from bench.arrays import FloatArray
+from bench.config.log import load_log
+from bench.errors import ConfigError
+from bench.exchange.log_records import read_records
+from bench.exchange.rows import MOST_ROWS
+from bench.exchange.table_files import list_columns, read_columns
+from bench.units import split_unit
+
+_TABLES = (".csv", ".parquet", ".mat")
+_SEVERAL = (".ulg", ".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
+_DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
+_SHARE = 0.25  # of a short record that passes before it is judged
+
+
+def _guess_time(t: FloatArray) -> str:
+    step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) if len(t) > 1 else 1.0
+    return next((unit for most, unit in ((2.0, "s"), (2e3, "ms"), (2e6, "us")) if step < most), "ns")
+
+
+def _guess_rate(rate: FloatArray) -> str:
+    return "deg_s" if float(np.nanquantile(np.abs(rate), 0.99)) > 3.5 else "rad_s"
+
+
+def _guess_force(force: FloatArray) -> str:
+    size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
+    return "g" if size < 3.0 else "m_s2" if size < 100.0 else "mg"
+
+
+def _guess_angle(angle: FloatArray) -> str:
+    return "deg" if float(np.nanmax(np.abs(angle), initial=0.0)) > np.pi else "rad"
+
+
+class _Quantity(NamedTuple):
+    """Columns that belong together: names of the bench, patterns of others, and their unit by the values."""
+
+    stems: tuple[str, ...]
+    patterns: tuple[str, ...]
+    guess: Callable[[FloatArray], str]
+    needed: bool = True
+
+
+def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Quantity:
+    return _Quantity(
+        tuple(f"{stem}_{axis}" for axis in "xyz"), tuple(f"(.*{words})_?{axis}" for axis in "xyz"), guess
+    )
+
+
+_TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|tow|sec(onds?)?",), _guess_time)
+_VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
+_KINDS: Mapping[str, tuple[_Quantity, ...]] = {
+    "imu": (
+        _TIME,
+        _name_axes("gyro", r"gyro?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
+        _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
+    ),
+    "gnss": (
+        _TIME,
+        _Quantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
+        _Quantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
+        _Quantity(
+            ("vel_n", "vel_e", "vel_d"),
+            tuple(_VELOCITY.format(word) for word in ("n|north", "e|east", "d|down")),
+            lambda _: "mps",
+            needed=False,
+        ),
+    ),
+    "baro": (_TIME, _Quantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m")),
+}
+
+
+class _Found(NamedTuple):
+    """A table with the columns of a sensor."""
+
+    path: Path
+    columns: Mapping[str, str]  # name of the bench -> name in the file
+    guessed: tuple[str, ...]  # what the values, not the names, say of units
+
+
+def new_log(name: str, *, console: Console) -> None:
+    """Look at a recorded file and those beside it, and write a log that ``bench navigate`` accepts.
+
+    Parameters
+    ----------
+    name : str
+        A table with the columns of an IMU, whose fixes are in it or in a table beside it; or a ULog, a bag or
+        an MCAP file. The log, ``FILE.toml``, is written beside it.
+
+    Raises
+    ------
+    ConfigError
+        If the log is there already, a sensor is not found, or what was guessed cannot be read; nothing is
+        written then.
+    """
+    path = Path(name)
+    log = path.with_suffix(".toml")
+    if log.exists() or log.is_symlink():
+        raise ConfigError(f"{log}: exists already and is not replaced")
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file")
+    if path.suffix.lower() in _SEVERAL:
+        found = {kind: _Found(path, {}, ()) for kind in ("imu", "gnss")}
+    else:
+        found = _find_tables(path)
+    text = _write_log(path.stem, found)
+    try:
+        log.write_text(text, encoding="utf-8")
+        last = float(read_records(load_log(str(log))).imu.t.max())
+        if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
+            log.write_text(f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n", encoding="utf-8")
+    except BaseException:
+        log.unlink(missing_ok=True)
+        raise
+    for kind, one in found.items():
+        named = ", ".join(f"{ours} from {theirs}" for ours, theirs in one.columns.items() if ours != theirs)
+        console.print(f"{kind}: {one.path.name}{': ' if named else ''}{named}", soft_wrap=True)
+        for line in one.guessed:
+            console.print(f"  {line}", soft_wrap=True)
+    console.print(f"Wrote {log}. Lines with a question are for you.")
+    console.print(f"Next: bench navigate {log}")
+
+
+def _find_tables(path: Path) -> dict[str, _Found]:
+    """Return the table of each sensor: the file itself if it has the columns, else one beside it."""
+    beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in _TABLES and p != path)
+    found: dict[str, _Found] = {}
+    for kind in _KINDS:
+        for place in (path, *beside) if kind != "imu" else (path,):
+            try:
+                match = _match_columns(place, kind)
+            except ConfigError:
+                if place == path:
+                    raise
+                continue  # another file that is not a table
+            if match is not None:
+                found[kind] = match
+                break
+    if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
+        there = ", ".join(list_columns(path)[:30])[:300]
+        where = ", there or in a table beside it" if missing[0] == "gnss" else ""
+        raise ConfigError(
+            f"{path.name}: no columns that look like those of {missing[0]}{where}; it has {there or 'none'}; "
+            "name them in a log of your own: bench guide own-log"
+        )
+    return found
+
+
+def _match_columns(path: Path, kind: str) -> _Found | None:
+    """Return the columns of a sensor in a table; None if it has not all that are needed."""
+    names = list_columns(path)
+    plain = {
+        name: split_unit(re.sub(r"[\[(].*", "", name).strip().lower().replace(" ", "_")) for name in names
+    }
+    columns: dict[str, str] = {}
+    guessed: list[str] = []
+    for quantity in _KINDS[kind]:
+        theirs = [_find_name(pattern, plain, columns) for pattern in quantity.patterns]
+        known = [name for name in theirs if name is not None]
+        if len(known) < len(theirs):
+            if quantity.needed:
+                return None
+            continue
+        units = {plain[name][1] for name in known}
+        if "" in units:
+            values = np.column_stack(list(read_columns(path, known, MOST_ROWS).values()))
+            unit = quantity.guess(values)
+            guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
+            columns |= {f"{stem}_{unit}": name for stem, name in zip(quantity.stems, known, strict=True)}
+        else:
+            for stem, name in zip(quantity.stems, known, strict=True):
+                lowered = name.lower()
+                ending = lowered[len(plain[name][0]) :]
+                columns[f"{stem}{ending}"] = name
+    return _Found(path, columns, tuple(guessed))
+
+
+def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
+    """Return the shortest name that fits a pattern and is not taken."""
+    fitting = [
+        name
+        for name, (stem, _) in plain.items()
+        if re.fullmatch(pattern, stem) and name not in taken.values()
+    ]
+    return min(fitting, key=len, default=None)
+
+
+def _write_log(title: str, found: Mapping[str, _Found]) -> str:
+    """Return the text of the log; what a file cannot say is a comment that asks."""
+    lines = [f"title = {json.dumps(title)}"]
+    asked = {
+        "imu": [
+            "# roll, pitch, yaw of its axes against forward, right, down?  mounting_deg = [0.0, 0.0, 0.0]",
+            "# from the same point as the antenna?                        position_m = [0.0, 0.0, 0.0]",
+        ],
+        "gnss": ["# where is its antenna: forward, right, down?  position_m = [0.0, 0.0, 0.0]"],
+        "baro": [],
+    }
+    for kind, one in found.items():
+        lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
+        aliases = {ours: theirs for ours, theirs in one.columns.items() if ours != theirs}
+        if aliases:
+            listed = ", ".join(f"{ours} = {json.dumps(theirs)}" for ours, theirs in aliases.items())
+            lines.append(f"columns = {{ {listed} }}")
+        lines += [f"# {line}: right?" for line in one.guessed] + asked[kind]
+    lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
+    lines += [f'{kind} = "{_DATASHEETS[kind]}"' for kind in found]
+    lines += ["", "[alignment]", 'kind = "course"  # "level" if it stands for a minute before it moves?']
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,33 @@
+"""The verb tune: progress, what was found, and the tuned datasheets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from bench.campaigns.tuning import Tuning, tune
+from bench.errors import ConfigError
+from bench.workbench.console import PlainConsole
+from bench.workbench.flight_verbs import find_own_estimators
+
+
+def run_tuning(source: str, *, console: Console, out: Path, force: bool, **options: Any) -> Tuning:
+    """Tune an estimator, write its datasheets and print what was found; options are those of `bench.tune`."""
+    find_own_estimators()
+    if not force and any(out.glob("*-tuned.toml")):
+        raise ConfigError(f"{out}: has tuned datasheets; --force replaces them, -o names another folder")
+    with PlainConsole(stderr=True).status("") as status:
+
+        def show(number: int, most: int, cost: float) -> None:
+            status.update(Text(f"set {number} of at most {most}, cost {cost:.3g}"))
+
+        tuning = tune(source, progress=show, **options)
+    for sentence in tuning.sentences:
+        console.print(sentence, soft_wrap=True)
+    for path in tuning.write(out):
+        kind = path.name.removesuffix("-tuned.toml")
+        console.print(f"Wrote {path}: --set sensors.assumed.{kind}={path}", soft_wrap=True)
+    return tuning

@@ -1,0 +1,324 @@
+"""A campaign is the runs of `bench run`, whoever computes them and in whatever order."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import bench
+from bench.campaigns import running
+from bench.campaigns.campaign_tables import EPOCHS, RUNS
+from bench.campaigns.journal import NAME, Journal
+from bench.campaigns.pools import ExecutorPool
+from bench.campaigns.worker import MOST_INSTANTS, choose_step
+from bench.cli import main
+from bench.errors import INTERRUPTED, MACHINE, ConfigError
+from bench.evaluation.consistency import mean_band
+
+PROFILE = """
+title = "Short"
+aircraft = "aerosonde"
+rate_hz = 100
+seed = 5
+turbulence_seed = 9
+duration_s = 20.0
+[start]
+lat_deg = 47.0
+lon_deg = 11.0
+alt_m = 1000.0
+heading_deg = 10.0
+speed_mps = 25.0
+[wind]
+turbulence = "light"
+[[leg]]
+kind = "turn"
+by_deg = 90.0
+bank_deg = 25.0
+[sensors]
+imu = "matched-mems"
+gnss = "l1-code"
+[evaluation]
+from_s = 5.0
+[[estimator]]
+use = "loose-15"
+[[estimator]]
+use = "loose-22"
+"""
+
+OPTIONS: dict[str, Any] = {"overrides": {"start.alt_m": 1001.5, "sensors.imu": "adis16475"}, "seed": 8}
+
+
+class Here(Executor):
+    """An executor that works at once in this process."""
+
+    def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    """A campaign of two processes, in a folder beside its profile."""
+    place = tmp_path_factory.mktemp("campaign")
+    (place / "short.toml").write_text(PROFILE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        arguments = ["--runs", "4", "--jobs", "2", "--seed", "8", "-o", "two"]
+        arguments += ["--set", "start.alt_m=1001.5", "--set", "sensors.imu=adis16475"]
+        assert main(["campaign", "short.toml", *arguments]) == 0
+    return place
+
+
+def campaign(folder: str, runs: int = 4, **options: Any) -> Any:
+    return bench.campaign("short.toml", runs, out=folder, **{**OPTIONS, "executor": Here(), **options})
+
+
+def same(a: Path, b: Path) -> bool:
+    return all((a / name).read_bytes() == (b / name).read_bytes() for name in (RUNS, EPOCHS))
+
+
+@pytest.fixture
+def here(done, monkeypatch) -> Path:
+    monkeypatch.chdir(done)
+    return done
+
+
+def test_the_tables_do_not_depend_on_workers_and_order(here):
+    """Two processes, and batches that are worked off backwards."""
+
+    class Turned(Here):
+        def submit(self, function: Any, /, work: Any, tasks: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            future.set_result(function(work, tasks[::-1])[::-1])
+            return future
+
+    result = campaign("one", executor=Turned(), jobs=7)
+    assert same(here / "two", here / "one")
+    assert result.runs.num_rows == 8
+
+
+def test_each_run_is_repeated_by_the_command_in_its_row(here):
+    for row in pq.read_table(here / "two" / RUNS).to_pylist()[2::4]:
+        words = shlex.split(row["command"])
+        assert words[0] == "bench"
+        assert main([*words[1:], "--no-rrd", "--force", "-o", "alone"]) == 0
+        found = json.loads((here / "alone" / "result.json").read_text())
+        assert (found["seed"], found["run"]) == (row["seed"], row["run"])
+        metrics = found["metrics"][row["estimator"]]
+        for name, value in row.items():
+            if name in metrics:
+                assert metrics[name] == value, name
+        assert sum(name in row for name in metrics) > 100
+        errors = bench.load("alone").errors[row["estimator"]]
+        late = errors.t >= 5.0
+        assert np.sqrt(np.mean(errors.pos_n[late, 2] ** 2)) == pytest.approx(row["pos_rmse_d_m"])
+
+
+def test_runs_differ_and_columns_have_units(here):
+    table = pq.read_table(here / "two" / RUNS)
+    assert table["run"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert len(set(table["pos_rmse_h_m"].to_pylist())) == 8
+    assert table.schema.field("pos_rmse_h_m").metadata[b"unit"] == b"m"
+    assert table.schema.field("heading_rmse_deg").metadata[b"unit"] == b"deg"
+
+
+def test_epochs_hold_the_statistics_of_the_runs(here):
+    table = pq.read_table(here / "two" / EPOCHS)
+    rows = [row for row in table.to_pylist() if row["estimator"] == "loose-22"]
+    results = [bench.run(bench.load_profile("short.toml", **OPTIONS), run=k) for k in range(4)]
+    errors = [one.errors["loose-22"] for one in results]
+    for row in (rows[0], rows[-1]):
+        at = int(np.argmin(np.abs(errors[0].t - row["t_s"])))
+        down = [one.pos_n[at, 2] for one in errors]
+        assert row["pos_err_d_m_mean"] == pytest.approx(np.mean(down), rel=1e-5)
+        assert row["pos_err_d_m_p95"] == pytest.approx(np.percentile(down, 95), rel=1e-5)
+        assert row["nees_mean"] == pytest.approx(np.mean([one.nees[at] for one in errors]), rel=1e-5)
+        assert (row["nees_low"], row["nees_high"]) == pytest.approx(mean_band(9, 4, 0.95), rel=1e-6)
+        heading = [np.rad2deg(one.heading[at]) for one in errors]
+        assert row["heading_err_deg_p50"] == pytest.approx(np.median(heading), rel=1e-5)
+    assert rows[-1]["t_s"] == errors[0].t[-1]
+    assert table.schema.field("pos_err_d_m_p95").type == "float"
+    assert table.schema.field("pos_err_d_m_p95").metadata[b"unit"] == b"m"
+
+
+@pytest.mark.parametrize(
+    ("duration", "rate"),
+    [(20.0, 10.0), (60.0, 10.0), (60.1, 10.0), (600.0, 10.0), (600.005, 10.0), (7200.0, 4.0)],
+)
+def test_at_most_600_instants_are_kept(duration, rate):
+    step = choose_step(duration, rate)
+    assert MOST_INSTANTS / 2 <= int(duration / step) <= MOST_INSTANTS or step == 1 / rate
+    assert step * rate == pytest.approx(round(step * rate))
+
+
+def test_an_interruption_keeps_what_is_done(here):
+    def interrupt(progress: Any) -> None:
+        if progress.new == 2:
+            raise KeyboardInterrupt
+
+    result = campaign("some", progress=interrupt)
+    assert (result.interrupted, result.finished, result.planned) == (True, 2, 4)
+    assert pq.read_table("some/runs.parquet").num_rows == 4
+    assert not campaign("some", resume=True).interrupted
+    assert same(here / "two", here / "some")
+
+
+def test_an_interrupted_verb_says_how_to_continue(here, monkeypatch, capsys):
+    real = Journal.append
+
+    def interrupt(self: Journal, row: Any) -> None:
+        real(self, row)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Journal, "append", interrupt)
+    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(Here(), 1))
+    assert main(["campaign", "short.toml", "--runs", "3", "--jobs", "1", "-o", "cut"]) == INTERRUPTED
+    assert "--resume" in capsys.readouterr().out
+    assert pq.read_table("cut/runs.parquet").num_rows == 2
+
+
+def test_the_summary_has_figures_and_sentences(here):
+    found = json.loads((here / "two" / "campaign.json").read_text())
+    assert found["finished"] == 4
+    assert [one["label"] for one in found["outcomes"]] == ["loose-15", "loose-22"]
+    rows = pq.read_table(here / "two" / RUNS).to_pylist()
+    pooled = np.sqrt(np.mean([row["pos_rmse_h_m"] ** 2 for row in rows if row["estimator"] == "loose-22"]))
+    assert found["outcomes"][1]["errors"]["pos_rmse_h_m"]["value"] == pytest.approx(pooled)
+    assert any("loose-15 and loose-22" in text or "is better by" in text for text in found["sentences"])
+
+
+def test_a_folder_is_not_replaced_unasked(here):
+    with pytest.raises(ConfigError, match="exists"):
+        campaign("two")
+    (here / "own").mkdir()
+    (here / "own" / "diary.txt").write_text("mine")
+    for options in ({"force": True}, {"resume": True}):
+        with pytest.raises(ConfigError, match="did not write"):
+            campaign("own", **options)
+
+
+def test_a_journal_survives_half_a_line_and_names_damage(tmp_path):
+    path = tmp_path / NAME
+    with Journal(path) as journal:
+        for k in range(3):
+            journal.append({"key": str(k), "x": 0.1 * k})
+    text = path.read_bytes()
+    path.write_bytes(text[:-5])
+    with Journal(path) as journal:
+        assert "2" not in journal
+        assert journal["1"]["x"] == 0.1
+        journal.append({"key": "2", "x": 0.2})
+    assert path.read_bytes() == text
+    path.write_bytes(text.replace(b'"x":0.1}', b'"x":0.7}'))
+    with Journal(path) as journal:
+        assert journal.damaged == 1
+        assert "1" not in journal
+        assert "2" in journal
+
+
+# --- what ends in the middle ------------------------------------------------------------------------------
+
+KILLED = """
+import os, signal, bench
+from tests.campaigns.test_campaign import Here, OPTIONS
+
+def kill(progress):
+    if progress.new == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+bench.campaign("short.toml", 4, out="killed", executor=Here(), progress=kill, **OPTIONS)
+"""
+
+
+def test_after_kill_9_resume_gives_the_same_tables(here):
+    done = subprocess.run([sys.executable, "-c", KILLED], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not (here / "killed" / RUNS).exists()
+    lines = (here / "killed" / NAME).read_bytes()
+    (here / "killed" / NAME).write_bytes(lines + lines[:1000])  # and it was writing the third
+    seen: list[Any] = []
+    campaign("killed", resume=True, progress=seen.append)
+    assert [one.done for one in seen] == [2, 3, 4]
+    assert same(here / "two", here / "killed")
+
+
+def test_a_full_disk_keeps_what_is_finished(here, monkeypatch, capsys):
+    free = 2 * (here / "two" / NAME).stat().st_size // 4 + 100
+    real = os.pwrite
+
+    def write(descriptor: int, data: bytes, at: int) -> int:
+        if at >= free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(descriptor, data[: free - at], at)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", write)
+        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(Here(), 1))
+        arguments = [f"--set={key}={value}" for key, value in OPTIONS["overrides"].items()]
+        assert (
+            main(["campaign", "short.toml", "--runs", "4", "--seed=8", "-o", "full", *arguments]) == MACHINE
+        )
+    assert "No space left on device; what is finished is kept" in capsys.readouterr().err
+    seen: list[Any] = []
+    campaign("full", resume=True, progress=seen.append)
+    assert seen[0].done == 2
+    assert same(here / "two", here / "full")
+
+
+def test_only_runs_of_the_same_profile_estimator_and_versions_are_taken(here, monkeypatch):
+    def count(**options: Any) -> int:
+        seen: list[Any] = []
+        campaign("taken", 2, resume=True, progress=seen.append, **options)
+        return seen[0].done
+
+    monkeypatch.syspath_prepend(here)
+    (here / "own_filter.py").write_text("from bench.navigation.fusion import Loose as Own\n")
+    own = {"estimators": ["own_filter:Own"]}
+    assert [count(**own), count(**own)] == [0, 2]
+    (here / "own_filter.py").write_text("from bench.navigation.fusion import Loose as Own  # another\n")
+    assert count(**own) == 0
+    assert count(**own, overrides=OPTIONS["overrides"] | {"sensors.imu.gyro.noise_deg_sqrt_h": 0.2}) == 0
+    monkeypatch.setattr("bench.campaigns.plan.describe_software", lambda: {"bench": "another"})
+    assert count(**own) == 0
+
+
+def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
+    """As a pool of one process would tell it; `test_engine` ends real ones."""
+
+    class Mortal(ExecutorPool):
+        lost = (BrokenProcessPool,)
+
+        def submit(self, function: Any, *arguments: Any) -> Future[Any]:
+            if any(getattr(task, "run", 0) == 2 for task in arguments[1]):
+                future: Future[Any] = Future()
+                future.set_exception(BrokenProcessPool())
+                return future
+            return super().submit(function, *arguments)
+
+        def recover(self) -> tuple[str, bool]:
+            return "its worker process was ended by SIGSEGV", True
+
+    with monkeypatch.context() as patch:
+        patch.setattr(running, "_open_pool", lambda *_: Mortal(Here(), 1))
+        result = campaign("mortal")
+    rows = pq.read_table("mortal/runs.parquet").to_pylist()
+    assert [row["failed"] for row in rows] == [False] * 4 + [True] * 2 + [False] * 2
+    assert rows[4]["reason"] == "its worker process was ended by SIGSEGV"
+    assert result.failed == {rows[4]["command"]: rows[4]["reason"]}
+    assert result.finished == 4
+    campaign("mortal", resume=True)  # it is tried again
+    assert same(here / "two", here / "mortal")

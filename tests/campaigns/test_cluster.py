@@ -1,0 +1,87 @@
+"""A campaign on a real Dask scheduler with two workers, offline on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+import bench
+from bench.campaigns import cluster
+from bench.errors import ConfigError
+from tests.campaigns.test_campaign import PROFILE, Here
+
+distributed = pytest.importorskip("distributed", reason="pip install 'bench[cluster]'")
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+
+OWN = "from bench.navigation.fusion import Loose as Own\n"
+
+
+@contextlib.contextmanager
+def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Start a scheduler and workers that cannot import what is in the present folder."""
+    address = place / "address.json"
+    common = ["--scheduler-file", str(address), "--no-dashboard"]
+    commands = [["scheduler", "--host", "127.0.0.1", "--port", "0", *common]]
+    worker = ["worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--death-timeout", "60"]
+    commands += [[*worker, "--local-directory", str(place), *common] for _ in range(count)]
+    environment = os.environ | {"DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1"}
+    environment["PYTHONPATH"] = str(Path(bench.__file__).parents[1])
+    with contextlib.ExitStack() as stack:
+        started = []
+        for name, *arguments in commands:
+            main = [sys.executable, "-m", f"distributed.cli.dask_{name}", *arguments]
+            process = subprocess.Popen(main, env=environment, cwd=place, stderr=subprocess.DEVNULL)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            started.append(process)
+        deadline = time.monotonic() + 60.0
+        while not address.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        found = json.loads(address.read_text())["address"]
+        with distributed.Client(found, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=60)
+        yield found, started[1:]
+
+
+def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch):
+    """The estimator is shipped; workers with other versions are refused."""
+    (tmp_path / "short.toml").write_text(PROFILE)
+    (tmp_path / "shipped.py").write_text(OWN)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    options: dict[str, Any] = {"estimators": ["shipped:Own"]}
+    with start(tmp_path / "elsewhere", 2) as (address, workers):
+        with monkeypatch.context() as patch:
+            patch.setattr(cluster, "describe_software", lambda: {"bench": "0.0.0"})
+            with pytest.raises(ConfigError, match=r"bench .*, here 0\.0\.0; equal versions are needed"):
+                bench.campaign("short.toml", 6, scheduler=address, out="refused", **options)
+
+        def lose(progress: Any) -> None:
+            if progress.new == 2:
+                workers[0].kill()
+
+        result = bench.campaign("short.toml", 6, scheduler=address, out="spread", progress=lose, **options)
+        assert workers[0].poll() is not None
+    assert (result.finished, result.failed) == (6, {})
+    bench.campaign("short.toml", 6, executor=Here(), out="here", **options)
+    assert (tmp_path / "spread/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
+    assert pq.read_table("here/runs.parquet").num_rows == 6
+
+
+def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
+    (tmp_path / "short.toml").write_text(PROFILE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cluster, "_CONNECT", 0.2)
+    with pytest.raises(ConfigError, match="no Dask scheduler answers"):
+        bench.campaign("short.toml", 2, scheduler="tcp://127.0.0.1:9")

@@ -1,0 +1,143 @@
+"""A study is every combination of what it varies, and each of its runs is that of the command in its row."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import bench
+from bench.campaigns import groups
+from bench.campaigns.binned import BinnedRuns
+from bench.campaigns.plan import plan_runs
+from bench.cli import main
+from bench.errors import ConfigError
+from bench.places import PACKAGE
+from tests.campaigns.test_campaign import PROFILE, Here
+
+STUDY = """
+profiles = ["short.toml"]
+runs = 1
+flights = 2
+seed = 3
+estimators = ["loose-15"]
+[set]
+start.alt_m = 1002.5
+[[variant]]
+"sensors.imu" = "adis16475"
+[[variant]]
+sensors.imu = "stim300"
+sensors.baro = "bmp388"
+[sweep]
+"sensors.gnss.pos_h_white_sd_m" = [1.5, 3]
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies" / "units.toml").write_text(STUDY)
+    (tmp_path / "studies" / "short.toml").write_text(PROFILE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_study_is_every_combination(here):
+    plan = plan_runs("studies/units.toml")
+    values = [tuple(one.values.values()) for one in plan.conditions]
+    assert values == [
+        ("adis16475", 1.5),
+        ("adis16475", 3),
+        ("stim300", "bmp388", 1.5),
+        ("stim300", "bmp388", 3),
+    ]
+    assert [(cell.condition, cell.profile.seed) for cell in plan.cells] == [
+        (k, s) for k in range(4) for s in (3, 4)
+    ]
+    assert len(plan.runs) == 8
+    assert len({cell.truth_key for cell in plan.cells}) == 2  # turbulence of each seed, whatever the sensors
+    assert len({plan.run_key(one) for one in plan.runs}) == 8
+    assert all(cell.profile.document["start"]["alt_m"] == 1002.5 for cell in plan.cells)
+    assert plan_runs("studies/units.toml", 5, flights=1, seed=9).cells[-1].profile.seed == 9
+
+
+def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
+    result = bench.campaign("studies/units.toml", executor=Here(), out="done")
+    rows = pq.read_table("done/runs.parquet").to_pylist()
+    assert [row["condition"] for row in rows] == [k for k in range(4) for _ in range(2)]
+    row = rows[-1]
+    varied = [row[name] for name in ("sensors.imu", "sensors.gnss.pos_h_white_sd_m", "seed", "run")]
+    assert varied == ["stim300", 3, 4, 0]
+    words = shlex.split(row["command"])
+    assert main([*words[1:], "--no-rrd", "-o", "alone"]) == 0
+    metrics = json.loads(Path("alone/result.json").read_text())["metrics"]["loose-15"]
+    assert {name: metrics[name] for name in row if name in metrics} == {
+        k: v for k, v in row.items() if k in metrics
+    }
+    epochs = pq.read_table("done/epochs.parquet")
+    assert len(set(zip(*(epochs[name].to_pylist() for name in ("condition", "t_s")), strict=True))) == len(
+        epochs
+    )
+    assert epochs["runs"].to_pylist()[0] == 2
+    assert epochs.schema.field("sensors.gnss.pos_h_white_sd_m").metadata[b"unit"] == b"m"
+    assert [one.runs for one in result.outcomes] == [2] * 4
+    assert len({row["vel_rmse_h_mps"] for row in rows}) == 8
+
+
+def test_percentiles_of_very_many_runs_come_from_bins(here, monkeypatch):
+    exact = bench.campaign("studies/short.toml", 5, estimators=["loose-15"], executor=Here(), out="five")
+    monkeypatch.setattr(groups, "MOST_EXACT", 2)
+    binned = bench.campaign(
+        "studies/short.toml", 5, executor=Here(), out="five", estimators=["loose-15"], resume=True
+    )
+    for name in ("pos_err_n_m_mean", "nees_mean", "heading_err_deg_mean"):
+        np.testing.assert_allclose(binned.epochs[name], exact.epochs[name], rtol=1e-5)
+    assert binned.epochs["pos_sd_h_m_p50"] != exact.epochs["pos_sd_h_m_p50"]
+    np.testing.assert_allclose(binned.epochs["pos_sd_h_m_p50"], exact.epochs["pos_sd_h_m_p50"], rtol=0.013)
+
+
+def test_binned_percentiles_are_those_of_the_values():
+    values = np.random.default_rng(1).normal(size=(3000, 2, 3)) * [1e-2, 1.0, 1e4]
+    values[:, 1, 2] = np.nan
+    bins = BinnedRuns(5, 3)
+    for one in values:
+        bins.add(one)
+    assert bins.mean().shape == (2, 3)
+    np.testing.assert_allclose(bins.mean(), values.mean(axis=0))
+    for percent in (5, 50, 95):
+        wanted = np.percentile(values, percent, axis=0)
+        near = 0.013 * np.abs(wanted) + 0.01 * np.array([1e-2, 1.0, 1e4])  # and 1 % of the spread
+        error = np.abs(bins.percentile(percent) - wanted)
+        assert (error <= near)[~np.isnan(wanted)].all()
+    assert np.isnan(bins.percentile(50)[1, 2])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('profiles = ["short.toml"]', "profiles = []"), "profiles"),
+        (("[1.5, 3]", "2.0"), "must be a list of values"),
+        (("runs = 1", "run = 1"), "unknown key 'run'"),
+        (('"loose-15"', '"own:Filter"'), "--allow-code permits it"),
+        (("start.alt_m", 'sensors.imu = "stim300"\nstart.alt_m'), "sensors.imu is given twice"),
+        (('"loose-15"', '"file:x.csv"'), "belongs to one noise draw"),
+        (("start.alt_m = 1002.5", 'wind.turbulence = "none"'), "has no turbulence"),
+        (("[1.5, 3]", "[1.5, -3]"), "pos_h_white_sd_m"),
+    ],
+)
+def test_a_wrong_study_is_refused(here, change, message):
+    Path("studies/units.toml").write_text(STUDY.replace(*change))
+    Path("studies/x.csv").write_text("")
+    with pytest.raises(ConfigError, match=message):
+        plan_runs("studies/units.toml")
+
+
+def test_the_study_of_the_guide_is_planned(here):
+    page = (PACKAGE / "guide" / "campaigns.md").read_text()
+    Path("which_unit.toml").write_text(page.split("```toml which_unit.toml\n")[1].split("```")[0])
+    plan = plan_runs("which_unit.toml", overrides={"estimator.1.options.gate_probability": 1e-6})
+    assert (len(plan.conditions), len(plan.runs)) == (8, 320)

@@ -1,0 +1,71 @@
+"""Checks of a recording in the air: sound flights pass; seeded mistakes are found if the motion shows it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.config.library import list_profiles
+from bench.evaluation import motion_fit
+from bench.evaluation.recorded_motion import RecordedMotion
+from tests.evaluation import seeded
+
+
+def wrong(found):
+    return [c.text for c in found.values() if not c.good and c.name not in seeded.TRUE_REMARKS]
+
+
+@pytest.fixture(scope="module")
+def sound():
+    """Rolls, wind-up turns and climbs."""
+    return seeded.record("high-dynamics")
+
+
+def test_a_sound_flight_has_no_false_line(sound):
+    found = sound.check()
+    assert wrong(found) == []
+    assert found["imu_shift_s"].value == pytest.approx(0.0, abs=0.02)
+    assert found["turn_gain"].value == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        "gyro x, y exchanged",
+        "gyros 10 % too large",
+        "IMU 0.1 s late",
+        "antenna 2 m right",
+        "velocity in knots",
+    ],
+)
+def test_a_seeded_mistake_is_found(sound, mistake):
+    spoil, names = seeded.MISTAKES[mistake]
+    assert seeded.describe(spoil(sound).check(), names) == "found"
+
+
+def test_the_derivatives_of_the_fit_are_those_of_its_own_integral(sound):
+    """Central differences of u by each parameter; a roll of 400 deg/s turns 8 deg in a step of both."""
+    motion = RecordedMotion.from_records(sound.imu, sound.fixes)
+    few = motion_fit.find_stretches(motion.t, *motion.take_velocities()).take_liveliest(2)
+    parts = (few, motion.t, motion.gyro, motion.accel)
+    U = motion_fit._integrate(*parts, np.zeros(15))[1]
+    for k in range(11):
+        step = np.zeros(15)
+        step[k] = 1e-4
+        more, less = (motion_fit._integrate(*parts, sign * step)[0] for sign in (1.0, -1.0))
+        sign = -1.0 if k < 8 else 1.0  # biases and gains are taken off
+        expected = (more - less) / 2e-4
+        assert_allclose(sign * U[..., k], expected, atol=2e-2 * np.abs(expected).max())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [entry.name for entry in list_profiles()])
+def test_every_shipped_profile(name):
+    """No false line, and each mistake is found unless the motion does not show it."""
+    one = seeded.record(name)
+    assert wrong(one.check()) == []
+    became = {
+        what: seeded.describe(spoil(one).check(), names) for what, (spoil, names) in seeded.MISTAKES.items()
+    }
+    assert {what for what, found in became.items() if found != "found"} <= seeded.NOT_SHOWN.get(name, set())

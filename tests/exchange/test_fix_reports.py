@@ -1,0 +1,61 @@
+"""A receiver may tell how good each fix is by a class, dilution of precision or C/N0 in place of an sd."""
+
+import numpy as np
+import pytest
+
+from bench.config.log import load_log
+from bench.errors import ConfigError
+from bench.exchange.log_records import read_records
+from bench.log_pipeline import read_log
+from tests.exchange import drives
+
+SD = ("sd_n_m", "sd_e_m", "sd_d_m")
+
+
+def write(folder, columns, keys=""):
+    """A log of the drive whose receiver reports other columns than standard deviations."""
+    path = drives.write_log(folder)
+    made = drives.gnss_columns(drives.sensed()["gnss"])
+    kept = {name: column for name, column in made.items() if not name.startswith("sd_") and name != "quality"}
+    drives.write_csv(folder / "gnss.csv", kept | columns(len(next(iter(kept.values())))))
+    path.write_text(path.read_text().replace("[gnss]", f"[gnss]\n{keys}"))
+    return path
+
+
+def every_third(n, value, other):
+    return np.where(np.arange(n) % 3 == 0, value, other)
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys", "by", "horizontal", "vertical"),
+    [
+        (lambda n: {}, "", "", 1.0, 1.0),
+        (lambda n: {"hdop": every_third(n, 2.4, 0.8)}, "", "dilution of precision", 3.0, 3.0),
+        (
+            lambda n: {"hdop": every_third(n, 2.4, 0.8), "vdop": every_third(n, 2.0, 1.0)},
+            "", "dilution of precision", 3.0, 2.0,
+        ),
+        (lambda n: {"cn0_dbhz": every_third(n, 22.0, 42.0)}, "", "C/N0", 10.0, 10.0),
+        (
+            lambda n: {"quality": every_third(n, 5, 1)},
+            "quality_sd_m = { 5 = 3.0 }", "quality class", 3.0 / drives.POS_SD[0], 3.0 / drives.POS_SD[2],
+        ),
+        (lambda n: {"quality": every_third(n, 5, 1)}, "", "", 1.0, 1.0),
+    ],
+)  # fmt: skip
+def test_each_kind_of_report_weighs_the_fixes(tmp_path, columns, keys, by, horizontal, vertical):
+    path = write(tmp_path, columns, keys)
+    records = read_records(load_log(str(path)))
+    assert records.reported == by
+    sd = np.sqrt(np.einsum("mii->mi", records.fixes.cov_pos_n))
+    np.testing.assert_allclose(sd[1::3], np.tile(drives.POS_SD, (len(sd[1::3]), 1)))
+    worse = drives.POS_SD * [horizontal, horizontal, vertical]
+    np.testing.assert_allclose(sd[::3], np.tile(worse, (len(sd[::3]), 1)))
+    said = [check.text for check in read_log(path).checks if check.name == "fix_accuracy_m"]
+    assert [f"weighed by the {by} it came with" in text for text in said] == ([True] if by else [])
+
+
+def test_a_class_that_is_no_number_is_refused(tmp_path):
+    path = write(tmp_path, lambda n: {"quality": np.ones(n)}, "quality_sd_m = { fix = 0.02 }")
+    with pytest.raises(ConfigError, match="quality_sd_m: 'fix' must be a class of quality"):
+        load_log(str(path))

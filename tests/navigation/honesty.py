@@ -1,0 +1,264 @@
+"""Is a filter honest on every profile and unit? NEES over many draws beside that of a twin.
+
+The twin is the same filter on the same draws of sensors that have no error but those it models: biases as
+Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_unmodelled`). Both are judged
+by `bench.evaluation.ensemble_consistency`. Run as a program it prints a row for each pair::
+
+    python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bench
+from bench import pipeline
+from bench.arrays import BoolArray, FloatArray
+from bench.data import Trajectory
+from bench.evaluation import consistency, ensemble_consistency
+from bench.evaluation.error_series import error_series
+from bench.navigation import estimator
+from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+
+FOLDER = Path(bench.__file__).parent
+RECOVERY = 60.0  # after a fault, in which no honesty is asked for [s]
+SEED = 90210  # of the judging draws; no model was built on them
+
+
+@dataclass
+class Judged:
+    """NEES and NIS of one estimator on the draws of one profile and unit."""
+
+    profile: str
+    unit: str
+    use: str
+    states: int = 9
+    nees: list[FloatArray] = field(default_factory=list)  # (M,) of each draw at the judged instants
+    nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each draw
+    failed: int = 0  # draws without a solution
+
+    @property
+    def averages(self) -> FloatArray:
+        """NEES of each draw averaged over time."""
+        return np.array([row.mean() for row in self.nees])
+
+    @property
+    def mean(self) -> float:
+        """NEES over all draws."""
+        return float(self.averages.mean()) if self.nees else math.nan
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean."""
+        return float(self.averages.std(ddof=1) / np.sqrt(len(self.nees))) if len(self.nees) > 1 else math.nan
+
+    def outside(self) -> list[str]:
+        """Return the sensors whose mean NIS is outside its 99.9 % band, each with its mean over its dof."""
+        found = []
+        for sensor, each in self.nis.items():
+            nis, dof = (np.concatenate([getattr(series, name) for series in each]) for name in ("nis", "dof"))
+            mean = consistency.mean_nis(nis, dof)
+            if not mean.inside:
+                found.append(f"{sensor} {nis.sum() / dof.sum():.3f}")
+        return found
+
+    def claims(self) -> ensemble_consistency.Consistency:
+        """Return the verdict of the rule for many runs."""
+        return ensemble_consistency.check_consistency(np.array(self.nees), self.states, self.nis)
+
+    def row(self, twin: Judged | None = None) -> dict[str, Any]:
+        """Return the figures of a line of the table."""
+        averages = self.averages
+        figures: dict[str, Any] = {
+            "profile": self.profile,
+            "unit": self.unit,
+            "use": self.use,
+            "draws": len(averages),
+            "failed": self.failed,
+            "mean": self.mean,
+            "error": self.error,
+            "median": float(np.median(averages)) if len(averages) else math.nan,
+            "most": float(averages.max()) if len(averages) else math.nan,
+            "nis": self.outside(),
+        }
+        if len(averages) >= ensemble_consistency.LEAST_RUNS:
+            figures["word"] = self.claims().word
+        if twin is not None and self.failed == twin.failed == 0:
+            apart = averages / self.states - twin.averages / self.states
+            figures |= {
+                "twin": twin.mean,
+                "ratio": self.mean / twin.mean,
+                "ratio_error": float(apart.std(ddof=1) / np.sqrt(len(apart))),
+            }
+        return figures
+
+
+def without_unmodelled(sensors: SensorsSpec) -> SensorsSpec:
+    """Return sensors that have only errors `loose-full` models exactly, assumed as they are."""
+    imu = replace(
+        sensors.imu,
+        gyro=_modelled(sensors.imu.gyro),
+        accel=_modelled(sensors.imu.accel),
+        thermal=ThermalSpec(),
+        vibration=VibrationSpec(),
+        accel_cone=0.0,
+        accel_arms=(),
+    )
+    gnss = sensors.gnss and replace(
+        sensors.gnss,
+        sky=None,
+        latency=0.0,
+        optimism=1.0,
+        pos_h_jump_sd=0.0,
+        pos_v_jump_sd=0.0,
+        vel_jump_sd=0.0,
+        pos_h_jump_markov_sd=0.0,
+        pos_v_jump_markov_sd=0.0,
+        vel_jump_markov_sd=0.0,
+    )
+    baro = sensors.baro and replace(sensors.baro, physical=None, quantization=0.0, latency=0.0)
+    assumed = replace(sensors.assumed, imu=imu, gnss=gnss, baro=baro)
+    return replace(sensors, imu=imu, gnss=gnss, baro=baro, assumed=assumed, faults=())
+
+
+def _modelled(triad: TriadSpec) -> TriadSpec:
+    """Return a triad without the errors that are no linear process, its flicker a Gauss-Markov process."""
+    return replace(
+        triad,
+        bias_model="gauss-markov",
+        temperature_sd=0.0,
+        nonlinearity_sd=0.0,
+        quadratic_sd=0.0,
+        scale_asymmetry_sd=0.0,
+        g2_sensitivity_sd=0.0,
+        quantization=0.0,
+        dead_zone=0.0,
+        bandwidth=0.0,
+        delay=0.0,
+    )
+
+
+def with_unit(profile: Profile, imu: ImuSpec) -> Profile:
+    """Return a profile with another IMU on board, and assumed."""
+    assumed: AssumedSpecs = replace(profile.sensors.assumed, imu=imu)
+    return replace(profile, sensors=replace(profile.sensors, imu=imu, assumed=assumed))
+
+
+def choose_instants(profile: Profile, t: FloatArray) -> BoolArray:
+    """Return the instants that are judged: after the alignment, at whole seconds, away from faults."""
+    chosen = (t >= profile.evaluation_from) & (np.abs(t - np.round(t)) < 1e-6)
+    for fault in profile.sensors.faults:
+        chosen &= (t < fault.start) | (t >= fault.end + RECOVERY)
+    return chosen
+
+
+def judge_draws(
+    profile: Profile,
+    truth: Trajectory,
+    unit: str,
+    uses: Sequence[tuple[str, dict[str, Any]]],
+    runs: Iterable[int],
+) -> list[Judged]:
+    """Return the NEES and NIS of estimators over draws; all get the same sensors."""
+    found = [Judged(profile.name, unit, use) for use, _ in uses]
+    built = [estimator.load(use, options) for use, options in uses]
+    for run in runs:
+        sensed = pipeline.sense(profile, truth, run)
+        for one, judged in zip(built, found, strict=True):
+            solution = estimator.answer(one, judged.use, sensed.data, sensed.initial)
+            errors = error_series(truth, solution)
+            chosen = choose_instants(profile, errors.t)
+            if not np.isfinite(errors.nees[chosen]).all():
+                judged.failed += 1
+                continue
+            judged.states = errors.states
+            judged.nees.append(errors.nees[chosen])
+            series = consistency.nis_by_sensor(solution.innovations, profile.evaluation_from)
+            for sensor, each in series.items():
+                judged.nis.setdefault(sensor, []).append(each)
+    return found
+
+
+def list_names(kind: str) -> list[str]:
+    """Return the names of the shipped profiles ("profiles") or IMUs ("catalog/imu")."""
+    return sorted(path.stem for path in (FOLDER / kind).glob("*.toml"))
+
+
+def measure(
+    profiles: Sequence[str],
+    units: Sequence[str],
+    uses: Sequence[str],
+    runs: int,
+    seed: int,
+    *,
+    hz: float | None = 20.0,
+    twin: bool = False,
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each profile, unit ("own": that of the profile) and estimator."""
+    for name in profiles:
+        flown = bench.load_profile(name)
+        truth = bench.fly(flown)
+        for unit in units:
+            overrides = {} if unit == "own" else {"sensors.imu": unit}
+            profile = replace(bench.load_profile(name, {**overrides, "evaluation.output_hz": 1.0}), seed=seed)
+            label = profile.sensors.imu.name if unit == "own" else unit
+            pairs = [
+                (use, {"covariance_hz": hz} if hz and estimator.takes_option(use, "covariance_hz") else {})
+                for use in uses
+            ]
+            found = judge_draws(profile, truth, label, pairs, range(runs))
+            others: list[Judged | None] = [None] * len(found)
+            if twin:
+                plain = replace(profile, sensors=without_unmodelled(profile.sensors))
+                others = list(judge_draws(plain, truth, label, pairs, range(runs)))
+            for judged, other in zip(found, others, strict=True):
+                yield judged.row(other)
+
+
+def write_row(row: dict[str, Any]) -> str:
+    """Return a row as a line of text."""
+    line = (
+        f"{row['profile']:22s} {row['unit']:13s} {row['use']:11s} {row['mean']:8.2f} +- {row['error']:6.2f}"
+        f"  median {row['median']:6.2f}  most {row['most']:8.1f}"
+    )
+    if row["failed"]:
+        line += f"  failed {row['failed']}"
+    if "twin" in row:
+        line += f"  twin {row['twin']:5.2f}  ratio {row['ratio']:5.3f} +- {row['ratio_error']:.3f}"
+    return " ".join([line, row.get("word", ""), *row["nis"]])
+
+
+def main() -> None:
+    """Print a row for each profile, unit and estimator."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--profiles", default=",".join(list_names("profiles")))
+    parser.add_argument("--units", default="own", help="names, 'own' or 'all'")
+    parser.add_argument("--estimators", default="loose-full")
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--hz", type=float, default=20.0, help="of the covariance; 0: at every sample")
+    parser.add_argument("--twin", action="store_true")
+    parser.add_argument("-o", "--out", type=Path, help="rows as JSON, one a line")
+    given = parser.parse_args()
+    units = list_names("catalog/imu") if given.units == "all" else given.units.split(",")
+    rows = measure(
+        given.profiles.split(","), units, given.estimators.split(","), given.runs, given.seed,
+        hz=given.hz or None, twin=given.twin,
+    )  # fmt: skip
+    for row in rows:
+        print(write_row(row), flush=True)
+        if given.out:
+            with given.out.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Vehicles on wheels and coordinated flight in the compiled filters: H, consistency, use, defects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from bench import rotation, sensors
+from bench.evaluation import consistency
+from bench.evaluation.error_series import error_series
+from bench.instruments import AirspeedSpec, OdometerSpec
+from bench.navigation import aiding, constraints, cycle
+from bench.navigation.blocks import chosen_blocks, state_model
+from bench.navigation.error_state import feedback_kernel
+from bench.navigation.fusion import Loose
+from bench.navigation.options import FusionOptions
+from tests.builders import band
+from tests.navigation.test_error_state import plain
+from tests.rolling import rolling
+from tests.weaving import IMU, units, weaving
+
+MEASURE = plain(aiding.measure_kernel)
+SHAKEN = replace(
+    IMU,
+    gyro=replace(IMU.gyro, random_walk=20 * IMU.gyro.random_walk),
+    accel=replace(IMU.accel, random_walk=20 * IMU.accel.random_walk),
+)
+RUNS, LOST, END = 12, 35.0, 60.0
+
+
+AIRSPEED = AirspeedSpec("pitot", 10.0, white_sd=0.3)
+ROWS = {"wheels": aiding.VEHICLE_ROWS, "odometer": aiding.ODOMETER_ROWS, "wings": aiding.VEHICLE_ROWS}
+
+
+@pytest.mark.parametrize("kind", [*ROWS, "airspeed"])
+def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
+    """Central differences in every error state: turned axes, far axle, slip, wind, a turn."""
+    spec = replace(
+        units(), odometer=OdometerSpec("wheel", 10.0, 0.05, scale_factor_sd=0.02), airspeed=AIRSPEED
+    )
+    spec = replace(spec, assumed=replace(spec.assumed, odometer=spec.odometer, airspeed=AIRSPEED))
+    options = FusionOptions(nonholonomic=True, odometer=True, axle_b=(-1.2, 0.4, 1.5))
+    if flying := kind in ("wings", "airspeed"):
+        options = FusionOptions(coordinated=True, airspeed=True, alpha_deg=5.0)
+    sensed = sensors.sense(rolling(0, 2.0), units(), 1, 0)
+    model = state_model(sensed.initial, spec.assumed, chosen_blocks(options))
+    n, index = model.layout.size, model.index
+    state = np.concatenate([np.zeros(10), model.values[9:]])
+    if flying:
+        assert_allclose(state[index.axis_yaw + 2], -np.deg2rad(options.alpha_deg))
+        state[index.gust_n + 1 : index.gust_n + 4] = [1.0, -2.0, 0.5]
+        state[index.wind_north + 1 : index.wind_north + 3] = [3.0, 4.0]
+    else:
+        assert_allclose(state[index.axle_b + 1 : index.axle_b + 4], options.axle_b)
+    state[:3], state[3:6] = sensed.initial.lla, [11.0, -7.0, 1.0]
+    state[6:10] = rotation.from_euler(0.1, -0.2, 1.1)
+    state[10:13] = [1e-3, -2e-3, 3e-3]
+    state[index.axis_yaw + 1 : index.axis_yaw + 6] = [0.2, -0.3, 0.05, -0.04, 0.006]
+    values = np.array([[0.1, -0.2, 0.4, 2.0, -1.5, 0.0]])
+    aid = aiding.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
+
+    def measure(error):
+        moved, back = state.copy(), -error
+        feedback_kernel(moved, back)  # takes an error out: here it puts one in
+        pending = cycle.Pending(
+            np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
+        )
+        work = cycle.work_for(n, len(model.process.drives))
+        work.w_ib_b[:] = values[0, :3] - moved[10:13]
+        belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
+        code = ROWS.get(kind, aiding.AIRSPEED_ROWS)
+        rows = MEASURE(code, 0, 0, belief, aid, index, pending, work)
+        assert rows == (2 if code == aiding.VEHICLE_ROWS else 1)
+        return pending.z[:rows].copy(), pending.H[:rows].copy()
+
+    _, H = measure(np.zeros(n))
+    step = 1e-5
+    differences = [(measure(step * e)[0] - measure(-step * e)[0]) / (2 * step) for e in np.eye(n)]
+    assert_allclose(H, np.transpose(differences), rtol=1e-6, atol=1e-6)
+    assert (np.count_nonzero(H, axis=1) >= 8).all()
+
+
+def test_samples_hold_the_mean_motion_before_them():
+    sensed = sensors.sense(rolling(0, 3.0), replace(units(), gnss=None, baro=None), 1, 0)
+    imu = sensed.data.imu
+    last, motion_b = constraints.samples(imu, np.arange(len(imu.t)), flying=False)
+    assert_allclose(np.diff(imu.t[last]), constraints.INTERVAL)
+    k = int(last[-1])
+    rate = imu.dtheta_b[k - 9 : k + 1].sum(axis=0) / 0.1
+    force = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / constraints.LEAN
+    assert_allclose(motion_b[-1], [*rate, force[0], force[1] / constraints.SLIP_FORCE])
+
+
+def drive(slip: float, **options):
+    """NIS of the constraint; NEES and horizontal error after an outage; a noisy IMU, drives by seed."""
+    spec = replace(units(SHAKEN), gnss_outages=((LOST, END + 1.0),))
+    nis, dof, nees, drift = [], [], [], []
+    for seed in range(RUNS):
+        truth = rolling(seed, END, slip=slip)
+        sensed = sensors.sense(truth, spec, 5, seed)
+        solution = Loose(covariance_hz=20.0, **options).run(sensed.data, sensed.initial)
+        errors = error_series(truth, solution)
+        nees.append(errors.nees[-1])
+        drift.append(float(np.hypot(*errors.pos_n[-1, :2])))
+        if "nonholonomic" in (found := consistency.nis_by_sensor(solution.innovations, 15.0)):
+            nis.append(found["nonholonomic"].nis)
+            dof.append(found["nonholonomic"].dof)
+    return nis, dof, np.array(nees), np.array(drift)
+
+
+def test_it_is_consistent_on_roads_of_its_model_and_slows_the_drift():
+    """NIS and NEES in their 99.9 % bands; 25 s without GNSS drift less than without the constraint."""
+    nis, dof, nees, drift = drive(1.0, nonholonomic=True)
+    found = consistency.mean_nis(np.concatenate(nis), np.concatenate(dof))
+    assert found.low <= found.mean <= found.high
+    low, high = band(RUNS, 9)
+    assert low <= nees.mean() <= high
+    *_, free = drive(1.0)
+    assert stats.wilcoxon(free, drift, alternative="greater").pvalue < 0.01
+
+
+def test_slip_beyond_its_claim_shows():
+    nis, dof, _, _ = drive(2.0, nonholonomic=True)
+    found = consistency.mean_nis(np.concatenate(nis), np.concatenate(dof))
+    assert found.mean > found.high
+
+
+def test_coordinated_flight_claims_less_drift_and_is_right_and_a_wrong_angle_of_attack_shows():
+    """Eight draws in a wind of 6 m/s, 80 s without GNSS: NEES in its 99.9 % band, a smaller covariance."""
+    truth = weaving(120.0, rate=50.0, wind_n=[4.0, -4.5, 0.0])
+    rough = replace(SHAKEN, gyro=replace(SHAKEN.gyro, random_walk=5 * SHAKEN.gyro.random_walk))
+    spec = replace(units(rough), gnss_outages=((40.0, 121.0),))
+
+    def fly(run, **options):
+        sensed = sensors.sense(truth, spec, 5, run)
+        return Loose(covariance_hz=20.0, **options).run(sensed.data, sensed.initial)
+
+    free = fly(0)
+    flown = [fly(run, coordinated=True, alpha_deg=0.0) for run in range(8)]
+    for solution in flown:
+        assert np.trace(solution.cov[-1, :2, :2]) < 0.6 * np.trace(free.cov[-1, :2, :2])
+    low, high = band(8, 9)
+    assert low <= np.mean([error_series(truth, solution).nees[-1] for solution in flown]) <= high
+
+    def nis(alpha):
+        solution = fly(0, coordinated=True, alpha_deg=alpha, alpha_sd_deg=0.3, gust_sd=0.5)
+        series = consistency.nis_by_sensor(solution.innovations, 0.0)["coordinated"]
+        return consistency.mean_nis(series.nis, series.dof)
+
+    assert nis(0.0).mean < nis(0.0).high
+    assert nis(15.0).mean > nis(15.0).high

@@ -1,0 +1,204 @@
+"""The report shows what the result holds, needs nothing but itself, and runs nothing that a file brings."""
+
+import base64
+import hashlib
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import bench
+from bench.cli import main
+from bench.errors import ConfigError
+from bench.evaluation.key_figures import format_number, list_key_figures
+from bench.plots.series import Plot, Series, draw_three_sigma
+from bench.report import page, svg
+from tests.test_api import SHORT
+
+HOSTILE = "<script>alert(1)</script>\u202e\x1b[2J"
+
+
+class Outline(HTMLParser):
+    """Tags with their attributes, and the texts of scripts and table cells."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.scripts, self.open = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.open = tag
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        if self.open == "script":
+            self.scripts.append(data)
+
+    def handle_endtag(self, tag):
+        self.open = ""
+
+
+@pytest.fixture(scope="module")
+def result():
+    outage = {**SHORT, "gnss_outage": [{"start_s": 10.0, "duration_s": 5.0}]}
+    profile = bench.load_profile("figure-eight", outage, seed=3, estimators=["loose-15", "free-inertial"])
+    return bench.run(profile)
+
+
+@pytest.fixture(scope="module")
+def text(result):
+    return page.make_page("short", result)
+
+
+def test_the_page_needs_no_other_file_and_allows_its_own_script_only(text):
+    outline = Outline(text)
+    links = [values.get(name) for _, values in outline.tags for name in ("src", "href", "action", "data")]
+    assert {link[0] for link in links if link} == {"#"}
+    assert "url(" not in text
+    assert "@import" not in text
+    policy = next(values["content"] for tag, values in outline.tags if values.get("http-equiv"))
+    (script,) = outline.scripts
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy == f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+
+
+def test_headings_are_in_order_and_every_picture_is_described(text):
+    outline = Outline(text)
+    levels = [int(tag[1]) for tag, _ in outline.tags if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    pictures = [v for tag, v in outline.tags if tag == "svg" and v.get("class") in ("plot", "track")]
+    assert len(pictures) > 30
+    assert all(v["role"] == "img" and len(v["aria-label"]) > 10 for v in pictures)
+
+
+def test_verdicts_and_figures_are_those_of_the_result(result, text):
+    table = text[text.index("<table") : text.index("</table>")]
+    rows = re.findall(r'<th scope="row"[^>]*>(\w+)</th>(.*?)</tr>', table, re.S)
+    assert [name for name, _ in rows] == list_key_figures(result.metrics)
+    for name, cells in rows:
+        found = re.findall(r"<td([^>]*)>([^ <]+)", cells)
+        assert [value for _, value in found] == [format_number(v.get(name)) for v in result.metrics.values()]
+        marked = [attribute.strip() == 'class="outside"' for attribute, _ in found]
+        assert marked == [name in values["outside"] for values in result.metrics.values()]
+    for values in result.metrics.values():
+        assert values["verdict_text"] in text
+
+
+def test_the_same_result_gives_the_same_page(result, text):
+    assert page.make_page("short", result) == text
+
+
+def read_points(path):
+    """Return the points of path data, in steps."""
+    numbers = np.array(re.findall(r"-?\d+", path), float).reshape(-1, 2)
+    return np.cumsum(numbers, axis=0)
+
+
+def draw_line(t, values, limits):
+    series = Series(
+        "value", t, np.column_stack([values, *limits]), ("v", "", ""), ((1, 2, 3),) * 3, (1.0,) * 3
+    )
+    drawing = svg.draw(Plot(("p",), "p", (series,)), (t[0], t[-1]))
+    low, high = Plot(("p",), "p", (series,)).limits()
+    data = re.search(r'class="line" d="([^"]+)"', drawing).group(1)
+    x, y = read_points(data).T
+    height = float(re.search(r'viewBox="0 0 \d+ (\d+)" preserve', drawing).group(1))
+    return x, high - y / height * (high - low), (high - low) / height
+
+
+def test_a_spike_of_one_epoch_among_100000_is_seen():
+    t = np.linspace(0.0, 1000.0, 100_001)
+    values = 0.1 * np.sin(t)
+    values[61_803] = 5.0
+    x, y, step = draw_line(t, values, [np.full(len(t), edge) for edge in (-6.0, 6.0)])
+    assert y.max() == pytest.approx(5.0, abs=step)
+    assert y.min() == pytest.approx(-0.1, abs=step)
+    area = svg.WIDTH - 52 - 14
+    assert x[y.argmax()] / 10 == pytest.approx(0.61803 * area, abs=1.0)
+    assert len(x) < 2.1 * area
+
+
+def test_a_line_passes_through_its_points_to_a_fifth_of_a_pixel():
+    t = np.linspace(0.0, 10.0, 101)
+    values = np.sin(t) + 0.2 * np.sin(5 * t)
+    x, y, step = draw_line(t, values, [np.full(len(t), edge) for edge in (-2.0, 2.0)])
+    at = x / x.max() * 10.0
+    assert (
+        np.abs(np.interp(t, at, y) - values).max() <= 5 * step
+    )  # left out points lie 0.2 pixels off at most
+
+
+def test_a_band_holds_its_edges_and_ends_where_they_are_unknown():
+    t = np.arange(0.0, 100.0)
+    sd = 1.0 + 0.01 * t
+    sd[40:60] = np.nan
+    series = draw_three_sigma("error", t, np.zeros(100), sd, "error", (1, 2, 3))
+    drawing = svg.draw(Plot(("p",), "p", (series,)), (0.0, 99.0))
+    (data,) = re.findall(r'class="band" d="([^"]+)"', drawing)
+    assert data.count("M") == data.count("z") == 2
+    columns = [
+        read_points(part.split("L")[0])[:, 0] / 10 / (svg.WIDTH - 66) * 99 for part in data.split("M")[1:]
+    ]
+    assert [(round(x.min()), round(x.max())) for x in columns] == [(0, 39), (60, 99)]
+
+
+def test_a_title_from_a_stranger_is_text(result):
+    profile = {**result.profile, "title": HOSTILE, "aircraft": HOSTILE}
+    metrics = {HOSTILE: dict(result.metrics["loose-15"], verdict_text=HOSTILE, unmodelled=[HOSTILE])}
+    solutions = {HOSTILE: result.solutions["loose-15"]}
+    errors = {HOSTILE: result.errors["loose-15"]}
+    text = page.make_page(
+        HOSTILE, replace(result, profile=profile, metrics=metrics, solutions=solutions, errors=errors)
+    )
+    assert text.count("<script>") == 1
+    assert "alert(1)" in text
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+
+
+def test_run_writes_a_report_and_the_verb_writes_it_again(result, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = bench.save(result, "runs/short", recording=False)
+    first = (folder / "report.html").read_text(encoding="utf-8")
+    assert main(["report", "runs/short"]) == 0
+    again = (folder / "report.html").read_text(encoding="utf-8")
+    assert svg_of(first) == svg_of(again)
+    bench.save(result, folder, recording=False, report=False, force=True)  # the report was the bench's own
+    assert not (folder / "report.html").exists()
+    assert main(["report", "runs"]) == 0
+    index = (tmp_path / "runs/index.html").read_text(encoding="utf-8")
+    assert 'href="short/report.html"' in index
+    assert index.count('class="verdict ') == 2
+    (folder / "report.html").write_text("mine")
+    capsys.readouterr()
+    assert main(["report", "runs/short"]) == 2
+    assert "bench did not write it" in capsys.readouterr().err
+    assert (folder / "report.html").read_text() == "mine"
+    assert main(["report", "nowhere"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def svg_of(text):
+    return re.findall(r'<svg class="(?:plot|track)".*?</svg></svg>', text, re.S)
+
+
+def test_figures_for_a_paper_hold_the_data_and_are_the_same_twice(result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    figure = bench.plot_result(result, "Position", "free-inertial", width_mm=60.0, serif=True)
+    assert figure.get_figwidth() == pytest.approx(60.0 / 25.4)
+    for axes, error in zip(figure.axes, result.errors["free-inertial"].pos_n.T, strict=True):
+        np.testing.assert_array_equal(axes.lines[0].get_ydata(), error)
+    folder = bench.save(result, "short", recording=False, report=False)
+    written = bench.write_figures(folder, "a", "svg")
+    assert {path.name for path in written} >= {"loose-15-position.svg", "comparison.svg", "flight.svg"}
+    assert main(["report", "short", "--figures", "svg", "-o", "b"]) == 0
+    assert [p.read_bytes() for p in written] == [(tmp_path / "b" / p.name).read_bytes() for p in written]
+    with pytest.raises(ConfigError, match="Did you mean 'position'"):
+        bench.plot_result(result, "positions")
+    with pytest.raises(ConfigError, match="Did you mean 'loose-15'"):
+        bench.plot_result(result, "position", "loose-16")

@@ -1,0 +1,62 @@
+"""`bench new log`: a first log that navigates, from tables with names and units of other people."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.cli import main
+from bench.config.log import load_log
+from bench.exchange.log_records import read_records
+from tests.exchange import drives
+
+
+def write(folder, style):
+    """Write the drive of the tests in a style; return the file of the IMU."""
+    made = drives.sensed()
+    imu, gnss = made["imu"], made["gnss"]
+    if style == "ours":
+        drives.write_csv(folder / "imu.csv", drives.imu_columns(imu))
+        drives.write_csv(folder / "gnss.csv", drives.gnss_columns(gnss))
+        return folder / "imu.csv"
+    columns = {"Timestamp": 1e3 * imu["t"]}
+    columns |= {f"Gyr{a}": np.rad2deg(imu["gyro"][:, k]) for k, a in enumerate("XYZ")}
+    columns |= {f"Acc{a} [g]": imu["accel"][:, k] / 9.80665 for k, a in enumerate("XYZ")}
+    held = np.maximum(np.searchsorted(gnss["t"], imu["t"] + 1e-9, "right") - 1, 0)
+    columns |= {name: np.rad2deg(gnss["lla"][held, k]) for k, name in enumerate(("latitude", "longitude"))}
+    columns |= {"height": gnss["lla"][held, 2]}
+    columns |= {f"Vel {w}": gnss["vel_n"][held, k] for k, w in enumerate(("North", "East", "Down"))}
+    drives.write_csv(folder / "all.csv", columns)
+    return folder / "all.csv"
+
+
+@pytest.mark.parametrize("style", ["ours", "theirs"])
+def test_the_log_reads_what_was_recorded(tmp_path, style, capsys):
+    """Names and units are found, guessed units are said and asked, and the numbers are those of the drive."""
+    path = write(tmp_path, style)
+    assert main(["new", "log", str(path)]) == 0
+    said, log = capsys.readouterr().out, path.with_suffix(".toml")
+    found, made = read_records(load_log(str(log))), drives.sensed()
+    assert_allclose(found.imu.dvel_b / found.imu.dt[:, None], made["imu"]["accel"], atol=1e-6)
+    assert_allclose(found.imu.dtheta_b / found.imu.dt[:, None], made["imu"]["gyro"], atol=1e-6)
+    assert_allclose(found.fixes.lla[-1], made["gnss"]["lla"][-1], atol=1e-3)
+    assert_allclose(found.fixes.vel_n[-1], made["gnss"]["vel_n"][-1], atol=1e-6)
+    text = log.read_text()
+    assert "mounting_deg" in text
+    assert ("taken as deg_s by the values" in said) == (style == "theirs")
+    assert ("taken as ms by the values: right?" in text) == (style == "theirs")
+
+
+def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):
+    (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
+    assert main(["new", "log", str(tmp_path / "odd.csv")]) == 2
+    assert "no columns that look like those of imu" in capsys.readouterr().err
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(drives.sensed()["imu"]))
+    assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
+    assert "those of gnss, there or in a table beside it" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.toml"))
+    (tmp_path / "imu.toml").write_text("mine")
+    assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
+    assert (tmp_path / "imu.toml").read_text() == "mine"
+    assert main(["new", "log"]) == 2
