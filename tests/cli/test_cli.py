@@ -542,10 +542,9 @@ def test_a_terminated_run_ends_like_an_interrupted_one(here):
 
 
 def write_summary(folder: Path) -> None:
-    names = ("profile", "seed", "run", "metrics", "provenance")
-    (folder / "result.json").write_text(
-        json.dumps({key: {} for key in names} | {"profile": {"title": "x"}, "seed": 1, "run": 0})
-    )
+    profile = {"title": "x", "evaluation": {"from_s": 0.0, "output_hz": 10.0}}
+    summary = {"profile": profile, "seed": 1, "run": 0, "metrics": {}, "provenance": {}}
+    (folder / "result.json").write_text(json.dumps(summary))
 
 
 def test_cache_shows_its_size_and_is_emptied(tmp_path, capsys, monkeypatch):
