@@ -96,8 +96,8 @@ class FusionOptions(IntegrityOptions, FixOptions):
     """Use GNSS."""
     baro: bool = True
     """Use the barometer; without it and GNSS the IMU alone navigates, with its open-loop covariance."""
-    covariance_hz: Positive | None = None
-    """Rate of the covariance step [Hz]; left out: at every IMU sample."""
+    covariance_hz: Positive | None = 20.0
+    """Rate of the covariance step [Hz]; the rate of the IMU or more, or None from Python: every sample."""
     trace_ratio: Positive = 10.0
     """Limit of "trace", delta of A-5.4.7."""
     gnss_markov: bool = False
@@ -193,8 +193,6 @@ class SmootherOptions(FusionOptions):
 
     over: Literal["loose", "tight"] = "loose"
     """The forward filter."""
-    covariance_hz: Positive | None = 20.0
-    """Rate of the covariance step [Hz]; from Python, None: at every IMU sample."""
 
     @property
     def tight(self) -> bool:

@@ -54,7 +54,7 @@ def test_R_a_fifth_too_small_is_found_in_nees_and_in_every_sensor(profile, five_
         ),
         baro=replace(baro, white_sd=baro.white_sd * factor),
     )
-    result = claims(profile, five_minutes, small, covariance_hz=20.0)
+    result = claims(profile, five_minutes, small)
     text = " ".join(result.reasons)
     assert "run averages" in text
     for sensor in ("gnss_position", "gnss_velocity", "baro"):

@@ -196,7 +196,7 @@ def tilts(motion, believed):
         sensed = sensors.sense(truth, spec, 3, run)
         start, _ = alignment.complete(sensed.data, sensed.initial)
         assert np.abs(start.bias_cov).max() > 0
-        solution = Loose(covariance_hz=20.0).run(sensed.data, believed(start))
+        solution = Loose().run(sensed.data, believed(start))
         phi = error_series(truth, solution).phi_n[-1, :2]
         nees.append(phi @ np.linalg.solve(solution.cov[-1, 6:8, 6:8], phi))
     return np.array(nees)

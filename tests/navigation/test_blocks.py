@@ -46,7 +46,7 @@ def drawn():
 
 def test_a_state_from_outside_is_named_spread_and_fades(drawn):
     """Its sd starts as declared and decays by exp(-t / 50 s): no measurement sees it apart from the bias."""
-    solution = Pushed(gnss=False, baro=False, covariance_hz=20.0).run(drawn.data, drawn.initial)
+    solution = Pushed(gnss=False, baro=False).run(drawn.data, drawn.initial)
     assert solution.extra_names[-1] == "push_m_s2"
     sd = solution.extra_sd[:, -1]
     assert_allclose(sd, SD * np.exp(-DECAY * (solution.t - drawn.initial.t)), rtol=1e-9)
@@ -54,10 +54,7 @@ def test_a_state_from_outside_is_named_spread_and_fades(drawn):
 
 def test_a_drive_acts_like_the_bias_it_names(drawn):
     """Its factor is the specific force forward, 0.5 m/s^2 in this flight at most: P grows by it."""
-    plain, pushed = (
-        cls(gnss=False, baro=False, covariance_hz=20.0).run(drawn.data, drawn.initial)
-        for cls in (Loose, Pushed)
-    )
+    plain, pushed = (cls(gnss=False, baro=False).run(drawn.data, drawn.initial) for cls in (Loose, Pushed))
     growth = pushed.cov[-1] - plain.cov[-1]
     assert (np.diag(growth)[:6] >= 0).all()
     assert growth[0, 0] > 1e-6

@@ -65,10 +65,10 @@ def test_a_late_fix_is_compared_with_where_the_aircraft_was(truth, seconds):
     for run in range(RUNS):
         drawn = sensors.sense(truth, units(), 7, run)
         data = late(drawn.data, seconds)
-        solution = Loose(covariance_hz=20.0).run(data, drawn.initial)
-        on_time[run] = rms(truth, Loose(covariance_hz=20.0).run(drawn.data, drawn.initial))
+        solution = Loose().run(data, drawn.initial)
+        on_time[run] = rms(truth, Loose().run(drawn.data, drawn.initial))
         allowed[run], consistency[run] = rms(truth, solution), nees(truth, solution)
-        off = Loose(covariance_hz=20.0, compensate_latency=False, gate_probability=1e-300)
+        off = Loose(compensate_latency=False, gate_probability=1e-300)
         ignored[run] = rms(truth, off.run(data, drawn.initial))
         assert_allclose(np.unique(solution.innovations.t[of(solution, "gnss_position")])[0], 1.0 + seconds)
     assert allowed.mean() < 1.1 * on_time.mean() + 0.05
@@ -115,7 +115,7 @@ def test_noise_is_taken_from_the_innovations(truth):
     for run in range(RUNS):
         drawn = sensors.sense(truth, replace(units(gnss=noisy), assumed=units().assumed), 8, run)
         for k, window in enumerate((None, 20)):
-            solution = Loose(adaptive_noise=window, covariance_hz=20.0).run(drawn.data, drawn.initial)
+            solution = Loose(adaptive_noise=window).run(drawn.data, drawn.initial)
             rows = of(solution, "gnss_position") & (solution.innovations.t > 60.0)
             found[run, k] = (
                 solution.innovations.nis[rows].mean(), rms(truth, solution), nees(truth, solution)
@@ -128,9 +128,7 @@ def test_noise_is_taken_from_the_innovations(truth):
 
 def test_noise_of_the_datasheet_stays_when_it_is_right(truth):
     drawn = sensors.sense(truth, units(), 8, 0)
-    plain, adapted = (
-        Loose(adaptive_noise=n, covariance_hz=20.0).run(drawn.data, drawn.initial) for n in (None, 60)
-    )
+    plain, adapted = (Loose(adaptive_noise=n).run(drawn.data, drawn.initial) for n in (None, 60))
     ratio = adapted.cov[-1, [0, 1, 2], [0, 1, 2]] / plain.cov[-1, [0, 1, 2], [0, 1, 2]]
     assert ((ratio > 0.5) & (ratio < 2.0)).all()
     assert not np.array_equal(plain.lla, adapted.lla)
@@ -167,9 +165,7 @@ def test_standstill_holds_position_and_finds_gyro_biases():
     truth = standing(60.0)
     for run in range(3):
         drawn = sensors.sense(truth, units(gnss=None, baro=None), 9, run)
-        drift, held = (
-            Loose(standstill=s, covariance_hz=20.0).run(drawn.data, drawn.initial) for s in (False, True)
-        )
+        drift, held = (Loose(standstill=s).run(drawn.data, drawn.initial) for s in (False, True))
         assert of(held, "zero_velocity").sum() == 60
         assert held.innovations.accepted.all()
         assert held.extra_sd[-1, :3].max() < 0.35 * drift.extra_sd[-1, :3].max()
@@ -208,9 +204,7 @@ def test_an_antenna_that_is_elsewhere_is_found():
         drawn = sensors.sense(truth, units(gnss=precise), 10, run)
         told = np.array(drawn.data.antenna_b)
         data = replace(drawn.data, antenna_b=told - [0.6, 0.0, 0.0])
-        known, estimated = (
-            Loose(lever_arm_sd=sd, covariance_hz=20.0).run(data, drawn.initial) for sd in (0.0, 0.5)
-        )
+        known, estimated = (Loose(lever_arm_sd=sd).run(data, drawn.initial) for sd in (0.0, 0.5))
         at = estimated.extra_names.index("antenna_b_x_m")
         assert_allclose(estimated.extra[0, at : at + 3], data.antenna_b, atol=1e-12)
         error = (estimated.extra[-1, at : at + 3] - told) / estimated.extra_sd[-1, at : at + 3]
@@ -226,7 +220,7 @@ def test_tight_finds_the_antenna_too():
     from tests.navigation.test_tight import MATCHED
 
     drawn = sensors.sense(weaving(60.0), units(gnss=MATCHED), 10, 0)
-    solution = Tight(lever_arm_sd=0.5, covariance_hz=20.0).run(drawn.data, drawn.initial)
+    solution = Tight(lever_arm_sd=0.5).run(drawn.data, drawn.initial)
     at = solution.extra_names.index("antenna_b_x_m")
     assert (solution.extra_sd[-1, at : at + 2] < 0.45).all()
 
@@ -243,7 +237,7 @@ def test_each_integrity_test_refuses_a_jump_by_itself(truth, test):
     data = replace(drawn.data, fixes=with_columns(drawn.data.fixes, lla=lla))
     refused = {}
     for tests in ((), (test,)):
-        solution = Loose(integrity=tests, covariance_hz=20.0).run(data, drawn.initial)
+        solution = Loose(integrity=tests).run(data, drawn.initial)
         rows = of(solution, "gnss_position")
         refused[tests] = solution.innovations.t[rows & ~solution.innovations.accepted]
     assert len(refused[()]) == 0
@@ -289,7 +283,7 @@ def test_airspeed_slows_the_drift_without_gnss():
         air = AirspeedData(t, t, np.ones(len(k), bool), speed, np.full(len(k), 0.3))
         data = replace(drawn.data, fixes=fixes, airspeed=air, specs=replace(drawn.data.specs, airspeed=spec))
         for j, use in enumerate((False, True)):
-            solution = Loose(airspeed=use, covariance_hz=20.0).run(data, drawn.initial)
+            solution = Loose(airspeed=use).run(data, drawn.initial)
             error[run, j] = rms(truth, solution, "vel_n", 180.0)
         at = solution.extra_names.index("wind_north_m_s")
         off = (solution.extra[-1, at : at + 2] - wind[:2]) / solution.extra_sd[-1, at : at + 2]
@@ -322,9 +316,7 @@ def test_a_magnetometer_gives_the_heading():
         t, sd_claimed = truth.t[k], np.full(len(k), 2e-7)
         mag = MagData(t, t, np.ones(len(k), bool), field_b + noise, sd_claimed)
         data = replace(drawn.data, mag=mag, date=2026.0, specs=replace(drawn.data.specs, mag=spec))
-        without, solution = (
-            Loose(magnetometer=use, covariance_hz=20.0).run(data, drawn.initial) for use in (False, True)
-        )
+        without, solution = (Loose(magnetometer=use).run(data, drawn.initial) for use in (False, True))
         series = judge.error_series(truth, solution)
         sd = np.sqrt(solution.cov[-1, 8, 8])
         assert sd < 0.3 * DEG < np.sqrt(without.cov[-1, 8, 8])

@@ -34,7 +34,7 @@ def test_every_error_of_a_unit_is_modelled_or_named_and_the_twin_has_none_else(u
 def test_a_row_holds_the_filter_and_its_twin_on_the_same_draws(figure_eight_truth):
     """Where no error is unmodelled, filter and twin are one; a receiver assumed too good shows at once."""
     profile = replace(bench.load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0}), seed=5)
-    uses = [("loose-full", {"covariance_hz": 20.0})]
+    uses = [("loose-full", {})]
     plain = replace(profile, sensors=honesty.without_unmodelled(profile.sensors))
     truth = figure_eight_truth
     own, twin = (honesty.judge_draws(p, truth, "matched-mems", uses, range(2))[0] for p in (profile, plain))

@@ -97,20 +97,20 @@ def test_loose_mems_knows_scale_factors_and_g_sensitivity(profile, five_minutes)
     With the wandering receiver its mean is in its 99.9 % band.
     """
     matched = with_mems_errors(load_profile("figure-eight-matched"))
-    result = claims("loose-mems", matched, five_minutes, RUNS, covariance_hz=20.0)
+    result = claims("loose-mems", matched, five_minutes, RUNS)
     assert not result.rejected, result.reasons
     mems = with_mems_errors(profile)
-    found = draws(load("loose-mems", {"covariance_hz": 20.0}), mems, five_minutes, RUNS)
+    found = draws(load("loose-mems", {}), mems, five_minutes, RUNS)
     assert abs(standard_errors_from(found.averages(), 9)) < student(RUNS)
     assert all(nis.inside for nis in found.pooled_nis().values()), found.pooled_nis()
-    without = draws(load("loose-22", {"covariance_hz": 20.0}), mems, five_minutes, 10)
+    without = draws(load("loose-22", {}), mems, five_minutes, 10)
     assert np.median(without.averages()) > 30
 
 
 def test_scale_factors_are_found(profile, five_minutes):
     """Turns and a climb show some of them: the sd of half of the axes falls by a third or more."""
     sensed = pipeline.sense(with_mems_errors(profile), five_minutes)
-    solution = load("loose-mems", {"covariance_hz": 20.0}).run(sensed.data, sensed.initial)
+    solution = load("loose-mems", {}).run(sensed.data, sensed.initial)
     at = [k for k, name in enumerate(solution.extra_names) if "_scale_" in name]
     assert len(at) == 6
     kept = solution.extra_sd[-1, at] / solution.extra_sd[0, at]
@@ -162,9 +162,9 @@ def with_matrix_errors(profile):
 def test_loose_full_knows_misalignments(five_minutes):
     """40 runs of 300 s on matched sensors: all three claims; loose-mems without the states is far off."""
     matched = with_matrix_errors(load_profile("figure-eight-matched"))
-    result = claims("loose-full", matched, five_minutes, RUNS, covariance_hz=20.0)
+    result = claims("loose-full", matched, five_minutes, RUNS)
     assert not result.rejected, result.reasons
-    without = draws(load("loose-mems", {"covariance_hz": 20.0}), matched, five_minutes, 5)
+    without = draws(load("loose-mems", {}), matched, five_minutes, 5)
     assert np.median(without.averages()) > 30
 
 
@@ -173,8 +173,7 @@ def test_loose_full_is_honest_on_a_consumer_unit(five_minutes):
     """Eight draws of a unit with every error: the band of NEES holds 9; loose-mems has hundreds."""
     profile = load_profile("figure-eight", {"sensors.imu": "icm-42688-p"})
     honest, fooled = (
-        draws(load(name, {"covariance_hz": 20.0}), profile, five_minutes, 8).averages()
-        for name in ("loose-full", "loose-mems")
+        draws(load(name, {}), profile, five_minutes, 8).averages() for name in ("loose-full", "loose-mems")
     )
     assert abs(honest.mean() - 9.0) < student(8) * honest.std(ddof=1) / np.sqrt(8)
     assert fooled.mean() - 9.0 > student(8) * fooled.std(ddof=1) / np.sqrt(8)
@@ -199,7 +198,7 @@ def test_loose_full_answers_with_every_kind_of_state(five_minutes, unit):
     """Nonlinearity, temperature, g-sensitivity, a bias of degrees per second: a minute, within 5 sigma."""
     truth = first_rows(five_minutes, 12_001)
     sensed = pipeline.sense(load_profile("figure-eight", {"sensors.imu": unit}), truth)
-    solution = load("loose-full", {"covariance_hz": 20.0}).run(sensed.data, sensed.initial)
+    solution = load("loose-full", {}).run(sensed.data, sensed.initial)
     errors = error_series(truth, solution)
     assert np.isfinite(errors.nees).all()
     assert errors.nees[errors.t > 30.0].mean() < 9 * 5
@@ -209,7 +208,7 @@ def test_filters_of_equal_states_are_the_same_and_say_so(five_minutes):
     """By their states and options, not by their answers; loose-full and loose-22 then agree bit by bit."""
     truth = first_rows(five_minutes, 2001)
     built = {name: load(name, {}) for name in ("loose-15", "loose-22", "loose-mems", "loose-full", "tight")}
-    built["fast"] = load("loose-22", {"covariance_hz": 20.0})
+    built["slow"] = load("loose-22", {"covariance_hz": 4.0})
     found = {}
     for unit, gnss in (
         ("matched-mems", "l1-code"),
@@ -239,7 +238,7 @@ def standard_errors_from(nees, states):
 @pytest.mark.slow
 def test_loose_22_keeps_all_three_claims_on_matched_sensors(five_minutes):
     """40 seeds of 300 s, every error modelled, Markov states of a receiver without Markov error in it."""
-    result = claims("loose-22", load_profile("figure-eight-matched"), five_minutes, RUNS, covariance_hz=20.0)
+    result = claims("loose-22", load_profile("figure-eight-matched"), five_minutes, RUNS)
     assert not result.rejected, result.reasons
     assert set(result.nis) == {"gnss_position", "gnss_velocity", "baro"}
 
@@ -247,7 +246,7 @@ def test_loose_22_keeps_all_three_claims_on_matched_sensors(five_minutes):
 @pytest.mark.slow
 def test_loose_22_knows_the_error_of_a_wandering_receiver(profile, five_minutes):
     """Mean NEES and mean NIS in their 99.9 % bands; the runs are the samples."""
-    found = draws(load("loose-22", {"covariance_hz": 20.0}), profile, five_minutes, RUNS)
+    found = draws(load("loose-22", {}), profile, five_minutes, RUNS)
     assert abs(standard_errors_from(found.averages(), 9)) < student(RUNS)
     assert all(nis.inside for nis in found.pooled_nis().values()), found.pooled_nis()
 
@@ -264,7 +263,7 @@ def test_the_same_check_fails_for_markov_errors_assumed_a_third_too_small(profil
             vel_markov_sd=gnss.vel_markov_sd * 0.67,
         ),
     )
-    found = draws(load("loose-22", {"covariance_hz": 20.0}), profile, five_minutes, RUNS, small)
+    found = draws(load("loose-22", {}), profile, five_minutes, RUNS, small)
     assert standard_errors_from(found.averages(), 9) > student(RUNS)
     assert not found.pooled_nis()["gnss_velocity"].inside
 

@@ -102,7 +102,7 @@ def drive(slip: float, **options):
     for seed in range(RUNS):
         truth = rolling(seed, END, slip=slip)
         sensed = sensors.sense(truth, spec, 5, seed)
-        solution = Loose(covariance_hz=20.0, **options).run(sensed.data, sensed.initial)
+        solution = Loose(**options).run(sensed.data, sensed.initial)
         errors = error_series(truth, solution)
         nees.append(errors.nees[-1])
         drift.append(float(np.hypot(*errors.pos_n[-1, :2])))
@@ -137,7 +137,7 @@ def test_coordinated_flight_claims_less_drift_and_is_right_and_a_wrong_angle_of_
 
     def fly(run, **options):
         sensed = sensors.sense(truth, spec, 5, run)
-        return Loose(covariance_hz=20.0, **options).run(sensed.data, sensed.initial)
+        return Loose(**options).run(sensed.data, sensed.initial)
 
     free = fly(0)
     flown = [fly(run, coordinated=True, alpha_deg=0.0) for run in range(8)]

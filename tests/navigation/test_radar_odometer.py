@@ -79,7 +79,7 @@ def test_a_matched_filter_is_consistent_and_finds_bias_and_scale_factor(truth, e
     """NIS in its 99.9 % band over four draws; noise 1.4 times that of the datasheet leaves it."""
     spec = on_board(radar=RADAR, odometer=WHEEL)
     spec = replace(spec, gnss=None, assumed=replace(spec.assumed, gnss=None)) if estimator is Tight else spec
-    options = {"radar": True, "odometer": True, "covariance_hz": 20.0}
+    options = {"radar": True, "odometer": True}
     options |= {"gnss": False} if estimator is Tight else {}
     for noisier, inside in ((1.0, True), (1.4, False)):
         flown = replace(
@@ -110,7 +110,7 @@ def test_an_odometer_slows_the_drift_without_gnss(truth):
     for run in range(8):
         sensed = sensors.sense(truth, spec, 5, run)
         for k, use in enumerate((False, True)):
-            solution = Loose(odometer=use, covariance_hz=20.0).run(sensed.data, sensed.initial)
+            solution = Loose(odometer=use).run(sensed.data, sensed.initial)
             drift[run, k] = np.hypot(*error_series(truth, solution).pos_n[-1, :2])
     assert stats.wilcoxon(*drift.T, alternative="greater").pvalue < 0.01
 

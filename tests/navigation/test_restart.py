@@ -22,7 +22,7 @@ from tests.builders import put, take
 from tests.weaving import DEG, units, weaving
 
 RUNS = 20
-FILTER = Loose(covariance_hz=20.0)
+FILTER = Loose()
 
 
 @pytest.fixture(scope="module")

@@ -59,7 +59,7 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
 @pytest.mark.parametrize("markov", [False, True])
 def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, markov):
     sensed = pipeline.sense(matched, five_minutes)
-    options = {"covariance_hz": 20.0}
+    options = {}
     forward = load("loose-22" if markov else "loose-15", options).run(sensed.data, sensed.initial)
     place = "bench.navigation.smoother:Smoother"
     smoothed = load(place, {**options, "gnss_markov": markov}).run(sensed.data, sensed.initial)
@@ -91,7 +91,7 @@ def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov
     lla[sensed.data.fixes.t >= 150.0, 0] += 200.0 / 6.37e6
     columns = {name: getattr(sensed.data.fixes, name) for name in GnssFixes.__slots__}
     data = replace(sensed.data, fixes=GnssFixes(**{**columns, "lla": lla}))
-    options = {"covariance_hz": 20.0, "gnss_markov": markov}
+    options = {"gnss_markov": markov}
     forward = load("bench.navigation.fusion:Loose", options).run(data, sensed.initial)
     place = load("bench.navigation.smoother:Smoother", options)
     stepped, sound = place.run(data, sensed.initial), place.run(sensed.data, sensed.initial)
@@ -106,6 +106,6 @@ def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov
 def test_the_smoother_knows_its_errors(five_minutes):
     """40 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
     every_second = load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
-    result = claims("smoother", every_second, five_minutes, RUNS, covariance_hz=20.0)
+    result = claims("smoother", every_second, five_minutes, RUNS)
     assert not result.rejected, result.reasons
     assert 2 * result.low > 1.25

@@ -25,7 +25,7 @@ def drift(start, bad=0):
     for run in range(RUNS):
         spec = replace(units(), imu=BAD if run < bad else IMU, gnss_outages=((start, start + tails.CUT),))
         sensed = sensors.sense(truth, spec, 11, run)
-        solution = Loose(covariance_hz=20.0).run(sensed.data, sensed.initial)
+        solution = Loose().run(sensed.data, sensed.initial)
         errors = error_series(truth, solution)
         end = int(np.searchsorted(errors.t, start + tails.CUT - 0.05)) - 1
         e, P = errors.pos_n[end, :2], solution.cov[end, :2, :2]

@@ -152,7 +152,7 @@ def test_it_keeps_the_contract_with_satellites(sensed):
 def test_tight_knows_its_errors():
     """40 matched runs of 300 s: all three claims; a covariance a third too small keeps none of NEES."""
     truth = weaving(300.0)
-    estimator = load("tight", {"covariance_hz": 20.0})
+    estimator = load("tight", {})
     found = ensemble(estimator, truth, lambda run: sensors.sense(truth, UNITS, 5, run), 40, 60.0)
     result = found.claims()
     assert not result.rejected, result.reasons
@@ -187,7 +187,7 @@ def test_it_goes_on_with_one_to_three_satellites():
     sd = []
     for count in range(4):
         data = replace(drawn.data, observations=highest(o, count, 60.0))
-        solution = Tight(covariance_hz=20.0).run(data, drawn.initial)
+        solution = Tight().run(data, drawn.initial)
         sd.append(np.sqrt(np.trace(solution.cov[-1, :3, :3])))
         assert horizontal(solution, truth, 120.0) < 3.0 * sd[-1]
         used = solution.innovations.t > 60.5
@@ -205,7 +205,7 @@ def test_three_satellites_hold_the_position_three_times_better_than_none():
     is the upper end of its 95 % bootstrap interval.
     """
     truth = weaving(180.0, straight_from=120.0)
-    tight, loose = load("tight", {"covariance_hz": 20.0}), load("loose-22", {"covariance_hz": 20.0})
+    tight, loose = load("tight", {}), load("loose-22", {})
     final = np.empty((50, 2))
     for seed in range(50):
         drawn = sensors.sense(truth, units(imu=MEMS, gnss=GPS_ONLY), 100 + seed, 0)
@@ -385,7 +385,7 @@ def test_tight_needs_a_receiver_with_a_sky(sensed):
 
 def test_the_smoother_goes_back_over_tight(sensed, truth):
     smoothed = load("bench.navigation.smoother:Smoother", {"over": "tight"}).run(sensed.data, sensed.initial)
-    forward = Tight(covariance_hz=20.0).run(sensed.data, sensed.initial)
+    forward = Tight().run(sensed.data, sensed.initial)
     assert (np.einsum("kii->ki", smoothed.cov) <= np.einsum("kii->ki", forward.cov) * (1 + 1e-9)).all()
     assert_allclose(smoothed.lla[-1], forward.lla[-1], rtol=1e-12)
     assert Loose().options.tight is False

@@ -57,7 +57,7 @@ def test_loose_full_is_honest_with_a_bias_of_degrees_per_second(figure_eight_tru
     """6 draws of 5 minutes; without such a start the first turn loses the heading."""
     profile = replace(bench.load_profile("figure-eight", {**MPU, "evaluation.output_hz": 1.0}), seed=31)
     truth = first_rows(figure_eight_truth, 60_001)
-    uses = [("loose-full", {"covariance_hz": 20.0})]
+    uses = [("loose-full", {})]
     (found,) = honesty.judge_draws(profile, truth, "mpu-6050", uses, range(6))
     assert found.failed == 0
     most = 9.0 + Z * max(found.error, 0.6)
