@@ -57,6 +57,16 @@ def radii_kernel(sin_lat: float) -> tuple[float, float]:
 
 
 @kernel
+def displace_kernel(lla: FloatArray, d_n: FloatArray, out: FloatArray) -> None:
+    """Fill out (3,), which may be lla, with a position (3,) moved by a displacement (3,) [m], n."""
+    meridian, prime = radii_kernel(np.sin(lla[0]))
+    r_m, r_p = meridian + lla[2], (prime + lla[2]) * np.cos(lla[0])
+    out[0] = lla[0] + d_n[0] / r_m
+    out[1] = lla[1] + d_n[1] / r_p
+    out[2] = lla[2] - d_n[2]
+
+
+@kernel
 def gravity_kernel(sin_lat: float, cos_lat: float, alt: float) -> tuple[float, float]:
     """Return the north and down components of WGS 84 normal gravity [m/s^2]."""
     s2 = sin_lat * sin_lat

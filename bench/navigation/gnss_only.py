@@ -1,13 +1,8 @@
 """Position and velocity from GNSS fixes alone, carried between them by a model of how aircraft manoeuvre.
 
-Along each axis of n the acceleration is a Gauss-Markov process (R. A. Singer, Estimating optimal tracking
-filter performance for manned maneuvering targets, IEEE Trans. AES-6 (4), 1970): constant for a moment, zero
-in the long run. Errors of nine states, position, velocity and acceleration:
-
-    p'' = a      a' = -a / tau + w,   density of w 2 sd^2 / tau
-
-Attitude is not estimated: in wind the course is not the heading. The filter runs at the times of validity of
-the fixes, so latency only lengthens the prediction to the output.
+The model, and the filter as a kernel: `bench.navigation.singer`. Attitude is not estimated: in wind the
+course is not the heading. The filter runs at the times of validity of the fixes, so latency only lengthens
+the prediction to the output.
 """
 
 from __future__ import annotations
@@ -17,21 +12,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
+from bench.arrays import FloatArray, IntArray, read_only
+from bench.data import (
+    EventRow,
+    Events,
+    GnssFixes,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorData,
+    no_innovations,
+)
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
-from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining, weigh_fixes
 from bench.navigation.options import GnssOnlyOptions, read_options
+from bench.navigation.singer import Fixes, FixLog, Manoeuvres, Track, track_kernel, track_work
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
 STATES = tuple(f"acceleration_{axis}_m_s2" for axis in "ned")
 SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 class GnssOnly:
@@ -50,57 +53,46 @@ class GnssOnly:
 
         Without a given initial state it begins with the first fix.
         """
-        fixes, given = sensors.fixes, initial.alignment == "given"
-        track = None
-        if given:
+        fixes, output_t = sensors.fixes, sensors.output_t
+        m = len(output_t)
+        x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
+        track, begin, events = None, 0, list[EventRow]()
+        if initial.alignment == "given":
             track = FixTrack(self.options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
-        used, at, events = np.empty(0, np.int64), np.empty(0, np.int64), list[EventRow]()
-        r = np.zeros((0, 6))
-        if fixes is not None:
+        if fixes is not None and m:  # without an output no fix is used
             white = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
             r = weigh_fixes(fixes, white, self.options.fix_accuracy)
-            used, at, events = timeline.fix_rows(fixes, sensors.output_t, initial.t)
-        m = len(sensors.output_t)
-        if m == 0:  # nobody asks: no fix is used
-            used, at = used[:0], at[:0]
-        out, out_P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
-        apart = np.diag(np.append(unknown_arm(sensors.antenna_b), np.zeros(3)))
-        begin = 0  # of the outputs before the next fix
-        for row, end in zip([*used, None], [*at, m], strict=True):
-            if track is not None and end > begin:
-                now = sensors.output_t[begin:end]
-                served = np.arange(begin, end)[now >= track.t - timeline.TIME_TOLERANCE]
-                out[served], P = track.at(sensors.output_t[served])
-                out_P[served] = P + apart
-            begin = max(begin, int(end))
-            if row is not None:
-                assert fixes is not None
-                if track is None:
-                    track = FixTrack.begin(
-                        self.options, float(fixes.t[row]), fixes.lla[row], fixes.vel_n[row], r[row]
-                    )
-                    moving = np.isfinite(fixes.vel_n[row]).all()
-                    origin = "position and velocity" if moving else "position"
-                    text = f"{origin} of the first fix; attitude is not estimated"
-                    events.append((initial.t, float(sensors.output_t[begin]), "alignment", text))
-                elif fixes.t[row] > track.t:  # not before the start
-                    track.go_to(float(fixes.t[row]))
-                    track.use(fixes.lla[row], fixes.vel_n[row], r[row])
-        cov = out_P[:, :9, :9].copy()
-        cov[:, 6:], cov[:, :, 6:] = np.nan, np.nan
+            used, at, events = timeline.fix_rows(fixes, output_t, initial.t)
+            if track is None and len(used):
+                first, begin = used[0], int(at[0])
+                track = FixTrack.begin(
+                    self.options, float(fixes.t[first]), fixes.lla[first], fixes.vel_n[first], r[first]
+                )
+                moving = np.isfinite(fixes.vel_n[first]).all()
+                origin = "position and velocity" if moving else "position"
+                text = f"{origin} of the first fix; attitude is not estimated"
+                events.append((initial.t, float(output_t[begin]), "alignment", text))
+            if track is not None:
+                x[begin:], P[begin:] = track.run(fixes, used, r, at - begin, output_t[begin:])
+        elif track is not None:
+            x, P = track.at(output_t)
+        arm = unknown_arm(sensors.antenna_b)
+        P[:, range(6), range(6)] += arm
+        accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
+        P[:, 6:], P[:, :, 6:] = np.nan, np.nan
         none = np.full((m, 4), np.nan)
         return NavSolution(
-            t=sensors.output_t,
-            lla=out[:, :3],
-            vel_n=out[:, 3:6],
+            t=output_t,
+            lla=x[:, :3],
+            vel_n=x[:, 3:6],
             q_nb=none,
             gyro_bias_b=none[:, :3],
             accel_bias_b=none[:, :3],
-            cov=cov,
+            cov=P,
             extra_names=STATES,
-            extra=out[:, 6:],
-            extra_sd=np.sqrt(np.einsum("kii->ki", out_P)[:, 6:]),
-            innovations=Innovations.from_rows(SENSORS, track.innovations if track else []),
+            extra=x[:, 6:],
+            extra_sd=accelerations_sd,
+            innovations=track.innovations() if track else no_innovations(),
             events=Events.from_rows(events),
         )
 
@@ -113,38 +105,6 @@ def unknown_arm(antenna_b: FloatArray) -> FloatArray:
     """Return the variance (6,) of position and velocity of an antenna about an IMU of unknown attitude."""
     arm2 = float(antenna_b @ antenna_b) / 3.0
     return np.array([arm2] * 3 + [SWING**2 * arm2] * 3)
-
-
-def singer(T: ArrayLike, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
-    """Return Phi and Q (..., 3, 3) of position, velocity and acceleration along one axis over T seconds.
-
-    Q by Gauss-Legendre quadrature of the impulse response, exact to rounding for T below tau; longer ways
-    are made of halves.
-
-    Parameters
-    ----------
-    T : float or (...) array
-        [s]
-    sd : float
-        Standard deviation of the acceleration [m/s^2].
-    tau : float
-        Its correlation time [s].
-    """
-    T = np.asarray(T, float)
-    if (tau < T).any():
-        Phi, Q = singer(0.5 * T, sd, tau)
-        return Phi @ Phi, Phi @ Q @ np.swapaxes(Phi, -1, -2) + Q
-    x = T[..., None] * np.append(0.5 * (_NODES + 1.0), 1.0) / tau
-    gone = -np.expm1(-x)
-    way = np.where(x < 1e-4, 0.5 * x * x * (1.0 - x / 3.0 * (1.0 - x / 4.0)), x - gone)
-    column = np.stack([tau**2 * way, tau * gone, np.exp(-x)], axis=-2)  # response to an acceleration of 1
-    Phi = np.zeros((*T.shape, 3, 3))
-    Phi[..., 0, 0] = Phi[..., 1, 1] = 1.0
-    Phi[..., 0, 1] = T
-    Phi[..., :, 2] = column[..., -1]
-    response = column[..., :-1]
-    weights = T[..., None, None] * _WEIGHTS * sd**2 / tau
-    return Phi, (response * weights) @ np.swapaxes(response, -1, -2)
 
 
 class FixTrack:
@@ -165,14 +125,19 @@ class FixTrack:
     def __init__(
         self, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, cov: FloatArray
     ) -> None:
-        self.options, self.t = options, t
-        self.gate = nis_limit(3, options.gate_probability)
-        self.lla, self.vel, self.acc = lla, vel_n, np.zeros(3)
-        self.P = np.zeros((9, 9))
-        self.P[:6, :6] = cov
-        self.P[6:, 6:] = options.acceleration**2 * np.eye(3)
-        self.misses = [0, 0]
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        P = np.diag(np.repeat([0.0, 0.0, options.acceleration**2], 3))
+        P[:6, :6] = cov
+        self._now = Track(
+            np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, np.zeros(2, np.int64)
+        )
+        self._model = Manoeuvres(
+            float(options.acceleration),
+            float(options.correlation_s),
+            nis_limit(3, options.gate_probability),
+            options.readmit_after,
+        )
+        self._work = track_work()
+        self._rows = [(np.empty((0, 4)), np.empty((0, 3), np.int64))]
 
     @classmethod
     def begin(
@@ -184,53 +149,44 @@ class FixTrack:
             vel_n, cov[3:, 3:] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
         return cls(options, t, lla, vel_n, cov)
 
+    def run(
+        self, fixes: GnssFixes, rows: IntArray, r: FloatArray, at: IntArray, output_t: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Use fixes and return the states (M, 9) and P (M, 9, 9) at the outputs, NaN before the track.
+
+        Parameters
+        ----------
+        fixes : GnssFixes
+            Record; one that is not later than the track is left out.
+        rows : (K,) int array
+            Those to use, in this order.
+        r : (N, 6) array
+            Their variance, of every row of the record.
+        at : (K,) int array
+            The first output after each.
+        output_t : (M,) array
+            Instants [s].
+        """
+        return self._run(Fixes(fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], r[rows], at), output_t)
+
     def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the state (..., 9) and P (..., 9, 9) carried to an instant [s], or to many at once."""
-        T = np.asarray(t, float) - self.t
-        Phi, Q = singer(T, self.options.acceleration, self.options.correlation_s)
-        way = self.vel * Phi[..., 0, 1, None] + self.acc * Phi[..., 0, 2, None]
-        state = [
-            earth.displace(self.lla, way),
-            self.vel + self.acc * Phi[..., 1, 2, None],
-            self.acc * Phi[..., 2, 2, None],
-        ]
-        P = self.P
-        for _ in range(2):  # Phi by rows, then by columns: each axis by itself
-            rows = Phi @ np.reshape(P, (*P.shape[:-2], 3, 27))
-            P = np.swapaxes(np.reshape(rows, (*T.shape, 9, 9)), -1, -2)
-        P = P.copy()
-        for axis in range(3):
-            P[..., axis::3, axis::3] += Q
-        return np.concatenate(state, axis=-1), P
+        """Return the states (M, 9) and P (M, 9, 9) carried to instants (M,) [s], NaN before the track."""
+        none, rows = np.empty(0), np.empty((0, 3))
+        return self._run(Fixes(none, rows, rows, np.empty((0, 6)), np.empty(0, np.int64)), t)
 
-    def go_to(self, t: float) -> None:
-        """Carry the filter to an instant [s]."""
-        state, self.P = self.at(t)
-        self.lla, self.vel, self.acc, self.t = state[:3], state[3:6], state[6:], t
+    def _run(self, fixes: Fixes, output_t: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        output_t = np.asarray(output_t, float)
+        count, m = 6 * len(fixes.t), len(output_t)
+        log = FixLog(np.empty((count, 4)), np.empty((count, 3), np.int64), np.zeros(1, np.int64))
+        x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
+        track_kernel(self._now, fixes, read_only(output_t), self._model, log, x, P, self._work)
+        if filled := int(log.filled[0]):
+            self._rows.append((log.numbers[:filled], log.marks[:filled]))
+        return x, P
 
-    def use(self, lla: FloatArray, vel_n: FloatArray, r: FloatArray) -> None:
-        """Use a fix that is valid now, position and velocity (if it has one) each gated by itself."""
-        for code in (0, 1) if np.isfinite(vel_n).all() else (0,):
-            rows = slice(3 * code, 3 * code + 3)
-            # y is measured less predicted
-            y = earth.difference_n(lla, self.lla) if code == 0 else vel_n - self.vel
-            R = np.diag(r[rows])
-            S = self.P[rows, rows] + R
-            value = nis(y, S)
-            sound = value <= self.gate
-            if not sound and self.misses[code] >= self.options.readmit_after:
-                x = self.P[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
-                self.P += np.outer(x, x)
-                self.P[rows, rows] += np.diag(y**2)
-                sound = True
-            self.misses[code] = 0 if sound else self.misses[code] + 1
-            for i in range(3):
-                self.innovations.append((self.t, code, i, y[i], S[i, i], value, sound))
-            if sound:
-                K = np.linalg.solve(self.P[rows, rows] + R, self.P[rows]).T
-                J = np.eye(9)
-                J[:, rows] -= K
-                self.P = J @ self.P @ J.T + K @ R @ K.T
-                dx = K @ y
-                self.lla, self.vel = earth.displace(self.lla, dx[:3]), self.vel + dx[3:6]
-                self.acc = self.acc + dx[6:]
+    def innovations(self) -> Innovations:
+        """Return the innovations of all fixes so far."""
+        numbers, marks = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))
+        code, component, accepted = marks.T
+        t, z, S, nis = numbers.T
+        return Innovations(t, SENSORS, code, component, z, S, nis, accepted.astype(np.bool_))

@@ -27,6 +27,7 @@ from bench.data import (
     Innovations,
     NavSolution,
     SensorData,
+    no_innovations,
 )
 from bench.errors import EstimatorError
 from bench.navigation import alignment, timeline
@@ -133,7 +134,7 @@ def run_between_gaps(
             joined.events.append((silent[0], until, "restart", f"IMU silent for {length}: {text}", "imu"))
             if found is None:
                 continue
-            joined.innovations += coast.track.innovations if coast.track else []
+            joined.coasts += [coast.track.innovations()] if coast.track else []
             coast, start = None, found
         solution = run(piece, start)
         joined.take_piece(solution, biases)
@@ -202,14 +203,14 @@ class _Coast:
             r = self.r[self.next]
             if self.track is None:
                 self.track = FixTrack.begin(GnssOnlyOptions(), valid, lla, vel_n, r)
-            elif valid > self.track.t:
-                self.track.go_to(valid)
-                self.track.use(lla, vel_n, r)
+            else:
+                row, at = np.array([self.next]), np.zeros(1, np.int64)
+                self.track.run(fixes, row, self.r, at, np.empty(0))
             self.next = next(self.waiting, None)
         cov = np.full((9, 9), np.nan)
         if self.track is None:
             return np.full(3, np.nan), np.full(3, np.nan), cov
-        state, P = self.track.at(t)
+        ((state,), (P,)) = self.track.at([t])
         cov[:6, :6], cov[:6, 6:], cov[6:, :6] = P[:6, :6] + np.diag(self.arm), 0.0, 0.0
         elapsed = np.array([t - self.end.t])
         turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
@@ -230,7 +231,7 @@ class _Joined:
         self.extra_names: tuple[str, ...] = ()
         self.sensor: tuple[str, ...] = FIX_SENSORS
         self.tables: list[Innovations] = []
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.coasts: list[Innovations] = []
 
     def take_piece(self, solution: NavSolution, biases: _Biases) -> None:
         """Take the answers of a filter, the biases that were taken off its increments given back."""
@@ -269,9 +270,9 @@ class _Joined:
 
     def solution(self) -> NavSolution:
         """Return what was taken."""
-        own = Innovations.from_rows(FIX_SENSORS, self.innovations)
         number = np.array([self.sensor.index(name) for name in FIX_SENSORS])
-        tables = [*self.tables, replace(own, sensor=self.sensor, code=number[own.code])]
+        coasts = [replace(own, sensor=self.sensor, code=number[own.code]) for own in self.coasts]
+        tables = [*self.tables, *coasts, no_innovations()]
         order = np.argsort(np.concatenate([table.t for table in tables]), kind="stable")
         names = [f.name for f in fields(Innovations) if f.name != "sensor"]
         whole = {name: np.concatenate([getattr(table, name) for table in tables])[order] for name in names}
