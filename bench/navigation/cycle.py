@@ -325,7 +325,7 @@ def advance_kernel(
         for i in range(fading, n):
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
-        stand_kernel(state, T, P, F, noise)
+        lost_heading = stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:
             state[clock + 1] += T * state[clock + 2]
@@ -336,6 +336,9 @@ def advance_kernel(
             P[clock, clock + 1] += together
             P[clock + 1, clock] += together
         if keep:
+            if lost_heading:
+                for j in range(n):
+                    Phi[PHI + 2, j] = 0.0
             accumulate_kernel(Phi, G, decay, drives, factor, memory)
             if clock >= 0:
                 for j in range(n):

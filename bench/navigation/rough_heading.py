@@ -40,8 +40,10 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
 
 
 @kernel
-def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> None:
+def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
     """Take out of F what a roughly known heading does, while the velocity may be none.
+
+    Return whether the heading is any: its error is then a new one, and nothing of the old one goes on.
 
     With an sd above ``WIDE`` the heading is any, independent of all the rest. What it does to the rate of the
     tilts, no more than the horizontal Earth rate, is left to the gyro biases: they wander more in a unit that
@@ -62,9 +64,10 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
         Variance that the interval adds; overwritten.
     """
     if not (P[8, 8] > _ROUGH**2 and _stands_kernel(state, P)):
-        return
+        return False
     F[3, 8], F[4, 8] = 0.0, 0.0
-    if P[8, 8] > WIDE**2:
+    lost = bool(P[8, 8] > WIDE**2)
+    if lost:
         F[6, 8], F[7, 8] = 0.0, 0.0
         turn = 2.0 * np.sqrt(P[11, 11]) * T
         noise[6] += turn * P[6, 6]
@@ -72,6 +75,7 @@ def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, nois
         for i in range(P.shape[0]):
             P[8, i], P[i, 8] = 0.0, 0.0
         P[8, 8] = UNKNOWN_HEADING_SD**2
+    return lost
 
 
 @kernel

@@ -24,6 +24,7 @@ from bench.navigation.forward import Nodes, solution
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.restart import run_between_gaps
+from bench.navigation.rough_heading import add_arm
 from bench.specs import AssumedSpecs
 
 
@@ -53,6 +54,7 @@ class Smoother:
         x = np.full((len(forward), state.shape[1]), np.nan)
         cov = np.full((len(forward), *P.shape[1:]), np.nan)
         x[served], cov[served] = state[nodes.output[served]], P[nodes.output[served]]
+        add_arm(cov, sensors.antenna_b)
         return solution(forward.t, nodes.layout, x, cov, forward.innovations, forward.events)
 
     @property
