@@ -86,6 +86,7 @@ _PUBLIC = {
     "to_pandas": "bench.store",
     "plot_result": "bench.report.paper",
     "write_figures": "bench.report.writing",
+    "write_recording": "bench.recording",
     "write_report": "bench.report.writing",
     "check_estimator": "bench.navigation.estimator",
     "fix_steps": "bench.navigation.wrapping",

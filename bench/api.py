@@ -143,7 +143,7 @@ def save(
     result : RunResult
         As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
     recording : bool
-        Also write ``flight.rrd``; not possible for a result that was read back.
+        Also write ``flight.rrd``.
     report : bool
         Also write ``report.html``.
     force : bool
@@ -158,20 +158,17 @@ def save(
     OSError
         If a file cannot be written; nothing is left behind.
     """
-    folder, sensed = Path(folder), result.sensed
-    if sensed is None:
+    folder = Path(folder)
+    if result.sensed is None:
         raise ConfigError("bench.save: the result has no sensor data")
-    if recording and "spec" not in result.records:
-        raise ConfigError("bench.save: a result that was read back makes no recording; use recording=False")
     store.check_folder(folder, force=force)
     with store.make_folder(folder, force=force) as partial:
         store.save(partial, result)
         if recording:
             from bench import recording as viewer
 
-            made = (result.solutions, result.errors, result.metrics, result.more.get("outages", ()))
             try:
-                viewer.write(partial / store.RECORDING, result.records["spec"], result.truth, sensed, *made)
+                viewer.write(partial / store.RECORDING, result.name or folder.name, result)
             except NothingToShowError as error:
                 say(f"No recording: {error}.")
         if report:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from itertools import pairwise
+from math import degrees
 from typing import Any
 
 from bench import store
@@ -188,8 +189,16 @@ def run(
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
         provenance={**store.provenance(), "profile": profile.name, "inputs": hashes, "cpu_s": cpu_s},
+        more={"scene": _describe_scene(profile)},
         records={"spec": profile, "truth": truth, "sensed": sensed},
     )
+
+
+def _describe_scene(profile: Profile) -> dict[str, Any]:
+    """Return what pictures need besides the records: the shape of the aircraft, and what its antenna sees."""
+    gnss = profile.sensors.gnss
+    mask = None if gnss is None or gnss.sky is None else degrees(gnss.sky.antenna_mask)
+    return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask}
 
 
 def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:

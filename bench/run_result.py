@@ -26,6 +26,11 @@ class RunResult(Rebuilt):
     records: Mapping[str, Any] = field(default_factory=dict)  # input of the run: "spec", "truth", "sensed"
 
     @property
+    def name(self) -> str:
+        """Name of the profile; empty for a log."""
+        return str(self.provenance.get("profile") or "")
+
+    @property
     def truth(self) -> Trajectory | None:
         """The flight; None for a log."""
         return self.records.get("truth")

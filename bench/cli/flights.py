@@ -1,4 +1,4 @@
-"""The verbs of simulated flights: run, fly, list, guide, new, view, report, check, cache."""
+"""The verbs of simulated flights: run, fly, list, guide, new, view, report, record, check, cache."""
 
 from __future__ import annotations
 
@@ -222,6 +222,20 @@ def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> 
         write_report(folder, out, console=new_console())
     else:
         write_figures(folder, out, figures, console=new_console(), **look)
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", type=FILE, metavar="DIR")
+@out_option("file for the recording  [default: DIR/flight.rrd]", "FILE.rrd")
+def record(folder: Path, out: Path | None) -> int:
+    """Make the recording of a results folder.
+
+    For folders written without one: by --no-rrd, by bench score -o, on a machine without a viewer.
+    """
+    from bench.workbench.record_verbs import write_recording
+
+    write_recording(folder, out, console=new_console())
     return DONE
 
 

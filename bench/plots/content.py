@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import radians
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from bench.data import (
 )
 from bench.errors import NothingToShowError
 from bench.plots.series import Colour, Rows, estimator_colours
+from bench.run_result import RunResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,28 @@ class Content:
     def colours(self) -> dict[str, Colour]:
         """The colour of each estimator."""
         return estimator_colours(self.solutions)
+
+
+def gather_content(result: RunResult, *, in_space: bool = True) -> Content | None:
+    """Return what there is to plot of a result; None if neither a truth nor a solution has a motion.
+
+    If not ``in_space``, a position is enough.
+    """
+    if result.sensed is None:
+        return None
+    try:
+        motion = result.truth if result.truth is not None else carrier(result.solutions, in_space=in_space)
+    except NothingToShowError:
+        return None
+    mask = result.more.get("scene", {}).get("antenna_mask_deg")
+    return Content(
+        motion=motion,
+        sensed=result.sensed,
+        solutions=result.solutions,
+        errors=result.errors,
+        evaluation_from=float(result.profile["evaluation"]["from_s"]),
+        antenna_mask=None if mask is None else radians(mask),
+    )
 
 
 @dataclass(frozen=True, slots=True)

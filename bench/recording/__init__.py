@@ -6,50 +6,37 @@ float64. The recording is for viewing a run, not for archiving it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
 
+from bench import store
 from bench.arrays import FloatArray
-from bench.config.log import LogSpec
-from bench.data import ErrorSeries, NavSolution, Sensed, Trajectory
+from bench.errors import ConfigError, NothingToShowError
 from bench.plots import series
-from bench.plots.content import Content, carrier
+from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.recording import drawing, layout, sky_view, space, words
 from bench.recording.drawing import TIMELINE
-from bench.specs import Profile
+from bench.run_result import RunResult
 
 
-def write(
-    path: Path,
-    profile: Profile | LogSpec,
-    truth: Trajectory | None,
-    sensed: Sensed,
-    solutions: Mapping[str, NavSolution],
-    errors: Mapping[str, ErrorSeries],
-    metrics: Mapping[str, Mapping[str, Any]],
-    outages: Sequence[Mapping[str, Any]] = (),
-) -> None:
-    """Write the recording of one run.
+def write(path: Path, name: str, result: RunResult) -> None:
+    """Write the recording of a result.
 
     Parameters
     ----------
     path : Path
         The file to write, ``flight.rrd``; it is written completely or not at all.
-    profile : Profile or LogSpec
-        The experiment, for the summary.
-    truth, sensed : Trajectory or None, Sensed
-        The flight and one draw of the sensors; without a truth the first estimator carries the vehicle.
-    solutions, errors, metrics : mappings by estimator
-        What the estimators made of it. The first is the main one: the overview shows it.
-    outages : sequence of mappings
-        Rows of the drift table of a log, as `bench.evaluation.outages.make_drift_row` makes them.
+    name : str
+        Of the profile or log. The viewer keeps one layout for each name.
+    result : RunResult
+        As `bench.run`, `bench.navigate_log` or `bench.load` returns it. Its first estimator is the main one:
+        the overview shows it and, without a truth, it carries the vehicle.
 
     Raises
     ------
@@ -58,26 +45,23 @@ def write(
     bench.errors.NothingToShowError
         If there is no truth and no estimator has a motion to show.
     """
-    motion = carrier(solutions) if truth is None else truth
-    sky = profile.sensors.gnss.sky if isinstance(profile, Profile) and profile.sensors.gnss else None
-    mask = None if sky is None else sky.antenna_mask
-    content = Content(motion, sensed, solutions, errors, profile.evaluation_from, mask)
+    content = gather_content(result)
+    if content is None:
+        raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
     plots = {tab.name: tab.plots(content) for tab in TABS}
-    scene = space.make_scene(motion, sensed, solutions)
-    shades = series.shades(sensed.events)
+    scene = space.make_scene(content)
+    shades = series.shades(content.sensed.events)
     part = path.with_name(f"{path.name}.tmp")
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
-        stream = rr.RecordingStream(f"bench {profile.name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
+        stream = rr.RecordingStream(f"bench {name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()  # rerun's own file writer waits for ever when the disk is full
-        stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(solutions), "")))
-        title, mesh = profile.name, None
-        if isinstance(profile, Profile):
-            title, mesh = f"{profile.name}, seed {profile.seed}", profile.flight.mesh
-        stream.send_recording_name(title)
-        space.send(stream, mesh, motion, sensed, solutions)
-        words.send(stream, profile, motion, sensed, solutions, metrics, outages)
+        stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(result.solutions), "")))
+        known = result.truth is not None
+        stream.send_recording_name(f"{name}, seed {result.seed}, run {result.run}" if known else name)
+        space.send(stream, result.more.get("scene", {}).get("mesh"), content)
+        words.send(stream, result, content)
         for by_label in plots.values():
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):
                 drawing.send(stream, plot, shades)
@@ -87,6 +71,46 @@ def write(
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def write_recording(folder: str | Path, out: str | Path | None = None) -> Path:
+    """Write the recording of a results folder, also of one that was written without, and return its path.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder, of a run or of a log.
+    out : str, Path or None
+        The file to write. Default ``flight.rrd`` in the results folder.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If it is not a results folder, or ``out`` is another kind of file.
+    bench.errors.NothingToShowError
+        If no solution has a motion to show.
+    OSError
+        If the file cannot be written; an existing file is left unchanged.
+    """
+    folder = Path(folder)
+    result = store.load(folder)
+    path = folder / store.RECORDING if out is None else Path(out)
+    check_recording(path)
+    write(path, result.name or folder.resolve().name, result)
+    if out is None:
+        store.add_to_mark(folder, store.RECORDING)
+    return path
+
+
+def check_recording(path: Path) -> None:
+    """Raise ConfigError if a recording cannot be written: no folder, or a file of another kind."""
+    store.check_file(path)
+    if path.suffix != ".rrd":
+        raise ConfigError(f"{path}: a recording is an .rrd file")
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(4) != b"RRF2":
+                raise ConfigError(f"{path}: not replaced, it is not a recording; -o names another file")
 
 
 def column(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +10,14 @@ import rerun as rr
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.data import NavSolution, Sensed, Trajectory
-from bench.plots.content import Motion
+from bench.data import Trajectory
+from bench.plots.content import Content
 from bench.plots.series import (
     AXIS_COLOURS,
     FIX,
     SLOW,
     TRUTH,
     Colour,
-    estimator_colours,
     round_number,
     thin,
 )
@@ -49,31 +47,31 @@ class Scene:
         return round_number(self.size / 5.0)
 
 
-def make_scene(truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]) -> Scene:
+def make_scene(content: Content) -> Scene:
     """Make the scene of the views in space; all estimators except the first are hidden."""
+    truth = content.motion
     path = earth.local_ned(truth.lla[thin(truth.t)], truth.lla[0])
-    others = list(solutions)[1:]
+    others = list(content.solutions)[1:]
     return Scene(
         end=float(truth.t[-1]),
         low=path.min(axis=0),
         high=path.max(axis=0),
         lat=float(truth.lla[:, 0].mean()),
-        fixes=("/world/gnss/fixes", "/map/gnss/fixes") if sensed.data.fixes is not None else (),
+        fixes=("/world/gnss/fixes", "/map/gnss/fixes") if content.sensed.data.fixes is not None else (),
         hidden=tuple(
             entity(root, "estimators", label, "path") for root in ("world", "map") for label in others
         ),
     )
 
 
-def send(
-    stream: Any, mesh: str | None, truth: Motion, sensed: Sensed, solutions: Mapping[str, NavSolution]
-) -> None:
+def send(stream: Any, mesh: str | None, content: Content) -> None:
     """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map.
 
-    Without a mesh there is no truth: the vehicle is a set of body axes where the first estimator has it.
+    Without a truth the vehicle is where the first estimator has it. Without a mesh of `MESHES` it is a set
+    of body axes.
     """
+    truth, solutions, colours = content.motion, content.solutions, content.colours
     origin = truth.lla[0]
-    colours = estimator_colours(solutions)
     keep = thin(truth.t)
     t, lla = truth.t[keep], truth.lla[keep]
     pos = earth.local_ned(lla, origin)
@@ -115,7 +113,7 @@ def send(
         rr.GeoPoints.columns(positions=np.rad2deg(truth.lla[slow, :2])),
     )
 
-    fixes = sensed.data.fixes
+    fixes = content.sensed.data.fixes
     if fixes is not None:
         good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
         time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
@@ -130,7 +128,7 @@ def send(
 def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:
     """Send the shape of the vehicle: an aircraft, or body axes without a mesh."""
     scale = max(1.0, 0.12 * size)
-    if mesh is None:
+    if mesh not in MESHES:
         axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLOURS)
         stream.log(place, axes, static=True)
         return

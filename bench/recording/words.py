@@ -5,35 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import rerun as rr
 
-from bench.config.log import LogSpec
-from bench.data import NavSolution, Sensed
 from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
-from bench.instruments import INSTRUMENTS
-from bench.plots.content import Motion
+from bench.plots.content import Content
+from bench.plots.facts import list_facts, list_units
 from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
 from bench.recording.drawing import TIMELINE
-from bench.specs import AssumedSpecs, Flight, FlightSpec, Profile, SensorsSpec
+from bench.run_result import RunResult
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
 """Kinds of event that are logged as warnings."""
 
 
-def send(
-    stream: Any,
-    profile: Profile | LogSpec,
-    truth: Motion,
-    sensed: Sensed,
-    solutions: Mapping[str, NavSolution],
-    metrics: Mapping[str, Mapping[str, Any]],
-    outages: Sequence[Mapping[str, Any]],
-) -> None:
+def send(stream: Any, result: RunResult, content: Content) -> None:
     """Send the summary, the log of events, and which leg and which GNSS there was when."""
-    page = make_summary(profile, truth, metrics) + make_drift_page(outages)
+    truth, sensed, solutions = content.motion, content.sensed, content.solutions
+    page = make_summary(result) + make_drift_page(result.more.get("outages", ()))
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
@@ -86,17 +76,27 @@ def _send_phase(stream: Any, entity: str, changes: Sequence[tuple[float, str]], 
         )
 
 
-def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the markdown summary of a run: the experiment, and the metrics by estimator."""
+def make_summary(result: RunResult) -> str:
+    """Return the markdown summary of a result: the experiment, and the metrics by estimator."""
+    metrics, profile = result.metrics, result.profile
+    from_s = f"{profile['evaluation']['from_s']:g} s"
     colours = ", ".join(
         f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )
-    lines_above = (
-        _describe_log(profile, colours)
-        if isinstance(profile, LogSpec)
-        else _describe_run(profile, truth, colours)
-    )
-    lines = [f"# {profile.title}", "", *lines_above]
+    truth = "GNSS is yellow" if result.truth is None else "Truth is green, GNSS yellow"
+    lost = [f"{start:g} to {end:g} s" for start, end, _ in result.events.select("gnss_outage")]
+    faults = [f"{start:g} to {end:g} s: {text}" for start, end, text in result.events.select("fault")]
+    lines = [
+        f"# {profile['title']}",
+        "",
+        *[f"- {fact}" for fact in list_facts(result)],
+        *[f"- {title} `{name}`" for title, name, *_ in list_units(profile)],
+        *([f"- GNSS outage {', '.join(lost)}"] if lost else []),
+        *[f"- fault {text}" for text in faults],
+        "",
+        f"{truth}; {colours}. ±3σ is what a filter claims about itself. Plots are hatched where GNSS is lost "
+        f"or a fault is scripted, and scaled to what comes after {from_s}.",
+    ]
     for label, values in metrics.items():
         for text in (values.get("verdict_text"), *values.get("drift_text", ())):
             lines += ["", text] if text else []
@@ -106,7 +106,7 @@ def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str
             lines += ["", f"On board, but not modelled by **{label}**: {', '.join(values['unmodelled'])}."]
     lines += [
         "",
-        f"**Metrics** from {profile.evaluation_from:g} s on",
+        f"**Metrics** from {from_s} on",
         "",
         f"| | {' | '.join(metrics)} |",
         f"|---|{'---:|' * len(metrics)}",
@@ -116,59 +116,6 @@ def make_summary(profile: Profile | LogSpec, truth: Motion, metrics: Mapping[str
         if find_metric(name) is not None and not name.endswith("_all"):
             lines.append(f"| {name} | {' | '.join(format_number(value) for value in row)} |")
     return "\n".join(lines) + "\n"
-
-
-def _describe_run(profile: Profile, truth: Motion, colours: str) -> list[str]:
-    """Describe a flight in lines above its metrics."""
-    sensors = profile.sensors
-    lost = ", ".join(f"{start:g} to {end:g} s" for start, end in sensors.gnss_outages)
-    return [
-        f"- profile `{profile.name}`, seed {profile.seed}",
-        f"- {_describe_flight(profile.flight, truth)}",
-        *[f"- {what} `{unit.name}`" for what, unit in _list_sensors(sensors)],
-        *([f"- GNSS outage {lost}"] if lost else []),
-        *[
-            f"- fault {k}, {fault.start:g} to {fault.end:g} s: {fault.text}"
-            for k, fault in enumerate(sensors.faults, 1)
-        ],
-        "",
-        f"Truth is green, GNSS yellow; {colours}. ±3σ is what a filter claims about itself. Plots are "
-        f"hatched where GNSS is lost or a fault is scripted, and scaled to what comes after "
-        f"{profile.evaluation_from:g} s.",
-    ]
-
-
-def _describe_log(log: LogSpec, colours: str) -> list[str]:
-    """Describe a log in lines above its metrics."""
-    kept = f"one fix in {log.withhold}" if log.withhold else "no fix"
-    return [
-        f"- recording `{log.name}`",
-        *[f"- {what} assumed to be a `{unit.name}`" for what, unit in _list_sensors(log.assumed)],
-        "",
-        f"GNSS is yellow; {colours}. There is no truth: {kept} was kept from the filters, and errors are "
-        "estimate minus these fixes, at the antenna. ±3σ is what a filter claims about itself. Plots are "
-        f"scaled to what comes after {log.evaluation_from:g} s.",
-    ]
-
-
-def _list_sensors(specs: SensorsSpec | AssumedSpecs) -> list[tuple[str, Any]]:
-    """Return title and spec of each sensor present."""
-    titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
-    units = [(title, getattr(specs, name)) for name, title in titles.items()]
-    return [(title, unit) for title, unit in units if unit is not None]
-
-
-def _describe_flight(flight: Flight, truth: Motion) -> str:
-    length = f"{truth.t[-1] - truth.t[0]:.0f} s"
-    if not isinstance(flight, FlightSpec):
-        beyond = len(truth.events.select("sanity"))
-        remarks = f", {beyond} remarks of sanity among the events" if beyond else ""
-        return f"{flight.label}, {length}{remarks}"
-    return (
-        f"aircraft `{flight.aircraft.name}`, {length}, wind "
-        f"{flight.wind_speed:g} m/s from {np.rad2deg(flight.wind_from):.0f} deg, "
-        f"turbulence severity {flight.severity}"
-    )
 
 
 def make_drift_page(table: Sequence[Mapping[str, Any]]) -> str:

@@ -13,17 +13,16 @@ import numpy as np
 
 import bench
 from bench import earth, store
-from bench.config.library import find_unit
 from bench.data import Trajectory
-from bench.errors import ConfigError, NothingToShowError
+from bench.errors import ConfigError
 from bench.evaluation import verdict
 from bench.evaluation.key_figures import MEANING, OUTAGES, format_bounds, format_number, list_key_figures
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
-from bench.instruments import INSTRUMENTS
 from bench.places import PACKAGE
 from bench.plots import series
-from bench.plots.content import Content, carrier
+from bench.plots.content import Content, gather_content
+from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
 from bench.report import svg
 from bench.run_result import RunResult
@@ -94,7 +93,7 @@ def check_page(path: Path) -> None:
 
 def make_page(name: str, result: RunResult) -> str:
     """Return the report of a result as HTML; ``name`` is that of its folder."""
-    content = gather_content(result)
+    content = gather_content(result, in_space=False)
     profile = result.profile
     shades = series.shades(result.events) if content is not None else ()
     window = (float(content.motion.t[0]), float(content.motion.t[-1])) if content else (0.0, 1.0)
@@ -103,7 +102,7 @@ def make_page(name: str, result: RunResult) -> str:
         "page.html.jinja",
         title=str(profile.get("title", name)),
         name=name,
-        facts=list(_list_facts(result)),
+        facts=list(list_facts(result)),
         cards=[_make_card(label, values, result) for label, values in result.metrics.items()],
         labels=list(result.metrics),
         figures=_fill_table(result.metrics, list_key_figures(result.metrics)),
@@ -119,7 +118,7 @@ def make_page(name: str, result: RunResult) -> str:
         phases=_list_phases(content, window) if content else (),
         shades=[(shade.key, shade.name) for shade in shades],
         sections=sections,
-        units=list(_list_units(profile)),
+        units=list(list_units(profile)),
         events=list(_list_events(result)),
         provenance=list(_list_provenance(result.provenance)),
         command=_find_command(result),
@@ -128,39 +127,7 @@ def make_page(name: str, result: RunResult) -> str:
     )
 
 
-def gather_content(result: RunResult) -> Content | None:
-    """Return what there is to plot; None if neither a truth nor a solution with a motion is known."""
-    if result.sensed is None:
-        return None
-    try:
-        motion = result.truth if result.truth is not None else carrier(result.solutions, in_space=False)
-    except NothingToShowError:
-        return None
-    begun = float(result.profile["evaluation"]["from_s"])
-    return Content(motion, result.sensed, result.solutions, result.errors, begun)
-
-
 # --- words and tables ---------------------------------------------------------------------------------
-
-
-def _list_facts(result: RunResult) -> Iterable[str]:
-    profile = result.profile
-    if "log" in result.more:
-        kept = profile.get("evaluation", {}).get("withhold")
-        yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
-        if kept:
-            yield f"one fix in {kept} kept from the filters"
-    else:
-        yield f"seed {result.seed}, run {result.run}"
-    for key in ("aircraft", "script", "trajectory"):
-        if key in profile:
-            yield f"{key} {profile[key]!s}"
-    if result.truth is not None:
-        yield f"{result.truth.t[-1] - result.truth.t[0]:.0f} s"
-    if wind := profile.get("wind"):
-        yield f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°, turbulence {wind['turbulence']}"
-    if "evaluation" in profile:
-        yield f"figures count from {profile['evaluation']['from_s']:g} s on"
 
 
 def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
@@ -211,22 +178,6 @@ def _make_cell(name: str, values: Mapping[str, Any]) -> Cell:
     return Cell(
         format_number(values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
     )
-
-
-def _list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:
-    """Yield kind, name, title and note of each sensor on board or assumed."""
-    on_board = profile.get("sensors") or profile.get("assumed") or {}
-    titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
-    assumed = on_board.get("assumed", {}) if isinstance(on_board, Mapping) else {}
-    for kind, title in titles.items():
-        name = on_board.get(kind)
-        if isinstance(name, str):
-            entry = find_unit(kind, name)
-            note = entry.note if entry else "own datasheet"
-            other = assumed.get(kind)
-            if isinstance(other, str) and other != name:
-                note = f"the filters assume {other}. {note}"
-            yield title, name, entry.title if entry else "", note
 
 
 def _list_events(result: RunResult) -> Iterable[tuple[str, str, str, str]]:

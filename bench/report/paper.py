@@ -10,9 +10,9 @@ import numpy as np
 
 from bench.errors import ConfigError
 from bench.plots import series
+from bench.plots.content import gather_content
 from bench.plots.series import Colour, Plot, Shade
 from bench.plots.tabs import TABS
-from bench.report.page import gather_content
 from bench.run_result import RunResult
 from bench.wording import suggest
 
@@ -96,7 +96,7 @@ _METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"
 
 def _list_drawings(result: RunResult) -> Iterator[tuple[str, str, list[Plot]]]:
     """Yield the name of the tab, the label of the estimator, and the plots of each drawing."""
-    content = gather_content(result)
+    content = gather_content(result, in_space=False)
     if content is None:
         return
     for tab in TABS:

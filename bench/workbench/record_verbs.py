@@ -63,6 +63,16 @@ def navigate_log(
     return {"metrics": result.metrics, **result.more}
 
 
+def write_recording(folder: Path, out: Path | None, *, console: Console) -> None:
+    """Make the recording of a results folder, and print the next command."""
+    from bench import recording
+
+    path = recording.write_recording(folder, out)
+    console.print(f"Wrote {path}.", soft_wrap=True)
+    if out is None:
+        console.print(f"Next: bench view {folder}", soft_wrap=True)
+
+
 def write_report(folder: Path, out: Path | None, *, console: Console) -> None:
     """Write the report of a results folder, or the index of a folder of results, and print where it is."""
     from bench.report import writing

@@ -31,22 +31,12 @@ from bench.data import (
 )
 from bench.evaluation.error_series import error_series
 from bench.evaluation.verdict import add_verdict
-from bench.flight.legs.turns import FigureEight
-from bench.instruments import AirspeedData, AirspeedSpec, BaroData, BaroSpec, MagData, MagSpec
+from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
 from bench.plots import series
 from bench.plots.tabs import comparison
 from bench.recording import drawing, words
-from bench.specs import (
-    AircraftSpec,
-    AssumedSpecs,
-    EstimatorChoice,
-    FlightSpec,
-    GnssSpec,
-    ImuSpec,
-    Profile,
-    SensorsSpec,
-    TriadSpec,
-)
+from bench.run_result import RunResult
+from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 
 ORIGIN = np.array([np.deg2rad(47.26), np.deg2rad(11.34), 1200.0])
 SCALARS = "Scalars:scalars"
@@ -232,28 +222,16 @@ def drift(truth: Trajectory) -> NavSolution:
 
 
 def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
-    """The arguments of ``recording.write``."""
+    """The parts of a result."""
     imu = ImuSpec("demo-imu", TriadSpec(), TriadSpec())
     gnss, baro = GnssSpec("demo-gnss", 1.0, 1.5, 3.0, 0.05), BaroSpec("demo-baro", 10.0, 1.0, 5.0, 0.01)
     specs = AssumedSpecs(imu, gnss, baro=baro)
-    aircraft = AircraftSpec(
-        "aerosonde", Path("a"), Path("s"), {}, 20.0, 40.0, 0.7, 4.0, 4.0, (0.0, 0.0, 0.0), "uav"
-    )
-    three = (1.0, 1.0, 1.0)
-    profile = Profile(
-        name="demo",
-        title="Figure-eight with a GNSS outage",
-        seed=7,
-        flight=FlightSpec(
-            aircraft, rate, *ORIGIN, 0.6, 28.0, 4.0, 3.2, 0, 7, (FigureEight(0.4, 6),), duration
-        ),
-        sensors=SensorsSpec(
-            imu, gnss, specs, (0.0, 0.0, 0.0), (outage,), three, three, 0.01, 0.03, 10.0, baro=baro
-        ),
-        estimators=(EstimatorChoice("loose-15", MAIN), EstimatorChoice("free-inertial", "free-inertial")),
-        evaluation_from=min(60.0, duration / 2),
-        document={},
-    )
+    profile = {
+        "title": "Figure-eight with a GNSS outage",
+        "aircraft": "aerosonde",
+        "sensors": {"imu": "demo-imu", "gnss": "demo-gnss", "baro": "demo-baro"},
+        "evaluation": {"from_s": min(60.0, duration / 2), "output_hz": 10.0},
+    }
     truth = figure_eight(duration, rate)
     sensed = sense(truth, outage, specs)
     solutions = {MAIN: estimate(truth, sensed, outage), "free-inertial": drift(truth)}
@@ -282,6 +260,24 @@ def make_run(duration: float, rate: float, outage: tuple[float, float]) -> dict:
     }
 
 
+def write(path: Path, **run) -> None:
+    recording.write(path, "demo", make_result(run))
+
+
+def make_result(run: dict) -> RunResult:
+    return RunResult(
+        profile=run["profile"],
+        seed=7,
+        run=0,
+        metrics=run["metrics"],
+        errors=run["errors"],
+        solutions=run["solutions"],
+        provenance={"profile": "demo"},
+        more={"scene": {"mesh": "uav", "antenna_mask_deg": None}},
+        records={"truth": run["truth"], "sensed": run["sensed"]},
+    )
+
+
 @pytest.fixture(scope="module")
 def run() -> dict:
     return make_run(40.0, 200.0, (20.0, 26.0))
@@ -290,7 +286,7 @@ def run() -> dict:
 @pytest.fixture(scope="module")
 def flight(run, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "flight.rrd"
-    recording.write(path, **run)
+    write(path, **run)
     return path
 
 
@@ -324,18 +320,18 @@ def test_rerun_verifies_the_file_and_refuses_a_cut_one(flight, tmp_path):
 
 def test_the_same_run_compares_equal_and_another_does_not(run, flight, tmp_path):
     again, other = tmp_path / "again.rrd", tmp_path / "other.rrd"
-    recording.write(again, **run)
+    write(again, **run)
     assert rerun("compare", flight, again).returncode == 0
     error = run["errors"][MAIN]
     moved = ErrorSeries(
         error.t, error.pos_n + 1e-9, error.vel_n, error.phi_n, error.heading, error.nees, error.states
     )
-    recording.write(other, **{**run, "errors": {**run["errors"], MAIN: moved}})
+    write(other, **{**run, "errors": {**run["errors"], MAIN: moved}})
     assert rerun("compare", flight, other).returncode != 0
 
 
 def test_ten_minutes_stay_below_fifteen_megabytes(tmp_path):
-    recording.write(tmp_path / "long.rrd", **make_run(600.0, 200.0, (330.0, 390.0)))
+    write(tmp_path / "long.rrd", **make_run(600.0, 200.0, (330.0, 390.0)))
     assert (tmp_path / "long.rrd").stat().st_size < 15e6
 
 
@@ -353,11 +349,11 @@ def test_a_failed_write_leaves_the_folder_as_it_was(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(OSError, match="No space left"):
-            recording.write(path, **run)
+            write(path, **run)
     with monkeypatch.context() as patch:
         patch.setattr(recording.drawing, "send", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            recording.write(path, **run)
+            write(path, **run)
     assert [p.name for p in tmp_path.iterdir()] == ["flight.rrd"]
     assert path.read_bytes() == b"the one before"
     assert not rr.strict_mode()  # the setting is global to the process: it is put back
@@ -369,7 +365,7 @@ def test_rerun_may_not_drop_data_silently(run, tmp_path, monkeypatch):
         recording.drawing, "_send_scalars", lambda stream, entity, t, v: send(stream, entity, t[:-1], v)
     )
     with pytest.raises(ValueError, match="length"):
-        recording.write(tmp_path / "flight.rrd", **run)
+        write(tmp_path / "flight.rrd", **run)
 
 
 # --- what it says is what the run said -------------------------------------------------------------------
@@ -439,7 +435,7 @@ def test_two_estimators_and_more_are_compared_in_one_plot(run, flight, tmp_path)
         assert good.any()
         np.testing.assert_allclose(found[good, 0], wanted[good], rtol=1e-6, atol=1e-6)
     alone = tmp_path / "alone.rrd"
-    recording.write(alone, **only(run, [MAIN]))
+    write(alone, **only(run, [MAIN]))
     with pytest.raises(KeyError):
         recording.column(alone, drawing.entity("comparison", "horizontal", MAIN), SCALARS)
 
@@ -480,7 +476,7 @@ def test_the_pose_is_the_truth_in_the_level_frame_of_the_start(tmp_path, run):
         truth.events,
     )
     path = tmp_path / "far.rrd"
-    recording.write(path, **{**run, "truth": far})
+    write(path, **{**run, "truth": far})
     t, pos = recording.column(path, "/world/truth/aircraft", "Transform3D:translation")
     _, xyzw = recording.column(path, "/world/truth/aircraft", "Transform3D:quaternion")
     rows = np.searchsorted(far.t, t - 1e-6)
@@ -585,7 +581,7 @@ def test_every_view_has_something_to_show(run, tmp_path, labels):
     from rerun.chunk import RrdReader
 
     path = tmp_path / "flight.rrd"
-    recording.write(path, **only(run, labels))
+    write(path, **only(run, labels))
     logged = {chunk.entity_path for chunk in RrdReader(path).stream()}
     views = [n for n in blueprint_of(path).values() if "ViewBlueprint:space_origin" in n]
     kinds = {n["ViewBlueprint:class_identifier"] for n in views}
@@ -604,7 +600,7 @@ def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(ru
     mag = MagData(t, t, np.ones(len(t), bool), field_b, np.full(len(t), 1e-7))
     pitot = AirspeedData(t, t, np.ones(len(t), bool), 25 + np.sin(t), np.full(len(t), 0.1))
     path = tmp_path / "both.rrd"
-    recording.write(path, **only(run, ["one"], mag=mag, airspeed=pitot))
+    write(path, **only(run, ["one"], mag=mag, airspeed=pitot))
     for k, axis in enumerate(("forward", "right", "down")):
         shown, drawn = recording.column(path, f"/flight/magnetic_field/{axis}", SCALARS)
         assert_allclose(drawn[:, 0], np.interp(shown, t, 1e6 * field_b[:, k]), rtol=1e-9)
@@ -613,31 +609,28 @@ def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(ru
     assert len(shown) > 100
     with pytest.raises(KeyError):
         recording.column(flight, "/flight/magnetic_field/down", SCALARS)
-    sensors = replace(
-        run["profile"].sensors, mag=MagSpec("demo-mag", 10.0, 1e-7), airspeed=AirspeedSpec("demo-pitot", 10.0)
-    )
-    said = words.make_summary(replace(run["profile"], sensors=sensors), run["truth"], run["metrics"])
+    on_board = run["profile"]["sensors"] | {"mag": "demo-mag", "airspeed": "demo-pitot"}
+    said = words.make_summary(make_result(run | {"profile": run["profile"] | {"sensors": on_board}}))
     assert "- magnetometer `demo-mag`\n- airspeed unit `demo-pitot`" in said
 
 
 def test_a_flight_without_gnss_and_barometer_is_recorded_too(run, tmp_path):
     path = tmp_path / "flight.rrd"
-    recording.write(path, **only(run, ["one"], fixes=None, baro=None))
+    write(path, **only(run, ["one"], fixes=None, baro=None))
     assert rerun("verify", path).returncode == 0
     with pytest.raises(KeyError):
         recording.column(path, "/world/gnss/fixes", "Points3D:positions")
 
 
 def test_summary_gives_the_numbers_and_what_the_filter_leaves_out(run):
-    profile, truth, metrics = run["profile"], run["truth"], run["metrics"]
-    text = words.make_summary(profile, truth, metrics)
+    text = words.make_summary(make_result(run))
     assert "| pos_rmse_h_m | 1.235 | 1900 |" in text
     assert "| heading_rmse_deg | 0.41 | - |" in text
     assert "pos_rmse_h_m_all" not in text
     assert f"not modelled by **{MAIN}**: gyro scale factor, GNSS Markov errors." in text
     assert "GNSS outage 20 to 26 s" in text
     lost = {"converged": False, "reason": "covariance is not finite at t = 3 s", "nees_mean": None}
-    summary = words.make_summary(profile, truth, {"drift": add_verdict("drift", lost)})
+    summary = words.make_summary(make_result(run | {"metrics": {"drift": add_verdict("drift", lost)}}))
     assert "drift did not converge: covariance is not finite" in summary
 
 

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, rotation
 from bench.recording import column, sky_view, write
+from bench.run_result import RunResult
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.synthetic import still
@@ -58,6 +59,20 @@ def test_a_banked_antenna_loses_the_satellites_beyond_its_edge(profile, sensed):
     assert not banked["used"][lost].any()
 
 
+def make_result(profile, truth, sensed):
+    return RunResult(
+        profile=profile.document,
+        seed=profile.seed,
+        run=0,
+        metrics={},
+        errors={},
+        solutions={},
+        provenance={},
+        more={"scene": {"mesh": "uav", "antenna_mask_deg": 0.0}},
+        records={"truth": truth, "sensed": sensed},
+    )
+
+
 def test_under_a_jammer_the_satellites_are_there_and_not_received(sensed):
     jammed = at(sensed.sky, 52.0)
     assert len(jammed["sat"]) == len(at(sensed.sky, 49.0)["sat"]) > 10
@@ -73,7 +88,7 @@ def test_used_satellites_are_those_of_the_fixes(sensed):
 
 def test_the_recording_holds_them(profile, truth, sensed, tmp_path):
     path = tmp_path / "flight.rrd"
-    write(path, profile, truth, sensed, {}, {}, {})
+    write(path, profile.name, make_result(profile, truth, sensed))
     t, used = column(path, "/satellites/number/used", "Scalars:scalars")
     assert_allclose(t, np.arange(1.0, 61.0), atol=1e-6)
     assert used[29, 0] == at(sensed.sky, 30.0)["used"].sum() < used[9, 0]
@@ -109,7 +124,7 @@ def test_the_sky_plot_has_north_up_and_east_right():
 
 def test_faults_are_hatched_and_named(profile, truth, sensed, tmp_path):
     path = tmp_path / "flight.rrd"
-    write(path, profile, truth, sensed, {}, {}, {})
+    write(path, profile.name, make_result(profile, truth, sensed))
     t, _ = column(path, "/satellites/dop/shaded/fault", "Scalars:scalars")
     assert t.min() == pytest.approx(50.0)
     assert t.max() == pytest.approx(55.0, abs=1e-5)

@@ -3,12 +3,15 @@
 import base64
 import hashlib
 import re
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun_cli
 
 import bench
 from bench.cli import main
@@ -51,6 +54,24 @@ def result():
 @pytest.fixture(scope="module")
 def text(result):
     return page.make_page("short", result)
+
+
+def test_a_recording_made_of_a_folder_is_that_of_the_run(result, tmp_path, capsys):
+    folder = bench.save(result, tmp_path / "flight", report=False)
+    first = (folder / "flight.rrd").read_bytes()
+    (folder / "flight.rrd").unlink()
+    assert main(["record", str(folder)]) == 0
+    assert f"Next: bench view {folder}" in capsys.readouterr().out
+    both = tmp_path / "first.rrd"
+    both.write_bytes(first)
+    tool = Path(rerun_cli.__file__).parent / "rerun"
+    compared = subprocess.run([tool, "rrd", "compare", both, folder / "flight.rrd"], capture_output=True)
+    assert compared.returncode == 0, compared.stderr
+    (tmp_path / "mine.rrd").write_text("not a recording")
+    with pytest.raises(ConfigError, match=r"mine.rrd: not replaced, it is not a recording"):
+        bench.write_recording(folder, tmp_path / "mine.rrd")
+    with pytest.raises(ConfigError, match=r"a recording is an .rrd file"):
+        bench.write_recording(folder, tmp_path / "mine.txt")
 
 
 def test_the_page_needs_no_other_file_and_allows_its_own_script_only(text):

@@ -1,0 +1,47 @@
+"""What was flown, and with which sensors, in words: for the report and the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from bench.config.library import find_unit
+from bench.instruments import INSTRUMENTS
+from bench.run_result import RunResult
+
+
+def list_facts(result: RunResult) -> Iterable[str]:
+    """Yield what was flown or recorded, in a few words each."""
+    profile = result.profile
+    if "log" in result.more:
+        kept = profile.get("evaluation", {}).get("withhold")
+        yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
+        if kept:
+            yield f"one fix in {kept} kept from the filters"
+    else:
+        yield f"seed {result.seed}, run {result.run}"
+    for key in ("aircraft", "script", "trajectory"):
+        if key in profile:
+            yield f"{key} {profile[key]!s}"
+    if result.truth is not None:
+        yield f"{result.truth.t[-1] - result.truth.t[0]:.0f} s"
+    if wind := profile.get("wind"):
+        yield f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°, turbulence {wind['turbulence']}"
+    if "evaluation" in profile:
+        yield f"figures count from {profile['evaluation']['from_s']:g} s on"
+
+
+def list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:
+    """Yield kind, name, title and note of each sensor on board or assumed."""
+    on_board = profile.get("sensors") or profile.get("assumed") or {}
+    titles = {"imu": "IMU", "gnss": "GNSS", **{name: row.title for name, row in INSTRUMENTS.items()}}
+    assumed = on_board.get("assumed", {}) if isinstance(on_board, Mapping) else {}
+    for kind, title in titles.items():
+        name = on_board.get(kind)
+        if isinstance(name, str):
+            entry = find_unit(kind, name)
+            note = entry.note if entry else "own datasheet"
+            other = assumed.get(kind)
+            if isinstance(other, str) and other != name:
+                note = f"the filters assume {other}. {note}"
+            yield title, name, entry.title if entry else "", note
