@@ -19,6 +19,7 @@ FUNCTIONS = {
     "fly": "describe_flight",
     "list": "list_profiles",
     "navigate": "navigate_log",
+    "record": "write_recording",
     "report": "write_report",
     "run": "run",
     "score": "score_solution",

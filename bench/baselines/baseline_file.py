@@ -21,6 +21,9 @@ LEAST_DRAWS = 20
 TOLERANCE = 0.02
 """Change that does not matter, as a fraction [1]; a baseline may say another."""
 
+UNKNOWN = ""
+"""Digest of the sensor data of a draw without a result."""
+
 _PATH = ".toml"
 _DIGITS = 10  # of a stored value
 

@@ -16,6 +16,8 @@ from bench.baselines.baseline_file import (
 )
 from bench.baselines.experiments import Draw, Experiment, make_baseline, open_experiment
 from bench.baselines.verdict_rows import CONVERGED, LOOKS, Candidate, Verdict, compare, decide
+from bench.campaigns.engine import Lost, Pool, compute
+from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.wording import suggest
@@ -48,15 +50,23 @@ class _Measured:
     progress: Progress | None
     draws: list[Draw] = field(default_factory=list)
 
-    def measure(self, count: int) -> Baseline:
+    def measure(self, count: int, pool: Pool) -> Baseline:
         """Measure up to a number of draws and return their values."""
-        for k in range(len(self.draws), count):
-            if self.progress:
-                self.progress(self.experiment.name, k, count)
-            self.draws.append(self.experiment.measure(k))
-        if self.progress:
-            self.progress(self.experiment.name, count, count)
+        known, found = len(self.draws), dict[int, Draw]()
+        self._show(known, count)
+        self.experiment.prepare()
+        if self.experiment.draws is not None:
+            pool = open_pool(1)
+        first = () if known else (0,)  # compiles what the others load
+        for k, draw in compute(self.experiment.measure, range(known, count), pool, first):
+            found[k] = self.experiment.give_up(draw.reason) if isinstance(draw, Lost) else draw
+            self._show(known + len(found), count)
+        self.draws += [found[k] for k in range(len(found))]
         return make_baseline(self.experiment, self.draws[:count], self.requested)
+
+    def _show(self, done: int, count: int) -> None:
+        if self.progress:
+            self.progress(self.experiment.name, done, count)
 
     def check_values(self) -> None:
         """Raise ConfigError if an estimator has no value in any draw: it failed in all of them."""
@@ -87,6 +97,7 @@ def record_baselines(
     runs: int | None = None,
     reason: str = "",
     allow_code: bool = False,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
@@ -106,8 +117,11 @@ def record_baselines(
         Why the numbers moved, for ``CHANGES.md``.
     allow_code : bool
         Let profiles and baselines run the code they name, programs and classes.
+    jobs : int
+        Number of processes; 1 takes this one. A script that asks for more guards its start by
+        ``if __name__ == "__main__"``, because the processes import it.
     progress : callable
-        Called before each draw and after the last one, as `Progress` says.
+        Called at the start and after each draw, as `Progress` says.
 
     Raises
     ------
@@ -130,12 +144,13 @@ def record_baselines(
         requested = old.requested if old and estimators is None else estimators
         measured.append(_open(source, requested, estimators, allow_code, progress))
     paths = []
-    for one in measured:
-        count = one.experiment.draws or runs or DRAWS
-        baseline = one.measure(count)
-        one.check_values()
-        paths.append(write_baseline(directory, baseline))
-        _write_change(directory, before.get(one.experiment.name), baseline, reason)
+    with open_pool(jobs) as pool:
+        for one in measured:
+            count = one.experiment.draws or runs or DRAWS
+            baseline = one.measure(count, pool)
+            one.check_values()
+            paths.append(write_baseline(directory, baseline))
+            _write_change(directory, before.get(one.experiment.name), baseline, reason)
     return paths
 
 
@@ -192,6 +207,7 @@ def check(
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
     allow_code: bool = False,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Verdict]:
     """Fly the profiles that have a baseline and compare every metric with it, draw by draw.
@@ -209,7 +225,7 @@ def check(
         Check only these estimators of the baselines, by label or by the name they were recorded with.
     runs : int or None
         Number of draws of the first look; more are flown only to decide.
-    allow_code, progress
+    allow_code, jobs, progress
         As for :func:`record_baselines`.
 
     Returns
@@ -245,22 +261,23 @@ def check(
     found: dict[str, list[Candidate]] = {}
     words: dict[tuple[str, str, str], Verdict] = {}
     unsure = set(baselines)
-    for look in looks[looks.index(runs or LOOKS[0]) :][: len(LOOKS)]:
-        for name in sorted(unsure):
-            count = min(look, baselines[name].draws)
-            found[name] = compare(baselines[name], measured[name].measure(count), name)
-        everything = [one for name in baselines for one in found[name]]
-        for verdict in decide(everything):
-            key = (verdict.profile, verdict.estimator, verdict.metric)
-            if key not in words or words[key].word == "undecided":
-                words[key] = measured[verdict.profile].add_reason(verdict)
-        unsure = {
-            row.profile
-            for row in words.values()
-            if row.word == "undecided" and baselines[row.profile].draws > look
-        }
-        if not unsure:
-            break
+    with open_pool(jobs) as pool:
+        for look in looks[looks.index(runs or LOOKS[0]) :][: len(LOOKS)]:
+            for name in sorted(unsure):
+                count = min(look, baselines[name].draws)
+                found[name] = compare(baselines[name], measured[name].measure(count, pool), name)
+            everything = [one for name in baselines for one in found[name]]
+            for verdict in decide(everything):
+                key = (verdict.profile, verdict.estimator, verdict.metric)
+                if key not in words or words[key].word == "undecided":
+                    words[key] = measured[verdict.profile].add_reason(verdict)
+            unsure = {
+                row.profile
+                for row in words.values()
+                if row.word == "undecided" and baselines[row.profile].draws > look
+            }
+            if not unsure:
+                break
     return list(words.values())
 
 

@@ -11,11 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from bench import log_pipeline, pipeline, store
-from bench.baselines.baseline_file import Baseline, EstimatorValues, Value, get_name
+from bench.baselines.baseline_file import UNKNOWN, Baseline, EstimatorValues, Value, get_name
 from bench.baselines.digests import digest_record
+from bench.campaigns.worker import describe_error, get_truth
 from bench.config import load_profile
 from bench.config.tables import read_toml
-from bench.data import ErrorSeries, Trajectory
+from bench.data import ErrorSeries
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.metrics import find_metric
 from bench.run_result import RunResult
@@ -53,14 +54,20 @@ class Experiment(Protocol):
 
     @property
     def draws(self) -> int | None:
-        """Number of draws there is; None: any."""
+        """Number of draws there is, all from one computation; None: any."""
 
     @property
     def truth_digest(self) -> str:
         """Digest of the truth; empty if there is none."""
 
+    def prepare(self) -> None:
+        """Make what all draws share."""
+
     def measure(self, draw: int) -> Draw:
-        """Return what the estimators achieve in a draw."""
+        """Return what the estimators achieve in a draw; an error counts as a failure of all of them."""
+
+    def give_up(self, reason: str) -> Draw:
+        """Return a draw without a result."""
 
 
 def open_experiment(
@@ -87,24 +94,33 @@ class Flight:
         self.source, self.name = source, get_name(source)
         self.profile = load_profile(source, estimators=requested, allow_code=allow_code)
         self.seed = self.profile.seed
+        self.truth_digest = ""
+        pipeline.build_estimators(self.profile)
+        self._truth_key = store.truth_key(self.profile.flight)
 
-    @cached_property
-    def truth(self) -> Trajectory:
-        """The truth, flown when first asked for."""
-        return pipeline.fly(self.profile)
-
-    @property
-    def truth_digest(self) -> str:
-        """Digest of the truth."""
-        return digest_record(self.truth)
+    def prepare(self) -> None:
+        """Fly the truth into the cache, where the workers find it."""
+        if not self.truth_digest:
+            truth = pipeline.fly(self.profile)
+            pipeline.check_times(self.profile, float(truth.t[-1]))
+            self.truth_digest = digest_record(truth)
 
     def measure(self, draw: int) -> Draw:
         """Sense, navigate and judge one draw."""
-        result = pipeline.run(self.profile, run=draw, truth=self.truth)
+        try:
+            truth = get_truth(self._truth_key, self.profile)
+            result = pipeline.run(self.profile, run=draw, truth=truth)
+        except Exception as error:
+            return self.give_up(describe_error(error))
         sensed = result.records["sensed"]
         digest = digest_record([sensed.data, sensed.initial])
         rows = {label: _collect(result, label, self.profile.evaluation_from) for label in result.metrics}
         return Draw(digest, rows)
+
+    def give_up(self, reason: str) -> Draw:
+        """Return a draw in which no estimator has a result."""
+        lost = EstimatorDraw(converged=False, reason=reason, metrics={}, expected={}, epochs=0)
+        return Draw(UNKNOWN, {choice.label: lost for choice in self.profile.estimators})
 
 
 def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
@@ -144,6 +160,13 @@ class Recording:
     def result(self) -> RunResult:
         """The solutions, made when first asked for."""
         return log_pipeline.navigate_log(self.log)
+
+    def prepare(self) -> None:
+        """Do nothing: the first stretch makes the solutions."""
+
+    def give_up(self, reason: str) -> Draw:
+        """Not called: what ends the computation ends the check."""
+        raise NotImplementedError
 
     def measure(self, draw: int) -> Draw:
         """Return RMSE and mean NEES over one stretch of the judged time."""
@@ -202,7 +225,7 @@ def _join(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
         for name, value in row.expected.items():
             expected.setdefault(name, []).append(value)
     return EstimatorValues(
-        epochs=rows[0].epochs,
+        epochs=max(row.epochs for row in rows),
         expected={name: float(np.mean(values)) for name, values in expected.items()},
         converged=tuple(row.converged for row in rows),
         metrics={name: tuple(row.metrics.get(name) for row in rows) for name in names},

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
-from bench.baselines.baseline_file import Baseline, EstimatorValues, Value
+from bench.baselines.baseline_file import UNKNOWN, Baseline, EstimatorValues, Value
 from bench.evaluation import regression
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.regression import Change
@@ -115,10 +115,12 @@ def compare(baseline: Baseline, measured: Baseline, name: str) -> list[Candidate
     """Compare the first draws of a baseline with those measured, metric by metric.
 
     Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
-    draws measured; otherwise all draws before with all draws after.
+    draws measured; otherwise all draws before with all draws after. A draw without a result
+    is a pair: it failed.
     """
     n = min(baseline.draws, measured.draws)
-    alike = np.array([a == b for a, b in zip(baseline.sensors[:n], measured.sensors[:n], strict=True)])
+    pairs = zip(baseline.sensors[:n], measured.sensors[:n], strict=True)
+    alike = np.array([a == b or UNKNOWN in (a, b) for a, b in pairs])
     if baseline.truth != measured.truth:
         alike[:] = False
     paired = bool(alike.sum() >= max(2, 0.5 * n))

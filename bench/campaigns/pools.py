@@ -35,6 +35,19 @@ class _LocalPool:
         """Do nothing: the workers find the truths themselves."""
 
 
+class SerialExecutor(Executor):
+    """Calls at once, in this process."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
+        """Call a function and return its result, or what it raised."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*arguments, **options))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
 class ExecutorPool(_LocalPool):
     """The workers of an executor of somebody else, who starts it, ends it and replaces its workers."""
 
@@ -121,6 +134,16 @@ class ProcessPool(_LocalPool):
                 child.join(max(0.0, deadline - time.monotonic()))
         self._executor = None
         self._own.clear()
+
+
+def open_pool(jobs: int) -> ProcessPool | ExecutorPool:
+    """Return processes on this machine; if ``jobs`` is 1, this process itself."""
+    return ProcessPool(jobs) if jobs > 1 else ExecutorPool(SerialExecutor(), 1)
+
+
+def count_processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def _describe_end(code: int | None) -> str:

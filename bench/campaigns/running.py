@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -20,7 +18,7 @@ from bench.campaigns.groups import gather
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.outcome import Outcome, compare, summarize
 from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
-from bench.campaigns.pools import ExecutorPool, ProcessPool
+from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
 from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
@@ -214,11 +212,6 @@ def run_campaign(
         except KeyboardInterrupt:
             interrupted = True
         return _finish(plan, journal, place, folder, begun, interrupted=interrupted)
-
-
-def count_processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def _open_pool(

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.campaigns.pools import ProcessPool
-from bench.campaigns.running import count_processors
+from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
 from bench.config.tables import read_toml

@@ -57,15 +57,19 @@ def measure(task: RunTask) -> dict[str, Any]:
     """Run a task and return its row of the journal; a run that raises has only an ``error``."""
     row: dict[str, Any] = {"key": task.key}
     try:
-        truth = _get_truth(_Keyed(task.truth_key, task.profile))
+        truth = get_truth(task.truth_key, task.profile)
         result = pipeline.run(task.profile, task.run, truth=truth)
     except Exception as error:
-        what = str(error) if isinstance(error, BenchError) else repr(error)
-        return {**row, "error": one_line(what)[:500]}
+        return {**row, "error": describe_error(error)}
     cpu_s = result.provenance["cpu_s"]
     labels = result.metrics
     found = {label: _collect(result, label, task) for label in labels}
     return {**row, "step": task.step, "cpu_s": cpu_s, "estimators": found}
+
+
+def describe_error(error: Exception) -> str:
+    """Return why a run has no result, in a line."""
+    return one_line(str(error) if isinstance(error, BenchError) else repr(error))[:500]
 
 
 def fly(profile: Profile) -> float:
@@ -94,9 +98,13 @@ class _Keyed:
     profile: Profile = field(compare=False)
 
 
+def get_truth(key: str, profile: Profile) -> Trajectory:
+    """Return the truth of a profile by its key, mapped from the cache; that of the last call is kept open."""
+    return _read_truth(_Keyed(key, profile))
+
+
 @lru_cache(maxsize=1)
-def _get_truth(flight: _Keyed) -> Trajectory:
-    """Return the truth of a flight; that of the last call is kept open."""
+def _read_truth(flight: _Keyed) -> Trajectory:
     truth = store.read_truth(flight.key)
     return pipeline.fly(flight.profile) if truth is None else truth
 

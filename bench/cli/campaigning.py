@@ -14,6 +14,7 @@ from bench.cli.group import (
     commands,
     estimator_option,
     force_option,
+    jobs_option,
     json_option,
     new_console,
     out_option,
@@ -31,7 +32,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @click.option(
     "--flights", type=click.IntRange(min=1), metavar="N", help="flights, each with its own turbulence"
 )
-@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@jobs_option
 @click.option("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
 @out_option("folder for journal and tables  [default: campaigns/<profile>-<seed>]")
 @estimator_option("evaluate only this one, of the profile")
@@ -97,7 +98,7 @@ def campaign(profile: str, as_json: bool, **options: Any) -> int:
 )
 @click.option("--runs", type=click.IntRange(min=2), default=20, metavar="N", help="draws that tune")
 @click.option("--evaluations", type=click.IntRange(min=2), default=60, metavar="N", help="most sets to try")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@jobs_option
 @click.option("-o", "--out", type=FILE, default="tuned", metavar="DIR", help="folder for the datasheets")
 @set_option
 @seed_option
@@ -132,7 +133,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to judge")
 @click.option("--against", default="loose-full", metavar="NAME", help="the one to compare it with")
 @click.option("--quick", is_flag=True, help="three flights of 8 draws instead of seven of 40")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]")
+@jobs_option
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
 @json_option("the card")
 @force_option("card")

@@ -16,6 +16,7 @@ from bench.cli.group import (
     end_run,
     estimator_option,
     force_option,
+    jobs_option,
     json_option,
     new_console,
     out_option,
@@ -250,6 +251,7 @@ def record(folder: Path, out: Path | None) -> int:
     help="folder of the baselines, one <profile>.json each",
 )
 @click.option("--runs", type=click.IntRange(min=2), metavar="N", help="draws: 20 to check, 80 to record")
+@jobs_option
 @click.option("--record", is_flag=True, help="write what is measured as the new baselines")
 @click.option("--reason", default="", metavar="TEXT", help="why numbers move, for CHANGES.md; with --record")
 @click.option("--strict", is_flag=True, help="status 1 if a metric is undecided, too")
@@ -261,6 +263,7 @@ def check(
     estimators: tuple[str, ...] | None,
     baselines: Path,
     runs: int | None,
+    jobs: int | None,
     record: bool,
     reason: str,
     strict: bool,
@@ -289,6 +292,7 @@ def check(
         "estimators": estimators,
         "runs": runs,
         "allow_code": allow_code,
+        "jobs": jobs,
     }
     if record:
         if strict or junit or as_json:

@@ -99,6 +99,11 @@ def force_option(what: str = "results folder") -> Decorator:
     return click.option("--force", is_flag=True, help=f"replace an existing {what}")
 
 
+jobs_option = click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]"
+)
+
+
 def json_option(what: str) -> Decorator:
     """Return the option --json: print these figures as JSON."""
     text = f"print {what} as JSON on stdout, the rest on stderr"

@@ -15,29 +15,41 @@ from rich.text import Text
 from bench.baselines import checking
 from bench.baselines.junit import write_junit
 from bench.baselines.verdict_rows import LOOKS, UNPAIRED, Verdict
+from bench.campaigns.pools import count_processors
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 
 _STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
 
 
-def record(profiles: Sequence[str], *, console: Console, **options: Any) -> None:
-    """Measure profiles and write their baselines; options as for `bench.record_baselines`."""
+def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
+    """Measure profiles and write their baselines; options as for `bench.record_baselines`.
+
+    If ``jobs`` is None there is a process for each processor.
+    """
     find_own_estimators()
     with _show_draws() as progress:
-        paths = checking.record_baselines(profiles, progress=progress, **options)
+        paths = checking.record_baselines(
+            profiles, progress=progress, jobs=jobs or count_processors(), **options
+        )
     for path in paths:
         console.print(f"Wrote {path}.")
     console.print(f"See {paths[0].parent / checking.CHANGES} for what moved.")
 
 
 def check(
-    profiles: Sequence[str], *, console: Console, junit: Path | None, strict: bool, **options: Any
+    profiles: Sequence[str],
+    *,
+    console: Console,
+    junit: Path | None,
+    strict: bool,
+    jobs: int | None = None,
+    **options: Any,
 ) -> list[Verdict]:
-    """Check profiles, print and return the verdicts; options as for `bench.check`."""
+    """Check profiles, print and return the verdicts; options as for `bench.check` and :func:`record`."""
     find_own_estimators()
     with _show_draws() as progress:
-        verdicts = checking.check(profiles, progress=progress, **options)
+        verdicts = checking.check(profiles, progress=progress, jobs=jobs or count_processors(), **options)
     print_verdicts(console, verdicts)
     if junit is not None:
         write_junit(junit, verdicts, strict=strict)

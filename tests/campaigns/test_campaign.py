@@ -9,7 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import bench
 from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
-from bench.campaigns.pools import ExecutorPool
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
@@ -61,15 +61,6 @@ use = "loose-22"
 OPTIONS: dict[str, Any] = {"overrides": {"start.alt_m": 1001.5, "sensors.imu": "adis16475"}, "seed": 8}
 
 
-class Here(Executor):
-    """An executor that works at once in this process."""
-
-    def submit(self, function: Any, /, *arguments: Any, **_: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
 @pytest.fixture(scope="module")
 def done(tmp_path_factory) -> Path:
     """A campaign of two processes, in a folder beside its profile."""
@@ -84,7 +75,9 @@ def done(tmp_path_factory) -> Path:
 
 
 def campaign(folder: str, runs: int = 4, **options: Any) -> Any:
-    return bench.campaign("short.toml", runs, out=folder, **{**OPTIONS, "executor": Here(), **options})
+    return bench.campaign(
+        "short.toml", runs, out=folder, **{**OPTIONS, "executor": SerialExecutor(), **options}
+    )
 
 
 def same(a: Path, b: Path) -> bool:
@@ -100,7 +93,7 @@ def here(done, monkeypatch) -> Path:
 def test_the_tables_do_not_depend_on_workers_and_order(here):
     """Two processes, and batches that are worked off backwards."""
 
-    class Turned(Here):
+    class Turned(SerialExecutor):
         def submit(self, function: Any, /, work: Any, tasks: Any) -> Future[Any]:
             future: Future[Any] = Future()
             future.set_result(function(work, tasks[::-1])[::-1])
@@ -185,7 +178,7 @@ def test_an_interrupted_verb_says_how_to_continue(here, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Journal, "append", interrupt)
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(Here(), 1))
+    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     assert main(["campaign", "short.toml", "--runs", "3", "--jobs", "1", "-o", "cut"]) == INTERRUPTED
     assert "--resume" in capsys.readouterr().out
     assert pq.read_table("cut/runs.parquet").num_rows == 2
@@ -234,13 +227,14 @@ def test_a_journal_survives_half_a_line_and_names_damage(tmp_path):
 
 KILLED = """
 import os, signal, bench
-from tests.campaigns.test_campaign import Here, OPTIONS
+from bench.campaigns.pools import SerialExecutor
+from tests.campaigns.test_campaign import OPTIONS
 
 def kill(progress):
     if progress.new == 2:
         os.kill(os.getpid(), signal.SIGKILL)
 
-bench.campaign("short.toml", 4, out="killed", executor=Here(), progress=kill, **OPTIONS)
+bench.campaign("short.toml", 4, out="killed", executor=SerialExecutor(), progress=kill, **OPTIONS)
 """
 
 
@@ -267,7 +261,7 @@ def test_a_full_disk_keeps_what_is_finished(here, monkeypatch, capsys):
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "pwrite", write)
-        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(Here(), 1))
+        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         arguments = [f"--set={key}={value}" for key, value in OPTIONS["overrides"].items()]
         assert (
             main(["campaign", "short.toml", "--runs", "4", "--seed=8", "-o", "full", *arguments]) == MACHINE
@@ -313,7 +307,7 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
             return "its worker process was ended by SIGSEGV", True
 
     with monkeypatch.context() as patch:
-        patch.setattr(running, "_open_pool", lambda *_: Mortal(Here(), 1))
+        patch.setattr(running, "_open_pool", lambda *_: Mortal(SerialExecutor(), 1))
         result = campaign("mortal")
     rows = pq.read_table("mortal/runs.parquet").to_pylist()
     assert [row["failed"] for row in rows] == [False] * 4 + [True] * 2 + [False] * 2

@@ -10,10 +10,10 @@ import pytest
 
 import bench
 from bench.campaigns import card, running
-from bench.campaigns.pools import ExecutorPool
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.study import Study
 from bench.cli import main
-from tests.campaigns.test_campaign import PROFILE, Here
+from tests.campaigns.test_campaign import PROFILE
 
 FAULT = """
 [[gnss_outage]]
@@ -32,7 +32,7 @@ def here(tmp_path, monkeypatch) -> Path:
     (tmp_path / "short.toml").write_text(PROFILE + FAULT)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(card, "_QUICK", Study("card-quick", ("short.toml",), runs=3))
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(Here(), 1))
+    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     return tmp_path
 
 

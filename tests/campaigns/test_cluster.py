@@ -17,8 +17,9 @@ import pytest
 
 import bench
 from bench.campaigns import cluster
+from bench.campaigns.pools import SerialExecutor
 from bench.errors import ConfigError
-from tests.campaigns.test_campaign import PROFILE, Here
+from tests.campaigns.test_campaign import PROFILE
 
 distributed = pytest.importorskip("distributed", reason="pip install 'bench[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
@@ -74,7 +75,7 @@ def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch)
         result = bench.campaign("short.toml", 6, scheduler=address, out="spread", progress=lose, **options)
         assert workers[0].poll() is not None
     assert (result.finished, result.failed) == (6, {})
-    bench.campaign("short.toml", 6, executor=Here(), out="here", **options)
+    bench.campaign("short.toml", 6, executor=SerialExecutor(), out="here", **options)
     assert (tmp_path / "spread/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
     assert pq.read_table("here/runs.parquet").num_rows == 6
 

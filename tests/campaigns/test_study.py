@@ -14,10 +14,11 @@ import bench
 from bench.campaigns import groups
 from bench.campaigns.binned import BinnedRuns
 from bench.campaigns.plan import plan_runs
+from bench.campaigns.pools import SerialExecutor
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.places import PACKAGE
-from tests.campaigns.test_campaign import PROFILE, Here
+from tests.campaigns.test_campaign import PROFILE
 
 STUDY = """
 profiles = ["short.toml"]
@@ -66,7 +67,7 @@ def test_a_study_is_every_combination(here):
 
 
 def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
-    result = bench.campaign("studies/units.toml", executor=Here(), out="done")
+    result = bench.campaign("studies/units.toml", executor=SerialExecutor(), out="done")
     rows = pq.read_table("done/runs.parquet").to_pylist()
     assert [row["condition"] for row in rows] == [k for k in range(4) for _ in range(2)]
     row = rows[-1]
@@ -89,10 +90,12 @@ def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
 
 
 def test_percentiles_of_very_many_runs_come_from_bins(here, monkeypatch):
-    exact = bench.campaign("studies/short.toml", 5, estimators=["loose-15"], executor=Here(), out="five")
+    exact = bench.campaign(
+        "studies/short.toml", 5, estimators=["loose-15"], executor=SerialExecutor(), out="five"
+    )
     monkeypatch.setattr(groups, "MOST_EXACT", 2)
     binned = bench.campaign(
-        "studies/short.toml", 5, executor=Here(), out="five", estimators=["loose-15"], resume=True
+        "studies/short.toml", 5, executor=SerialExecutor(), out="five", estimators=["loose-15"], resume=True
     )
     for name in ("pos_err_n_m_mean", "nees_mean", "heading_err_deg_mean"):
         np.testing.assert_allclose(binned.epochs[name], exact.epochs[name], rtol=1e-5)

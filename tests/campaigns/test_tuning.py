@@ -10,21 +10,21 @@ import pytest
 
 import bench
 from bench.campaigns import tuning
-from bench.campaigns.pools import ExecutorPool
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.trials import Score
 from bench.cli import main
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.places import PACKAGE
 from tests.builders import band
-from tests.campaigns.test_campaign import PROFILE, Here
+from tests.campaigns.test_campaign import PROFILE
 
 WRONG = 4.0  # times the noise of the receiver on board
 
 
 class HerePool(ExecutorPool):
     def __init__(self, workers: int) -> None:
-        super().__init__(Here(), workers)
+        super().__init__(SerialExecutor(), workers)
 
 
 @pytest.fixture

@@ -195,6 +195,9 @@ class Mine(Loose):
 """
 
 
+RECORD = ("--record", "--runs", "20", "--jobs", "1")
+
+
 def test_check_finds_a_loss_in_a_filter_of_the_present_folder(here, capsys, monkeypatch):
     """Unchanged it passes; with noise as large as its error added, the check names what got worse."""
 
@@ -204,19 +207,19 @@ def test_check_finds_a_loss_in_a_filter_of_the_present_folder(here, capsys, monk
 
     write_filter(0.0)
     own = ["-e", "mylab:Mine"]
-    status, out, _ = say(capsys, "check", "short.toml", *own, "--record", "--runs", "20", "--baselines", "b")
+    status, out, _ = say(capsys, "check", "short.toml", *own, *RECORD, "--baselines", "b")
     assert (status, out.splitlines()[0]) == (0, "Wrote b/short.json.")
     status, out, err = say(capsys, "check", "--baselines", "b")
     assert (status, out) == (2, "")
     assert "its baseline names 'mylab:Mine', which runs code on this machine; --allow-code permits it" in err
-    status, out, _ = say(capsys, "check", "--baselines", "b", "--allow-code")
+    status, out, _ = say(capsys, "check", "--baselines", "b", "--allow-code", "--jobs", "2")
     assert status == 0
     assert re.fullmatch(r"short, Mine: \d+ same \(20 draws\)\n", out)
     baseline = json.loads((here / "b/short.json").read_text())["estimators"]["Mine"]
     rmse = np.sqrt(np.mean(np.square(baseline["metrics"]["pos_rmse_d_m"])))
     write_filter(rmse)
     status, out, _ = say(
-        capsys, "check", "short.toml", *own, "--baselines", "b", "--json", "--junit", "b/check.xml"
+        capsys, "check", *own, "--baselines", "b", "--json", "--junit", "b/check.xml", "--jobs", "1"
     )
     assert status == 1
     rows = {row["metric"]: row for row in json.loads(out)}

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from bench import pipeline
 from bench.baselines import checking, experiments
-from bench.baselines.baseline_file import read_baseline
+from bench.baselines.baseline_file import UNKNOWN, read_baseline
 from bench.baselines.checking import check, record_baselines
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
+from bench.campaigns.engine import Lost
 from bench.data import ImuData
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
@@ -47,7 +49,7 @@ def measure(monkeypatch):
 
     def install(metrics_of=usual, sensors=str, converged=lambda k: True, labels=("loose-15",), reason="lost"):
         class Made:
-            draws, seed, truth_digest = None, 7, "truth"
+            draws, seed, truth_digest, prepare = None, 7, "truth", list
 
             def __init__(self, source):
                 self.source, self.name = source, Path(source).stem
@@ -56,6 +58,9 @@ def measure(monkeypatch):
                 measured.append((self.name, k))
                 row = EstimatorDraw(converged(k), reason, metrics_of(k), {"nees_mean": 9.0}, 500)
                 return Draw(sensors(k), dict.fromkeys(labels, row))
+
+            def give_up(self, why):
+                return Draw(UNKNOWN, dict.fromkeys(labels, EstimatorDraw(False, why, {}, {}, 0)))
 
         monkeypatch.setattr(checking, "open_experiment", lambda source, requested, allow_code: Made(source))
         measured.clear()
@@ -152,6 +157,19 @@ def test_a_new_divergence_on_the_same_draw_is_worse_and_named(recorded, measure)
     assert (row.old, row.new) == (1.0, 0.9)
 
 
+def test_a_draw_that_ends_its_process_is_lost_and_the_others_count(recorded, measure, monkeypatch):
+    def compute(function, draws, pool, first):
+        yield from ((j, Lost("ended by SIGSEGV") if k == 3 else function(k)) for j, k in enumerate(draws))
+
+    measured = measure()
+    monkeypatch.setattr(checking, "compute", compute)
+    verdicts = check(directory=recorded)
+    assert len(measured) == 19
+    assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
+    (row,) = (row for row in verdicts if row.word == "worse")
+    assert (row.draws, row.note) == (20, "lost in draw 3; draw 3: ended by SIGSEGV")
+
+
 class FailsAtTimes(Loose):
     """Raises in some draws of the noise."""
 
@@ -196,15 +214,18 @@ def test_an_offset_in_time_that_is_gone_is_better_and_a_new_one_worse(measure, t
         assert words(check(directory=tmp_path))["time_offset_ms"] == word
 
 
-def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path):
+def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path, monkeypatch):
     (tmp_path / "short.toml").write_text(test_cli.PROFILE)
     flight = experiments.Flight(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False)
+    flight.prepare()
     rows = [flight.measure(k).estimators["FailsAtTimes"] for k in range(6)]
     failed = [not row.converged for row in rows]
     assert set(failed) == {True, False}
     for row in rows:
         assert (row.reason == "failed: run() raised ValueError: unlucky") == (not row.converged)
         assert any(value is not None for value in row.metrics.values()) == row.converged
+    monkeypatch.setattr(pipeline, "sense", lambda *_: 1 / 0)
+    assert flight.measure(0) == flight.give_up("ZeroDivisionError('division by zero')")
     whole = experiments.make_baseline(flight, [Draw("", {"x": row}) for row in rows], None).estimators["x"]
     assert whole.converged == tuple(not one for one in failed)
     assert whole.expected["nees_mean"] == 9.0

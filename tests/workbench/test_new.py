@@ -183,7 +183,7 @@ def test_new_check_leaves_a_repository_whose_check_passes(here, capsys, monkeypa
         "short.toml",
     ]
     (job,) = re.findall(r"run: (bench check .*)", Path(".github/workflows/accuracy.yml").read_text())
-    status, out, _ = say(capsys, *job.split()[1:])
+    status, out, _ = say(capsys, *job.split()[1:], "--jobs", "1")
     assert (status, Path("accuracy.xml").is_file()) == (0, True)
     assert re.fullmatch(r"short, loose-15: \d+ same \(20 draws\)\n", out)
     status, _, err = say(capsys, "new", "check")
