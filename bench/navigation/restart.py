@@ -4,8 +4,8 @@ Over seconds without IMU the tilt may be anything, and the linear error model of
 come back metres off and claim decimetres. So it stops at the last sample before the gap. From there on
 position and velocity come from the fixes alone (`bench.navigation.gnss_only`); the attitude is held and its
 covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
-(`bench.navigation.alignment`), and the filter starts again. Its IMU biases are kept with their variance; all
-other states begin as at the first start.
+(`bench.navigation.alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
+all other states begin as at the first start.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from bench.navigation.gnss_only import FixTrack, unknown_arm
 from bench.navigation.measurements import fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
-from bench.specs import ImuSpec, TriadSpec
+from bench.specs import AxisFigures, ImuSpec, TriadSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
 _TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
@@ -55,8 +55,8 @@ class _Biases:
 
     gyro: FloatArray  # (3,) [rad/s], b
     accel: FloatArray  # (3,) [m/s^2], b
-    gyro_sd: float  # of the least known axis [rad/s]; inf: what the datasheet says
-    accel_sd: float  # [m/s^2]
+    gyro_sd: FloatArray  # (3,) [rad/s]; inf: what the datasheet says
+    accel_sd: FloatArray  # (3,) [m/s^2]
 
     def taken_off(self, imu: ImuData) -> ImuData:
         """Return a record less the biases."""
@@ -111,7 +111,7 @@ def run_between_gaps(
     gaps, rows = _long_gaps(sensors, start.t)
     imu, joined = sensors.imu, _Joined(sensors.output_t, aligned)
     ends = np.append(start.t, imu.t[rows])  # of the samples, the start before the first
-    biases = _Biases(np.zeros(3), np.zeros(3), np.inf, np.inf)
+    biases = _Biases(np.zeros(3), np.zeros(3), np.full(3, np.inf), np.full(3, np.inf))
     end = _End(start.t, start.lla, start.vel_n, start.q_nb, start.cov)
     coast: _Coast | None = None
     for first, behind in zip([0, *gaps], [*gaps, len(rows)], strict=True):
@@ -297,20 +297,20 @@ def _at_end(solution: NavSolution, spec: ImuSpec, biases: _Biases) -> tuple[_End
         (spec.accel, biases.accel, slice(3, 6)),
     ):
         if triad.turn_on_bias_sd > 0:
-            kept.append((before + found[part], float(found[6:][part].max())))
+            kept.append((before + found[part], found[6:][part]))
         else:  # a process that forgets itself begins as at the first start
-            kept.append((np.zeros(3), np.inf))
+            kept.append((np.zeros(3), np.full(3, np.inf)))
     (gyro, gyro_sd), (accel, accel_sd) = kept
     return end, _Biases(gyro, accel, gyro_sd, accel_sd)
 
 
-def _less_turn_on(triad: TriadSpec, sd: float) -> TriadSpec:
-    """Return a triad whose biases are known to ``sd``, no better than its instability."""
-    left = np.sqrt(max(sd**2 - triad.instability_sd**2, (1e-3 * sd) ** 2))
-    if triad.turn_on_bias_sd <= left:
-        return triad
+def _less_turn_on(triad: TriadSpec, sd: FloatArray) -> TriadSpec:
+    """Return a triad whose biases are known to ``sd`` (3,), no better than its instability."""
+    left = np.sqrt(np.maximum(sd**2 - triad.instability_by_axis**2, (1e-3 * sd) ** 2))
+    left = np.minimum(triad.by_axis("turn_on_bias_sd"), left)
     axes = tuple(one for one in triad.axes or () if one.name != "turn_on_bias_sd")
-    return replace(triad, turn_on_bias_sd=float(left), axes=axes)
+    own = AxisFigures("turn_on_bias_sd", *left.tolist())
+    return replace(triad, turn_on_bias_sd=float(left.max()), axes=(*axes, own))
 
 
 def _cut(sensors: SensorData, rows: slice, begin: float, last: float, biases: _Biases) -> SensorData:
