@@ -45,8 +45,8 @@ def run(
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
-    An estimator that raises has failed: its metrics hold the ``reason`` and the ``traceback``, and the others
-    go on.
+    An estimator that raises, or cannot start where another can, has failed: its metrics hold the ``reason``
+    and the ``traceback``, and the others go on.
 
     Parameters
     ----------

@@ -14,9 +14,9 @@ from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Sensed, SensorData, no_sensor_truth
-from bench.errors import ConfigError, EstimatorFailedError
+from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import validity
-from bench.evaluation.failures import describe_error, make_failed_solution
+from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.recorded_motion import Check
@@ -109,6 +109,8 @@ def navigate_log(
 ) -> RunResult:
     """Run estimators on a recording and judge them by withheld fixes; one that raises has failed.
 
+    So has one that cannot start where another can.
+
     Parameters
     ----------
     log : str, Path or RecordedLog
@@ -127,7 +129,8 @@ def navigate_log(
     Raises
     ------
     bench.errors.ConfigError, bench.errors.EstimatorError
-        As for :func:`read_log`, and if the start or an outage does not fit the recording.
+        As for :func:`read_log`, if the start or an outage does not fit the recording, and if no estimator can
+        start.
     """
     log = log if isinstance(log, RecordedLog) else read_log(log)
     clock = time.process_time()
@@ -141,6 +144,7 @@ def navigate_log(
     for label, one in log.estimators.items():
         estimator.check_needs(one, label, present, spec.name)
     solutions, errors, metrics, drifts = {}, {}, {}, []
+    raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     for label, one in log.estimators.items():
         unmodelled = None
         try:
@@ -152,11 +156,13 @@ def navigate_log(
                 )
                 for duration in outages
             ]
-        except EstimatorFailedError as error:
+        except (EstimatorError, EstimatorFailedError) as error:
+            raised[label] = error
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
         errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
         metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled})
         solutions[label] = solution
+    check_starts(raised, len(log.estimators))
     worked = {label: one for label, one in log.estimators.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, data).items():
         metrics[label]["same_as"] = other

@@ -11,8 +11,8 @@ from typing import Any
 
 from bench import store
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
-from bench.errors import ConfigError, EstimatorFailedError
-from bench.evaluation.failures import describe_error, make_failed_solution
+from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.run_result import RunResult
@@ -128,7 +128,8 @@ def run(
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
-    An estimator that raises has failed: its metrics say why, and the others go on.
+    An estimator that raises, or cannot start where others can, has failed: its metrics say why, and the
+    others go on.
 
     Parameters
     ----------
@@ -140,6 +141,11 @@ def run(
         The truth, if it has been flown already.
     progress : callable or None
         Called with the seconds flown so far.
+
+    Raises
+    ------
+    bench.errors.EstimatorError
+        If no estimator can start, as well as for :func:`build_estimators`.
     """
     built = build_estimators(profile)  # fails before the flight
     clock = {"fly": time.process_time()}
@@ -151,14 +157,17 @@ def run(
     sensed = sense(profile, truth, run)
     clock["navigate"] = time.process_time()
     solutions, unmodelled = {}, dict[str, list[str] | None]()
+    raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     for label, one in built.items():
         unmodelled[label] = None
         try:
             solution = estimator.answer(one, label, sensed.data, sensed.initial)
             unmodelled[label] = estimator.list_unmodelled(one, label, _list_specs(profile))
-        except EstimatorFailedError as error:
+        except (EstimatorError, EstimatorFailedError) as error:
+            raised[label] = error
             solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
         solutions[label] = solution
+    check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.evaluation.verdict import add_verdict
 

@@ -23,7 +23,7 @@ STATUS = """\b
 Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
 diverged); 2 the command line, a file or the results folder is wrong; 3 the
 aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
-full, no viewer); 70 a bug, of bench or of your estimator, with its traceback;
+full, no viewer); 70 a bug, with its traceback, or an estimator that failed;
 130 interrupted.
 """
 
@@ -159,10 +159,9 @@ def commands(ctx: click.Context) -> None:
 
 def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
     """Print the tracebacks of estimators that raised, and return the exit status of a run."""
-    raised = [values["traceback"] for values in metrics.values() if "traceback" in values]
-    for text in raised:
-        click.echo(replace_control(text), err=True, nl=False)
-    if raised:
+    for values in metrics.values():
+        click.echo(replace_control(values.get("traceback", "")), err=True, nl=False)
+    if any(values.get("failed") for values in metrics.values()):
         return BUG
     return DONE if all(values["converged"] for values in metrics.values()) else NEGATIVE
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import EventRow, Events, NavSolution, no_innovations
-from bench.errors import EstimatorFailedError
+from bench.errors import EstimatorError, EstimatorFailedError
 
 FAILED, TRACEBACK = "failed", "traceback"
 """Kinds of events: there is no solution, for the reason in the text; where in the code it was raised."""
@@ -35,10 +35,26 @@ def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = (
     )
 
 
-def describe_error(label: str, error: EstimatorFailedError) -> tuple[str, list[EventRow]]:
-    """Return why an estimator failed, and an event with its traceback."""
+def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> tuple[str, list[EventRow]]:
+    """Return why an estimator failed, and an event with its traceback, if it raised."""
+    why = str(error).removeprefix(f"estimator {label!r}: ")
+    if isinstance(error, EstimatorError):  # it cannot start on this record
+        return why, []
     text = "".join(traceback.format_exception(error.__cause__ or error))
-    return str(error).removeprefix(f"estimator {label!r}: "), [(0.0, 0.0, TRACEBACK, text)]
+    return why, [(0.0, 0.0, TRACEBACK, text)]
+
+
+def check_starts(raised: Mapping[str, EstimatorError | EstimatorFailedError], count: int) -> None:
+    """Check what estimators raised, of ``count`` in all.
+
+    Raises
+    ------
+    EstimatorError
+        If no estimator can start: then what is wrong is the record, or the start asked for.
+    """
+    refused = [error for error in raised.values() if isinstance(error, EstimatorError)]
+    if refused and len(refused) == count:
+        raise EstimatorError(*(line for error in refused for line in error.messages))
 
 
 def describe_failure(solution: NavSolution) -> dict[str, Any]:

@@ -448,6 +448,22 @@ def test_a_failed_estimator_is_a_result_beside_the_others(here, capsys):
     assert alone.metrics["loose-15"] == read.metrics["loose-15"]
 
 
+def test_an_estimator_that_cannot_start_has_failed_where_another_can(here, capsys):
+    """Levelling in flight: gnss-only needs no attitude. If none can start, the profile is wrong."""
+    run = ("run", "short.toml", "--no-rrd", "--set=alignment={kind='level',duration_s=5}")
+    why = "alignment level needs a standstill of 5 s at the start; at 0 s GNSS reports 25 m/s"
+    got, out, err = say(capsys, *run, "-e", "loose-15", "-e", "gnss-only")
+    assert (got, err) == (70, "")
+    assert f"loose-15 failed: {why}" in " ".join(out.split())
+    read = bench.load(here / "runs/short-5")
+    assert {name: values.get("failed", False) for name, values in read.metrics.items()} == {
+        "loose-15": True,
+        "gnss-only": False,
+    }
+    got, out, err = say(capsys, *run, "-e", "loose-15", "-e", "ukf", "--force")
+    assert (got, err) == (2, f"error: estimator 'loose-15': {why}\nerror: estimator 'ukf': {why}\n")
+
+
 def test_two_estimators_of_one_label_are_refused(here, capsys):
     status, _, err = say(capsys, "run", "short.toml", "-e", "loose-15", "-e", "loose-15")
     assert status == 2
