@@ -1,8 +1,9 @@
 """The door to numba: ``@kernel``, and the folder where compiled code is cached.
 
-numba's own cache does not notice a change in another module and would return stale results. The name of the
-cache folder is therefore a hash of the sources that import this module and of all that they import, the
-versions of numba, numpy and Python, and the CPU.
+numba is imported when the first kernel is called: that takes a third of a second. Its own cache does not
+notice a change in another module and would return stale results. The name of the cache folder is therefore a
+hash of the sources that import this module and of all that they import, the versions of numba, numpy and
+Python, and the CPU.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 
 from bench.places import PACKAGE, cache_folder
@@ -30,20 +31,47 @@ _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wra
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
+class Kernel:
+    """A function that numba compiles on its first call, for kernels that call it as for Python."""
+
+    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+        update_wrapper(self, function)
+        self.py_func, self._options = function, _OPTIONS | options
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return what the function returns."""
+        return self.dispatcher(*arguments)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The function as numba knows it."""
+        import numba
+
+        choose_cache()
+        return numba.njit(**self._options)(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba asks for where a kernel names another one."""
+        return self.dispatcher._numba_type_
+
+
 def kernel(function: _Function) -> _Function:
     """Compile a function on its first call: arrays in and out, no checks, no allocation, no fastmath.
 
     Division follows IEEE 754 (infinity and NaN, no exception), as numpy does.
     """
-    return cast(_Function, numba.njit(**_OPTIONS)(function))
+    return cast(_Function, Kernel(function))
 
 
 def inner(function: _Function) -> _Function:
     """Compile a function that only kernels call; without its Python wrapper this takes a third less time."""
-    return cast(_Function, numba.njit(**_OPTIONS | {"no_cpython_wrapper": True})(function))
+    return cast(_Function, Kernel(function, no_cpython_wrapper=True))
 
 
 def _hash_sources() -> str:
+    import numba
+
     digest = hashlib.sha256()
     for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _name_cpu()):
         digest.update(part.encode())
@@ -77,22 +105,26 @@ def _name_cpu() -> str:
     return f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
 
 
-def _choose_cache() -> None:
-    """Set the cache folder of numba and remove folders unused for 30 days.
+@cache
+def choose_cache() -> Path:
+    """Set the cache folder of numba and remove folders unused for 30 days; return the folder.
 
     With ``NUMBA_CACHE_DIR`` the folder is made there, and none is removed.
     """
+    import numba
+
     own = os.environ.get("NUMBA_CACHE_DIR")
     folder = (Path(own) if own else cache_folder("kernels")) / _hash_sources()
     setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba types its settings as constants
     if own:
-        return
+        return folder
     if folder.exists():
         try:
             os.utime(folder)
         except OSError:  # a read-only shared cache is still used
-            return
+            return folder
     _remove_unused(folder.parent, keep=folder)
+    return folder
 
 
 def _remove_unused(root: Path, keep: Path) -> None:
@@ -103,6 +135,3 @@ def _remove_unused(root: Path, keep: Path) -> None:
         return
     for folder in stale:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-_choose_cache()

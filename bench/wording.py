@@ -15,6 +15,8 @@ def replace_control(text: str) -> str:
 
     They are all that Python does not print as they are, but for the end of a line and spaces.
     """
+    if text.isprintable():
+        return text
     return "".join(c if c == "\n" or c.isprintable() or c in _SPACES else "?" for c in text)
 
 

@@ -24,7 +24,6 @@ from bench.config.tables import ROWS, Table, between, check_table, collect_error
 from bench.errors import ConfigError
 from bench.fields import XYZ, figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
-from bench.sensors.imu_terms import check_imu
 from bench.specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import from_si, split_unit, to_si
 from bench.wording import quantity, suggest
@@ -97,6 +96,8 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
     ConfigError
         One message for each problem in the file.
     """
+    from bench.sensors.imu_terms import check_imu
+
     document = _read_document(path, shown, changes)
     axes, wrong = _split_axes(document)
     if wrong:

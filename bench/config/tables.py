@@ -30,7 +30,7 @@ def collect_errors(wrong: list[str], place: str = "") -> Iterator[None]:
 class Table(BaseModel):
     """A table of a TOML file: no unknown keys, no type conversion, no NaN or infinity."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def between(low: float, high: float) -> AfterValidator:

@@ -6,7 +6,10 @@ flight. Adding an option is a field here and its use in the estimator.
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -51,9 +54,7 @@ Place = Annotated[tuple[float, float, float], _LIST]
 class Options(BaseModel):
     """The options of an estimator: no unknown name, no guessed type, no NaN, no infinity."""
 
-    model_config = ConfigDict(
-        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 FixAccuracy = Literal["datasheet", "reported", "larger"]
@@ -321,8 +322,21 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
 
 def described(model: type[Options]) -> list[tuple[str, str, str]]:
     """Return name, default and words of each option; a dash is the default of one that is left out."""
-    rows = []
+    words, rows = _read_words(), []
     for name, field in model.model_fields.items():
         default = "-" if field.default is None else as_toml(field.default)
-        rows.append((name, default, " ".join((field.description or "").split())))
+        said = next(words[owner.__name__, name] for owner in model.__mro__ if (owner.__name__, name) in words)
+        rows.append((name, default, " ".join(said.split())))
     return rows
+
+
+def _read_words() -> dict[tuple[str, str], str]:
+    """Return the text below each option by class and name; pydantic would read it on every import."""
+    found = {}
+    for one in ast.parse(Path(__file__).read_text(encoding="utf-8")).body:
+        if isinstance(one, ast.ClassDef):
+            for option, text in pairwise(one.body):
+                match option, text:
+                    case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
+                        found[one.name, name] = words
+    return found

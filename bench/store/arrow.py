@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
-import pyarrow as pa
+from typing import TYPE_CHECKING, Any
 
 from bench.errors import BenchError
 from bench.run_result import RunResult
 from bench.store.columns import flatten
 from bench.store.parquet import to_table
 from bench.store.results import list_aiding
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa.Table:
@@ -39,6 +40,8 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
     bench.errors.BenchError
         If the result has no such record or estimator.
     """
+    import pyarrow as pa
+
     by_estimator: dict[str, Mapping[str, object]] = {
         "errors": result.errors,
         "solutions": result.solutions,

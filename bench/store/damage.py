@@ -96,7 +96,7 @@ def report_damage(folder: Path) -> Iterator[None]:
         if what == TRUTH:
             raise ConfigError(f"{folder}: has no truth, because it comes from a log") from None
         raise ConfigError(f"{folder}: no {what} in it; 'bench run' writes a whole folder") from None
-    except parquet.DAMAGED as error:
+    except parquet.damages() as error:
         reason = " ".join(str(error).split())[:200]
         if isinstance(error, KeyError):
             reason = f"{reason} is missing"

@@ -1,35 +1,41 @@
-"""Parquet and CSV files of records; the metadata of each column holds its unit and frame."""
+"""Parquet and CSV files of records; the metadata of each column holds its unit and frame.
+
+pyarrow is imported by the functions that use it: what has no files does not wait for it.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-from pyarrow import csv
 
 from bench.store.columns import Layout, flatten
 
-DAMAGED = (
-    pa.ArrowException,
-    LookupError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
-    RecursionError,
-    OSError,
-)
-"""What reading raises if a file is damaged or was not written by bench."""
-
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 PART = ".part"
 """Ending of the name of a table that is being written by :func:`write_table`."""
+
+
+def damages() -> tuple[type[Exception], ...]:
+    """Return what reading raises if a file is damaged or was not written by bench."""
+    from pyarrow import ArrowException
+
+    return (
+        ArrowException,
+        LookupError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        AttributeError,
+        MemoryError,
+        RecursionError,
+        OSError,
+    )
 
 
 def write(path: Path, record: object, layout: Layout | None = None, **facts: Any) -> None:
@@ -40,6 +46,8 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
     OSError
         If the file cannot be written.
     """
+    import pyarrow.parquet as pq
+
     rows, columns = (record, layout) if layout is not None else flatten(record)
     pq.write_table(to_table(rows, columns, facts), path, compression="zstd", use_dictionary=False)
 
@@ -49,6 +57,9 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
 
     Booleans are 1 and 0, missing values ``nan``. Errors as for `write`.
     """
+    import pyarrow as pa
+    from pyarrow import csv
+
     table = to_table(record, layout, {})
     for k, field in enumerate(table.schema):
         if field.type == pa.bool_():
@@ -60,6 +71,9 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
 
 def write_frame(path: Path, columns: Mapping[str, Any]) -> None:
     """Write named columns of numbers (N,) without metadata; errors as for `write`."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     pq.write_table(pa.table(dict(columns)), path, compression="zstd", use_dictionary=False)
 
 
@@ -68,6 +82,9 @@ def write_text(path: Path, rows: Any) -> None:
 
     Errors as for `write`.
     """
+    import pyarrow as pa
+    from pyarrow import csv
+
     columns = [np.ascontiguousarray(column) for column in np.asarray(rows).T]
     table = pa.table(columns, names=[str(k) for k in range(len(columns))])
     with path.open("wb") as file:
@@ -76,6 +93,8 @@ def write_text(path: Path, rows: Any) -> None:
 
 def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Table:
     """Return the fields of a record that a layout names as an Arrow table, with unit and frame metadata."""
+    import pyarrow as pa
+
     fields, arrays = [], []
     for name, columns in layout.items():
         value = getattr(record, name)
@@ -93,6 +112,8 @@ def to_table(record: object, layout: Layout, facts: Mapping[str, Any]) -> pa.Tab
 
 def _to_arrow(data: Any) -> pa.Array:
     """Return an array or words as an Arrow array; ``pa.array`` imports pandas where there is one."""
+    import pyarrow as pa
+
     if isinstance(data, tuple):
         words = [word.encode() for word in data]
         ends = pa.py_buffer(np.cumsum([0, *map(len, words)], dtype=np.int32))
@@ -103,26 +124,30 @@ def _to_arrow(data: Any) -> pa.Array:
     return pa.Array.from_buffers(pa.from_numpy_dtype(data.dtype), len(data), [None, pa.py_buffer(data)])
 
 
-_NUMBERS = {pa.float64(): np.float64, pa.int64(): np.int64}
+_NUMBERS = {"double": np.float64, "int64": np.int64, "bool": np.bool_}
+"""Type in a file -> type in memory."""
 
 
 def _to_numpy(column: pa.ChunkedArray) -> Any:
     """Return a column of a table as an array; its own ``to_numpy`` imports pandas where there is one."""
-    if column.null_count or column.type not in (*_NUMBERS, pa.bool_()):
+    kind = _NUMBERS.get(str(column.type))
+    if column.null_count or kind is None:
         return column.to_numpy()
     parts: list[Any] = []
     for chunk in column.chunks:
         first, last, memory = chunk.offset, chunk.offset + len(chunk), chunk.buffers()[1]
-        if chunk.type == pa.bool_():
+        if kind is np.bool_:
             bits = np.unpackbits(np.frombuffer(memory, np.uint8), count=last, bitorder="little")
             parts.append(bits[first:].astype(np.bool_))
         else:
-            parts.append(np.frombuffer(memory, _NUMBERS[chunk.type])[first:last])
-    return np.concatenate(parts) if parts else np.empty(0, _NUMBERS.get(column.type, np.bool_))
+            parts.append(np.frombuffer(memory, kind)[first:last])
+    return np.concatenate(parts) if parts else np.empty(0, kind)
 
 
 def read(path: Path, layout: Layout) -> dict[str, Any]:
     """Read the fields of a layout, by name, in the shapes that their record declares."""
+    import pyarrow.parquet as pq
+
     with pq.ParquetFile(path) as file:
         table = file.read()
     return {name: _get_field(table, columns.names, columns.shape) for name, columns in layout.items()}
@@ -130,15 +155,21 @@ def read(path: Path, layout: Layout) -> dict[str, Any]:
 
 def read_names(path: Path) -> Sequence[str]:
     """Return the names of the columns of a file."""
+    import pyarrow.parquet as pq
+
     return pq.read_schema(path).names  # type: ignore[no-any-return]
 
 
 def read_facts(path: Path) -> Mapping[str, Any]:
     """Return the facts that `write` stored beside the columns of a file."""
+    import pyarrow.parquet as pq
+
     return json.loads(pq.read_schema(path).metadata[b"bench"])  # type: ignore[no-any-return]
 
 
 def _get_field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
+    import pyarrow as pa
+
     if names and table.schema.field(names[0]).type == pa.string():
         return tuple(table.column(names[0]).to_pylist())
     columns = [_to_numpy(table.column(name)) for name in names]
@@ -156,6 +187,9 @@ def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str]
     facts : object
         JSON metadata of the table.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     arrays = [pa.array(column) for column in columns.values()]
     fields = [
         pa.field(name, array.type, metadata={"unit": units[name]} if name in units else None)
@@ -169,4 +203,6 @@ def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str]
 
 def read_table(path: Path) -> pa.Table:
     """Read a file of :func:`write_table`."""
+    import pyarrow.parquet as pq
+
     return pq.read_table(path)

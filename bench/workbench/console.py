@@ -24,4 +24,5 @@ class PlainConsole(Console):
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Yield the pieces of text of a renderable, cleaned; styles and cursor movements are rich's own."""
         for piece in super().render(renderable, options):
-            yield piece if piece.control else Segment(replace_control(piece.text), piece.style)
+            text = piece.text if piece.control else replace_control(piece.text)
+            yield piece if text == piece.text else Segment(text, piece.style)

@@ -14,13 +14,13 @@ import time
 import urllib.request
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
 import bench
 from bench import pipeline, recording, store
 from bench.cli import main
+from bench.compiled import choose_cache
 from bench.errors import FlightError
 from bench.store import parquet
 from bench.workbench import viewer
@@ -504,9 +504,7 @@ def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, caps
 
 def python(code: str, *, cwd: Path) -> subprocess.Popen:
     paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-    kernels = {
-        "NUMBA_CACHE_DIR": str(Path(numba.config.CACHE_DIR).parent)
-    }  # those of this process, not of BENCH_CACHE
+    kernels = {"NUMBA_CACHE_DIR": str(choose_cache().parent)}  # those of this process, not of BENCH_CACHE
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **kernels}
     return subprocess.Popen(
         [sys.executable, "-c", code],

@@ -9,11 +9,11 @@ import sys
 import time
 from pathlib import Path
 
-import numba
 import pytest
 
 from bench import pipeline
 from bench.cli import main
+from bench.compiled import choose_cache
 from tests.cli.test_cli import PROFILE
 
 COMMAND = [sys.executable, "-m", "bench", "run", "short.toml"]
@@ -79,7 +79,7 @@ def test_a_run_is_interrupted_at_three_instants(tmp_path):
     wrong = [
         line
         for k, after in enumerate((START, 0.5, 1.0))
-        for line in interrupt(tmp_path / str(k), str(Path(numba.config.CACHE_DIR).parent), after)
+        for line in interrupt(tmp_path / str(k), str(choose_cache().parent), after)
     ]
     assert wrong == []
 
@@ -88,7 +88,7 @@ def test_a_run_is_interrupted_at_three_instants(tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_run_is_interrupted_at_twenty_instants(tmp_path):
     """Imports, flight, filter, writing and recording with compiled kernels; then while they are compiled."""
-    warm = str(Path(numba.config.CACHE_DIR).parent)
+    warm = str(choose_cache().parent)
     whole = measure(tmp_path / "whole", warm)
     wrong = []
     for k in range(14):

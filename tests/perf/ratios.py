@@ -65,6 +65,7 @@ def ratio(work: Callable[[], object], unit: Callable[[], object], rounds: int = 
 def command_cpu(*arguments: str, cwd: Path, cache: Path | None = None) -> float:
     """Return the CPU time of one ``bench`` command, its children included."""
     environment = dict(os.environ) | ({"BENCH_CACHE": str(cache)} if cache else {})
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # as it is where bench is installed
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [str(Path(sys.executable).parent / "bench"), *arguments],
