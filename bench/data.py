@@ -171,7 +171,7 @@ class GnssFixes(Record):
     cov_vel_n: FloatArray = matrix(STATES[3:6], "n")  # (M, 3, 3) reported [m^2/s^2], n
     satellites: IntArray = column("satellites", kind=int)  # (M,) number used
 
-    def take(self, rows: BoolArray) -> GnssFixes:
+    def take(self, rows: BoolArray | IntArray) -> GnssFixes:
         """Return the fixes of the selected rows."""
         return GnssFixes(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
@@ -352,6 +352,17 @@ class NavSolution(Record):
 
     def __post_init__(self) -> None:
         self._freeze(width=len(self.extra_names))
+
+
+@dataclass(frozen=True, slots=True)
+class Reference(Rebuilt):
+    """What another unit says of the motion of a log, to judge by; no estimator gets it."""
+
+    track: NavSolution  # of its own point at its own times; a block that it does not have is NaN
+    point_b: FloatArray  # (3,) that point relative to the IMU [m], b
+
+    def __post_init__(self) -> None:
+        freeze_field(self, "point_b", float, (3,), finite=True)
 
 
 @declared

@@ -1,4 +1,7 @@
-"""Read and check a recording of real sensors, run filters on it, and judge them by withheld fixes."""
+"""Read and check a recording of real sensors, run filters on it, and judge them.
+
+By withheld fixes, or by the reference of the log.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import numpy as np
 from bench import pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
-from bench.data import Events, GnssFixes, InitialState, Sensed, SensorData, no_sensor_truth
+from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import validity
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
@@ -21,6 +24,7 @@ from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.recorded_motion import Check
 from bench.evaluation.verdict import add_verdict
+from bench.exchange import reference
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
@@ -36,12 +40,14 @@ class RecordedLog:
     """A recording, the checks of its data, and the estimators to run on it.
 
     ``records`` holds ``imu``, ``fixes`` and ``baro`` in SI, frame b; t = 0 is the first row of the IMU.
+    ``reference`` judges; None: withheld fixes do.
     """
 
     spec: LogSpec
     records: LogRecords
     checks: tuple[Check, ...]  # each with its verdict `good`
     estimators: Mapping[str, estimator.Estimator]  # by label
+    reference: Reference | None = None
 
 
 def read_log(
@@ -89,7 +95,11 @@ def read_log(
             built[label] = pipeline.build_estimator(replace(choice, options=options))
         if weighing:
             checks.append(_describe_accuracy(records))
-    return RecordedLog(spec, records, tuple(checks), built)
+    judge_by = None
+    if spec.reference is not None:
+        judge_by = reference.read_reference(spec.reference, records.origin, float(records.imu.t.max()))
+        checks.append(reference.check_reference(judge_by, records.fixes))
+    return RecordedLog(spec, records, tuple(checks), built, judge_by)
 
 
 def _describe_accuracy(records: LogRecords) -> Check:
@@ -107,7 +117,7 @@ def _describe_accuracy(records: LogRecords) -> Check:
 def navigate_log(
     log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
 ) -> RunResult:
-    """Run estimators on a recording and judge them by withheld fixes; one that raises has failed.
+    """Run estimators on a recording and judge them; one that raises has failed.
 
     So has one that cannot start where another can.
 
@@ -123,8 +133,8 @@ def navigate_log(
     Returns
     -------
     result : RunResult
-        ``errors`` relative to the withheld fixes [m, m/s; n], ``metrics``; ``more`` holds the checks of the
-        recording and the drift over the outages [m].
+        ``errors`` relative to the withheld fixes, or to the reference [m, m/s, rad; n], ``metrics``; ``more``
+        holds the checks of the recording and the drift over the outages [m].
 
     Raises
     ------
@@ -159,7 +169,10 @@ def navigate_log(
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
-        errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
+        if log.reference is None:
+            errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
+        else:
+            errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
         metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled})
         solutions[label] = solution
     check_starts(raised, len(log.estimators))
@@ -187,6 +200,7 @@ def navigate_log(
             "spec": spec,
             "sensed": Sensed(data, session.initial, no_sensor_truth(), events),
             "withheld": withheld,
+            **({} if log.reference is None else {"reference": log.reference}),
         },
     )
 

@@ -178,7 +178,7 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
 def export(folder: Path, **options: Any) -> int:
     """Export the sensor data of a run in the format of another tool.
 
-    RUN is a results folder of bench run, FORMAT one of bench list exports. Truth and
+    RUN is a results folder, FORMAT one of bench list exports. Truth and
     solutions are exported only if named.
 
     \b
@@ -216,7 +216,7 @@ def export(folder: Path, **options: Any) -> int:
 def score(solution: Path, folder: Path, as_json: bool, **options: Any) -> int:
     """Judge the solution of any program on a run, beside the estimators of the bench.
 
-    RUN is a results folder of bench run, SOLUTION a table (.csv, .parquet, .mat) of
+    RUN is a results folder, SOLUTION a table (.csv, .parquet, .mat) of
     the motion of the IMU at its own times. Column names give quantity, frame and unit;
     time and one of position, velocity, attitude are required:
 

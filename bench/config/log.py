@@ -34,6 +34,10 @@ _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".pos": "rtklib",
 }
 """Ending of a file -> its format, if the log does not name it; a folder is a ROS 2 bag."""
+NAV = ".nav"
+"""Ending of a solution of KF-GINS, which only a reference may be."""
+WITHHOLD = 5
+"""One fix in so many judges a log without a reference."""
 _TOPICS = ("ulog", "rosbag", "mcap", "navego")
 
 _Angle = Annotated[float, between(-360, 360)]
@@ -85,6 +89,14 @@ class BaroTable(_FileTable):
     """The barometer."""
 
 
+class ReferenceTable(_FileTable):
+    """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
+
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
+    quality: Annotated[tuple[int, ...], ROWS] = ()
+
+
 class LogAssumedTable(Table):
     """The datasheets that the filters assume."""
 
@@ -116,9 +128,12 @@ class LogAlignmentTable(AlignmentTable):
 
 
 class LogEvaluationTable(EvaluationTable):
-    """Withhold every n-th fix from the filters to judge them by; 0 withholds none."""
+    """Withhold every n-th fix from the filters to judge them by; 0 withholds none.
 
-    withhold: Annotated[int, NOT_NEGATIVE] = 5
+    Left out: 5, or 0 where a reference judges.
+    """
+
+    withhold: Annotated[int, NOT_NEGATIVE] | None = None
 
 
 class LogTable(Table):
@@ -128,6 +143,7 @@ class LogTable(Table):
     imu: ImuTable
     gnss: GnssTable | None = None
     baro: BaroTable | None = None
+    reference: ReferenceTable | None = None
     sensors: LogSensorsTable
     alignment: LogAlignmentTable = LogAlignmentTable()
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
@@ -143,6 +159,16 @@ class SourceSpec:
     topic: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
     time_offset: float = 0.0  # added to its times [s]
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSpec:
+    """Where the reference of a log is, and how its unit is mounted."""
+
+    source: SourceSpec
+    point_b: tuple[float, float, float]  # relative to the IMU [m], b
+    mounting: tuple[float, float, float]  # roll, pitch, yaw of its axes in b [rad]
+    quality: tuple[int, ...]  # of the rows to use; empty: all
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +205,7 @@ class LogSpec:
     evaluation_from: float  # [s]
     output_rate: float  # [Hz]
     withhold: int
+    reference: ReferenceSpec | None  # None: withheld fixes judge
     document: Mapping[str, Any]  # the file with every default filled in
 
 
@@ -213,8 +240,16 @@ def load_log(
     except ConfigError as error:
         raise ConfigError(*error.messages, *wrong) from None
     beside, place = path.parent, f"{name}: "
+    withhold = table.evaluation.withhold
+    if withhold is None:
+        withhold = 0 if table.reference else WITHHOLD
+        evaluation = table.evaluation.model_copy(update={"withhold": withhold})
+        table = table.model_copy(update={"evaluation": evaluation})
+    elif table.reference and withhold:
+        wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which judges alone")
     tables = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
     sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
+    reference = _find_source(table.reference, "reference", beside, place, wrong)
     assumed: dict[str, Any] = {}
     for kind in tables:
         datasheet = getattr(table.sensors.assumed, kind)
@@ -241,6 +276,11 @@ def load_log(
     imu = sources["imu"]
     assert imu is not None
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
+
+    def from_imu(at: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (a - b for a, b in zip(at, table.imu.position_m, strict=True))
+        return x, y, z
+
     return LogSpec(
         name=path.stem,
         title=table.title or path.stem,
@@ -249,7 +289,7 @@ def load_log(
         baro=sources["baro"],
         mounting=_to_radians(table.imu.mounting_deg),
         misalignment=_to_radians(table.imu.misalignment_deg),
-        antenna_b=tuple(a - b for a, b in zip(gnss_at, table.imu.position_m, strict=True)),  # type: ignore[arg-type]
+        antenna_b=from_imu(gnss_at),
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, path.name),
@@ -258,7 +298,15 @@ def load_log(
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
         output_rate=float(table.evaluation.output_hz),
-        withhold=table.evaluation.withhold,
+        withhold=withhold,
+        reference=ReferenceSpec(
+            reference,
+            from_imu(table.reference.position_m),
+            _to_radians(table.reference.mounting_deg),
+            table.reference.quality,
+        )
+        if table.reference and reference
+        else None,
         document=_make_document(table, path.stem, choices, changes),
     )
 
@@ -270,7 +318,8 @@ def _find_source(
         return None
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
-    form = row.format or ("rosbag" if folder else _ENDINGS.get(path.suffix.lower()))
+    endings = _ENDINGS | ({NAV: "kf-gins"} if kind == "reference" else {})
+    form = row.format or ("rosbag" if folder else endings.get(path.suffix.lower()))
     what = f"{place}[{kind}] file = {row.file!r}"
     if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")

@@ -6,6 +6,7 @@ is an upper bound for the error of the estimate, and its covariance is the sum o
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,42 +38,87 @@ def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) ->
     Returns
     -------
     errors : ErrorSeries
-        ``phi_n`` and ``heading`` are NaN. ``nees`` uses the sum of the covariances of estimate and fix. It
-        counts position and velocity, or position alone if any fix has no velocity.
+        Those of :func:`point_errors`; ``phi_n`` and ``heading`` are NaN.
     """
     k, m = _match_instants(solution.t, fixes.t)
-    with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
-        C_nb = rotation.matrix(solution.q_nb[k])
-        arm_n = C_nb @ data.antenna_b
-        # an estimator without attitude gives the position of the antenna: no lever arm
-        has_attitude: BoolArray = np.asarray(~np.isnan(solution.q_nb[k]).all(axis=1))
-        arm_n = np.where(has_attitude[:, None], arm_n, 0.0)
-        w_b = find_angular_rate(data.imu, solution.t[k]) - solution.gyro_bias_b[k]
-        swing_n = np.einsum("kij,kj->ki", C_nb, np.cross(w_b, data.antenna_b))
-        swing_n = np.where(has_attitude[:, None], swing_n, 0.0)
-        pos_n = earth.difference_n(earth.displace(solution.lla[k], arm_n), fixes.lla[m])
-        vel_n = solution.vel_n[k] + swing_n - fixes.vel_n[m]
-        # antenna position error: dp - [arm x] phi; the effect of phi on the velocity is neglected
-        T = np.tile(np.eye(6, 9), (len(k), 1, 1))
-        T[:, :3, 6:] = -rotation.skew(arm_n)
-        cov = np.where(has_attitude[:, None, None], solution.cov[k], 0.0)
-        cov[:, :6, :6] = solution.cov[k, :6, :6]
-        P = T @ cov @ T.transpose(0, 2, 1)
-        P[:, :3, :3] += fixes.cov_pos_n[m]
-        P[:, 3:, 3:] += fixes.cov_vel_n[m]
-        states = 6 if np.isfinite(fixes.vel_n[m]).all() else 3
-        both = np.hstack([pos_n, vel_n])[:, :states]
-        nees = normalized_squares(both, P[:, :states, :states])
+    fixes = fixes.take(m)
+    cov = np.zeros((len(k), 9, 9))
+    cov[:, :3, :3], cov[:, 3:6, 3:6] = fixes.cov_pos_n, fixes.cov_vel_n
     unknown = np.full((len(k), 3), np.nan)
-    return ErrorSeries(
-        t=solution.t[k],
-        pos_n=pos_n,
-        vel_n=vel_n,
-        phi_n=unknown,
-        heading=unknown[:, 0],
-        nees=nees,
-        states=states,
+    reference = NavSolution(
+        t=fixes.t,
+        lla=fixes.lla,
+        vel_n=fixes.vel_n,
+        q_nb=np.full((len(k), 4), np.nan),
+        gyro_bias_b=unknown,
+        accel_bias_b=unknown,
+        cov=cov,
+        extra_names=(),
+        extra=np.empty((len(k), 0)),
+        extra_sd=np.empty((len(k), 0)),
     )
+    return point_errors(select_epochs(solution, k), reference, data.antenna_b, data.imu)[0]
+
+
+def point_errors(
+    solution: NavSolution, reference: NavSolution, point_b: FloatArray, imu: ImuData
+) -> tuple[ErrorSeries, NavSolution]:
+    """Return estimate minus reference at a point of the vehicle.
+
+    Parameters
+    ----------
+    solution : NavSolution
+        The motion of the IMU.
+    reference : NavSolution
+        The motion of the point at the same instants (M,); NaN where it has no velocity or attitude. A
+        covariance of zero is taken as exact.
+    point_b : (3,) array
+        The point relative to the IMU [m], b.
+    imu : ImuData
+        For the angular rate that moves the point.
+
+    Returns
+    -------
+    errors : ErrorSeries
+        ``nees`` counts the blocks that the reference has at every instant, with the sum of both covariances.
+    moved : NavSolution
+        The estimate at the point, with that sum as its covariance; NaN in blocks that are not compared.
+    """
+    with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
+        C_nb = rotation.matrix(solution.q_nb)
+        # an estimator without attitude gives the position of the point: no lever arm
+        has_attitude: BoolArray = np.asarray(~np.isnan(solution.q_nb).all(axis=1))
+        arm_n = np.where(has_attitude[:, None], C_nb @ point_b, 0.0)
+        w_b = find_angular_rate(imu, solution.t) - solution.gyro_bias_b
+        swing_n = np.einsum("kij,kj->ki", C_nb, np.cross(w_b, point_b))
+        swing_n = np.where(has_attitude[:, None], swing_n, 0.0)
+        lla, vel_n = earth.displace(solution.lla, arm_n), solution.vel_n + swing_n
+        pos_error_n, vel_error_n = earth.difference_n(lla, reference.lla), vel_n - reference.vel_n
+        turned = rotation.multiply(solution.q_nb, rotation.conjugate(reference.q_nb))
+        phi_n = rotation.to_rotvec(turned)
+        headings = [rotation.to_euler(one.q_nb)[2] for one in (solution, reference)]
+        heading = np.pi - np.mod(np.pi - (headings[0] - headings[1]), 2 * np.pi)
+        # position error of the point: dp - [arm x] phi; the effect of phi on its velocity is neglected
+        T = np.tile(np.eye(9), (len(solution), 1, 1))
+        T[:, :3, 6:] = -rotation.skew(arm_n)
+        cov = np.where(has_attitude[:, None, None], solution.cov, 0.0)
+        cov[:, :6, :6] = solution.cov[:, :6, :6]
+        P = T @ cov @ T.transpose(0, 2, 1) + np.nan_to_num(reference.cov)
+        moves = bool(np.isfinite(reference.vel_n).all())
+        turns = bool(np.isfinite(reference.q_nb).all() and has_attitude.any())
+        counted = np.repeat([True, moves, turns], 3)
+        P[:, ~counted], P[:, :, ~counted] = np.nan, np.nan
+        error = np.hstack([pos_error_n, vel_error_n, phi_n])[:, counted]
+        nees = normalized_squares(error, P[:, counted][:, :, counted])
+    moved = replace(
+        solution,
+        lla=lla,
+        vel_n=vel_n if moves else np.full_like(vel_n, np.nan),
+        q_nb=solution.q_nb if turns else np.full_like(solution.q_nb, np.nan),
+        cov=P,
+    )
+    states = int(counted.sum())
+    return ErrorSeries(solution.t, pos_error_n, vel_error_n, phi_n, heading, nees, states), moved
 
 
 def judge(

@@ -107,9 +107,15 @@ class CommandEstimator:
             folder = place / "sensors"
             folder.mkdir()
             document = make_start_document(sensors, initial)
-            out = ExportData(sensors.imu, sensors.fixes, sensors.observations, sensors.instruments, document)
+            out = ExportData(
+                imu=sensors.imu,
+                fixes=sensors.fixes,
+                observations=sensors.observations,
+                instruments=sensors.instruments,
+                start=document,
+                output_t=sensors.output_t,
+            )
             write_tables(folder, out, "csv")
-            np.savetxt(folder / "output.csv", sensors.output_t, fmt="%.9f", header="t_s", comments="")
             solution = place / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]

@@ -16,7 +16,10 @@ from bench.config import fault_tables
 from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
+from bench.evaluation.error_series import find_covered_epochs, select_epochs
+from bench.evaluation.fixes import judge as judge_by_fixes
 from bench.evaluation.verdict import add_verdict
+from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
@@ -46,8 +49,12 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
     with store.report_damage(folder):
-        run, truth = store.load(folder), store.load_truth(folder)
-        sensed = run.sensed
+        run = store.load(folder)
+        if label in run.metrics:
+            raise ConfigError(f"{folder} has a solution {label!r} already; choose another name with --label")
+        if run.truth is None and "log" in run.more:
+            return _score_log(path, run, label, t_0, longest)
+        truth, sensed = store.load_truth(folder), run.sensed
         profile = run.profile
         rows = [
             (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
@@ -55,8 +62,6 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
         faults = fault_tables.read_faults(profile.get("fault", []))
         t = select_output_times(truth.t, evaluation["output_hz"], outages)
-    if label in run.metrics:
-        raise ConfigError(f"{folder} has a solution {label!r} already; choose another name with --label")
     foreign = read_solution(path, t_0=t_0)
     check_unit(foreign, float(truth.t[0]), truth.lla[0])
     solution = resample(foreign, t, longest)
@@ -69,8 +74,38 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         assumed=sensed.data.specs if sensed else None,
         drawn=sensed.truth if sensed else None,
     )
-    measured = add_verdict(label, measured)
+    return _make_score(label, solution, errors, measured, run, len(foreign))
+
+
+def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: float | None) -> Score:
+    """Judge a solution on a log, by its reference or its withheld fixes."""
+    data, by = run.sensors, run.records.get("reference")
+    assert data is not None
+    foreign = read_solution(path, t_0=t_0)
+    if not len(data.output_t):
+        raise ConfigError("no estimator of this log has instants to compare with: navigate it again")
+    fixes = data.fixes
+    if fixes is not None and len(fixes):
+        check_unit(foreign, float(fixes.t[0]), fixes.lla[0])
+    solution = resample(foreign, data.output_t, longest)
+    begun = run.profile["evaluation"]["from_s"]
+    if by is not None:
+        errors, measured = reference.judge(solution, by, data, begun)
+    else:
+        covered = select_epochs(solution, find_covered_epochs(solution))
+        errors, measured = judge_by_fixes(covered, run.records["withheld"], data, begun)
+    return _make_score(label, solution, errors, measured, run, len(foreign))
+
+
+def _make_score(
+    label: str,
+    solution: NavSolution,
+    errors: ErrorSeries,
+    measured: dict[str, Any],
+    run: RunResult,
+    rows: int,
+) -> Score:
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
-    return Score(label, solution, errors, measured, run, coverage, len(foreign))
+    return Score(label, solution, errors, add_verdict(label, measured), run, coverage, rows)

@@ -46,7 +46,7 @@ _RADII = (6e6, 1e8)  # from the centre of the Earth [m]
 _NEAR, _FAST = 1e5, 1e3  # a start farther off than [m] plus [m/s] times the time is in another unit
 
 _STATES = tuple(f"{block}_{axis}" for block in ("pos", "vel", "phi") for axis in "ned")
-_DEVIATIONS = {
+DEVIATIONS = {
     "sd_pos": (group("length", "sd_pos_n", "sd_pos_e", "sd_pos_d"),),
     "sd_vel": (group("speed", "sd_vel_n", "sd_vel_e", "sd_vel_d"),),
     "sd_phi": (group("angle", "sd_phi_n", "sd_phi_e", "sd_phi_d"),),
@@ -56,10 +56,10 @@ _BIASES = {
     "accel_bias": (group("acceleration", "accel_bias_x", "accel_bias_y", "accel_bias_z"),),
 }
 _COVARIANCES = {f"cov_{a}_{b}": (group("", f"cov_{a}_{b}"),) for a in _STATES for b in _STATES}
-_ALL = {**KINDS, **_DEVIATIONS, **_BIASES, **_COVARIANCES}
+_ALL = {**KINDS, **DEVIATIONS, **_BIASES, **_COVARIANCES}
 _OPTIONAL = tuple(kind for kind in _ALL if kind != "time")
 
-COLUMNS = {kind: list_names(groups) for kind, groups in {**KINDS, **_DEVIATIONS, **_BIASES}.items()}
+COLUMNS = {kind: list_names(groups) for kind, groups in {**KINDS, **DEVIATIONS, **_BIASES}.items()}
 """Column names of a solution, by kind; angles also in rad or mrad, lengths in km, speeds as _m_s.
 
 They are those of `bench.exchange.trajectory.COLUMNS`, and the standard deviations of the errors along n; phi
@@ -140,7 +140,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
         t=t[whole] - t_0,
         lla=lla,
         vel_n=_read_velocities(table, given, q_en, shown),
-        q_nb=_read_attitudes(table, given, q_en, rows, shown),
+        q_nb=read_attitudes(table, given, q_en, rows, shown),
         gyro_bias_b=given.get("gyro_bias", np.full((n, 3), np.nan)),
         accel_bias_b=given.get("accel_bias", np.full((n, 3), np.nan)),
         cov=_read_covariance(given, blocks, rows, shown),
@@ -152,7 +152,7 @@ def read_solution(path: Path, *, t_0: float = 0.0) -> ForeignSolution:
 
 
 def _check_deviations(table: TableColumns, shown: str) -> None:
-    both = [kind for kind in _DEVIATIONS if kind in table.columns]
+    both = [kind for kind in DEVIATIONS if kind in table.columns]
     if both and any(name in table.columns for name in _COVARIANCES):
         raise ConfigError(f"{shown}: {both[0]}_n and covariances: give only one of them")
 
@@ -180,9 +180,10 @@ def _read_velocities(
     return rotation.rotate(rotation.conjugate(q_en), given["velocity"])
 
 
-def _read_attitudes(
+def read_attitudes(
     table: TableColumns, given: Mapping[str, FloatArray], q_en: FloatArray, rows: IntArray, shown: str
 ) -> FloatArray:
+    """Return q_nb (N, 4) of the attitudes given, NaN without any, with ``q_en`` (N, 4) of the positions."""
     if "attitude" not in given:
         return np.full((len(q_en), 4), np.nan)
     attitude, stem = given["attitude"], table.stems["attitude"][0]
@@ -202,7 +203,7 @@ def _read_covariance(
     """Return the covariance (N, 9, 9), NaN in missing blocks; None if the file has none."""
     cov = np.full((len(rows), 9, 9), np.nan)
     claimed = np.zeros(9, np.bool_)
-    for k, (kind, block) in enumerate(zip(_DEVIATIONS, ("position", "velocity", "attitude"), strict=True)):
+    for k, (kind, block) in enumerate(zip(DEVIATIONS, ("position", "velocity", "attitude"), strict=True)):
         here = range(3 * k, 3 * k + 3)
         diagonal = [f"cov_{_STATES[i]}_{_STATES[i]}" for i in here]
         there = [name for name in diagonal if name in given]

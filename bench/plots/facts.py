@@ -15,7 +15,10 @@ def list_facts(result: RunResult) -> Iterable[str]:
     profile = result.profile
     if "log" in result.more:
         kept = profile.get("evaluation", {}).get("withhold")
-        yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
+        if "reference" in profile:
+            yield f"a log: errors are estimate minus reference, {profile['reference']['file']}"
+        else:
+            yield "a log without truth: errors are estimate minus fixes that were kept from the filters"
         if kept:
             yield f"one fix in {kept} kept from the filters"
     else:

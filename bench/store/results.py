@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.data import (
     AirData,
     Controls,
@@ -22,6 +23,7 @@ from bench.data import (
     ImuData,
     Innovations,
     NavSolution,
+    Reference,
     Sensed,
     SensorData,
     SensorTruth,
@@ -44,6 +46,8 @@ OBSERVATIONS = "sensors-observations.parquet"
 DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"
 EVENTS = "sensors-events.parquet"
+WITHHELD, REFERENCE = "sensors-withheld.parquet", "reference.parquet"
+"""What judges a log: fixes that no estimator got, or the reference."""
 _T = TypeVar("_T")
 
 
@@ -72,6 +76,11 @@ def save(folder: Path, result: RunResult) -> None:
         parquet.write(folder / SKY, sensed.sky)
     write_json(folder / START, make_start_document(data, sensed.initial))
     parquet.write(folder / EVENTS, sensed.events)
+    if (withheld := result.records.get("withheld")) is not None:
+        parquet.write(folder / WITHHELD, withheld)
+    if (reference := result.records.get("reference")) is not None:
+        point = reference.point_b.tolist()
+        parquet.write(folder / REFERENCE, reference.track, extra_names=[], point_b_m=point)
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
     for label, errors in result.errors.items():
@@ -129,7 +138,7 @@ def copy_results(folder: Path, to: Path) -> None:
 
 
 _TABLES = ("truth", "sensors", "solution", "events", "innovations", "errors")
-_FILES = (RESULT, START, TRUTH, *(f"{kind}-*.parquet" for kind in _TABLES))
+_FILES = (RESULT, START, TRUTH, REFERENCE, *(f"{kind}-*.parquet" for kind in _TABLES))
 """Names of the files of a results folder besides its recording."""
 
 
@@ -233,6 +242,13 @@ def load_sensors(
     )
 
 
+def load_output_times(folder: str | os.PathLike[str]) -> FloatArray:
+    """Read the instants (M,) that estimators of a results folder were asked for [s]; none if all failed."""
+    paths = [path for _, path in _find_files(Path(folder), "solution")]
+    outputs = (parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for path in paths)
+    return next((t for t in outputs if np.isfinite(t).all()), np.empty(0))
+
+
 def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     """Read back the sensor data of a results folder, the initial state and the drawn sensor errors.
 
@@ -242,16 +258,13 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     imu, fixes, instruments = load_sensors(folder)
     on_board: dict[str, Any] = dict(instruments)
     start = load_start(folder)
-    outputs = [
-        parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for _, path in _find_files(folder, "solution")
-    ]
     data = SensorData(
         imu=imu,
         fixes=fixes,
         **on_board,
         antenna_b=np.array(start["antenna_b_m"]),
         specs=read_assumed_specs(start),
-        output_t=next((t for t in outputs if np.isfinite(t).all()), np.empty(0)),
+        output_t=load_output_times(folder),
         observations=load_observations(folder),
         ground_alt=start["ground_alt_m"],
         date=start["date"],
@@ -266,6 +279,16 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     )
 
 
+def _load_withheld(folder: Path) -> GnssFixes:
+    return _load(folder / WITHHELD, GnssFixes)
+
+
+def _load_reference(folder: Path) -> Reference:
+    path = folder / REFERENCE
+    track = NavSolution(**parquet.read(path, columns.solution_layout(())), extra_names=())
+    return Reference(track, np.array(parquet.read_facts(path)["point_b_m"]))
+
+
 def _load_drawn(path: Path) -> SensorTruth:
     names = parquet.read_names(path)
     on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in names]
@@ -277,6 +300,8 @@ def _load_drawn(path: Path) -> SensorTruth:
 _READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
     "truth": (TRUTH, load_truth),
     "sensed": (START, load_sensed),
+    "withheld": (WITHHELD, _load_withheld),
+    "reference": (REFERENCE, _load_reference),
 }
 """Record of a result -> the file a folder must have to hold it, and the function that reads it."""
 

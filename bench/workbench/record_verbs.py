@@ -49,8 +49,10 @@ def navigate_log(
     for note in log.records.notes:
         console.print(f"  {note}")
     result = log_pipeline.navigate_log(log, outages=outages, places=places)
-    withheld, start = len(result.records["withheld"]), log.spec.evaluation_from
-    console.print(f"{title}: {withheld} fixes withheld, from {start:g} s on")
+    judge = f"{len(result.records['withheld'])} fixes withheld"
+    if log.reference is not None:
+        judge = f"judged by the reference, {log.spec.document['reference']['file']}"
+    console.print(f"{title}: {judge}, from {log.spec.evaluation_from:g} s on", soft_wrap=True)
     result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")

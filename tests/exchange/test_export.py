@@ -77,7 +77,15 @@ def test_tables_hold_every_bit_of_the_records(run, export, kind):
 
 def test_truth_and_solutions_go_out_only_when_asked_for(export):
     names = {path.name for path in export("csv").iterdir()}
-    assert names == {".bench.json", "README.md", "start.json", "imu.csv", "gnss.csv", "baro.csv"}
+    assert names == {
+        ".bench.json",
+        "README.md",
+        "start.json",
+        "imu.csv",
+        "gnss.csv",
+        "baro.csv",
+        "output.csv",
+    }
 
 
 def test_matlab_structures(run, export):

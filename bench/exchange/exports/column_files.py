@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from bench.exchange.exports.outgoing import ExportData
 from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
 from bench.store.columns import Layout
 
 FORMATS = {
-    "csv": "CSV, a table per sensor, and start.json",
+    "csv": "CSV, a table per sensor, output.csv and start.json",
     "parquet": "Parquet, a table per sensor with units and frames in its metadata, and start.json",
 }
 START = "start.json"
@@ -32,13 +34,22 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
             parquet.write_csv(folder / f"{name}.csv", record, layout)
         else:
             parquet.write(folder / f"{name}.parquet", record, layout)
+    if len(out.output_t):
+        if kind == "csv":
+            np.savetxt(folder / "output.csv", out.output_t, fmt="%.9f", header="t_s", comments="")
+        else:
+            parquet.write_frame(folder / "output.parquet", {"t_s": out.output_t})
     write_json(folder / START, out.start)
-    return (
-        "\n".join(describe_table(name, layout, f"{name}.{kind}") for name, (_, layout) in tables.items())
-        + _START
-    )
+    described = [describe_table(name, layout, f"{name}.{kind}") for name, (_, layout) in tables.items()]
+    if len(out.output_t):
+        described.append(_OUTPUT.format(kind=kind))
+    return "\n".join(described) + _START
 
 
+_OUTPUT = """## output.{kind}
+
+`t_s` [s]: the instants at which the estimators of the run were asked for a solution.
+"""
 _START = f"""
 ## {START}
 

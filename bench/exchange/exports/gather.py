@@ -32,6 +32,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
         imu, fixes, instruments = store.load_sensors(folder)
         start = store.load_start(folder)
         observations = store.load_observations(folder)
+        output_t = store.load_output_times(folder)
         tracks: dict[str, Track] = {}
         for name in wanted:
             if name == TRUTH:
@@ -46,7 +47,7 @@ def gather(folder: Path, wanted: Sequence[str] = ()) -> ExportData:
                 tracks[f"solution-{label}"] = store.load_solution(folder, label)
             else:
                 raise ExportError(f"--with {name}: must be truth or solution:NAME")
-        run = ExportData(imu, fixes, observations, instruments, start, tracks)
+        run = ExportData(imu, fixes, observations, instruments, start, output_t, tracks)
         (
             store.read_initial_state(start),
             run.calendar,

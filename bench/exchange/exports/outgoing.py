@@ -61,6 +61,7 @@ class ExportData:
     observations: GnssObservations | None
     instruments: Mapping[str, Any]  # on board, by name
     start: Mapping[str, Any]  # as `bench.store.make_start_document` makes it
+    output_t: FloatArray = field(default_factory=lambda: np.empty(0))  # instants of a solution [s]
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
 
     @property

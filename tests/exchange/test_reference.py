@@ -1,0 +1,189 @@
+"""A reference judges a log like a truth: in its own units, axes and clock, and no filter sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import earth, rotation
+from bench.cli import main
+from tests.builders import assert_same_solution
+from tests.exchange import drives
+
+POINT = np.array([1.5, -0.4, -1.0])  # of the other unit, from the point that the log counts from [m]
+MOUNTING = (2.0, -3.0, 90.0)  # of its axes: roll, pitch, yaw in those of the vehicle [deg]
+LATE = 12.5  # its clock is behind [s]
+IMU_AT = np.array([1.0, 0.0, -0.5])
+REFERENCE = f"""
+[reference]
+file = "{{file}}"
+position_m = {POINT.tolist()}
+mounting_deg = {list(MOUNTING)}
+time_offset_s = {LATE}
+"""
+SD = {"n": 0.02, "e": 0.02, "d": 0.02}
+
+
+def motion(rate: float = 20.0):
+    """The true motion of the other unit, in its own axes: columns by name."""
+    flown = drives.truth()
+    step = round(drives.RATE / rate)
+    at = np.arange(step, len(flown), step)
+    C_nb = rotation.matrix(flown.q_nb[at])
+    arm = POINT - IMU_AT
+    rate_b = drives.RATE * flown.dtheta_b[at - 1]
+    lla = earth.displace(flown.lla[at], C_nb @ arm)
+    vel_n = flown.vel_n[at] + np.einsum("kij,kj->ki", C_nb, np.cross(rate_b, arm))
+    q = rotation.multiply(flown.q_nb[at], rotation.from_euler(*np.deg2rad(MOUNTING)))
+    columns = {"t_s": flown.t[at] - LATE, "lat_deg": np.rad2deg(lla[:, 0])}
+    columns |= {"lon_deg": np.rad2deg(lla[:, 1]), "alt_m": lla[:, 2]}
+    columns |= {f"vel_{a}_mps": vel_n[:, k] for k, a in enumerate("ned")}
+    angles = np.rad2deg(np.column_stack(rotation.to_euler(q)))
+    return columns | {f"{name}_deg": angles[:, k] for k, name in enumerate(("roll", "pitch", "heading"))}
+
+
+def navigate(folder, columns, text=REFERENCE, **how):
+    """Navigate the drive with a reference of these columns."""
+    drives.write_csv(folder / "other.csv", columns)
+    path = drives.write_log(folder, drives.LOG + text.format(file="other.csv"), **how)
+    return bench.navigate_log(path)
+
+
+def test_the_errors_are_those_to_the_truth_whatever_the_point_the_axes_and_the_clock(tmp_path):
+    result = navigate(tmp_path, motion())
+    errors, found = result.errors["loose-15"], result.metrics["loose-15"]
+    solution, flown = result.solutions["loose-15"], drives.truth()
+    row = np.rint((solution.t + result.more["log"]["origin_s"]) * drives.RATE).astype(int)
+    own = rotation.to_rotvec(rotation.multiply(solution.q_nb, rotation.conjugate(flown.q_nb[row])))
+    direct = earth.difference_n(solution.lla, flown.lla[row])
+    at, late = np.searchsorted(solution.t, errors.t), errors.t > 40.0
+    lever = np.linalg.norm(errors.phi_n[late], axis=1).max() * np.linalg.norm(POINT - IMU_AT)
+    assert errors.states == 9
+    # the reference is a cubic over its 0.05 s, and turns evenly between its rows
+    assert np.abs(errors.phi_n - own[at])[late].max() < 2e-4
+    assert np.abs(errors.pos_n - direct[at])[late].max() < 1e-3 + lever
+    assert found["verdict"] == "consistent"
+    assert found["heading_rmse_deg"] < 3.0
+    assert found["reference_epochs"] == len(errors)
+    assert "withheld_fixes" not in found
+    assert len(result.records["withheld"]) == 0  # every fix is used
+
+
+@pytest.mark.parametrize(
+    ("change", "metric"),
+    [
+        (lambda c: c | {"t_s": c["t_s"] + 0.2}, "vel_rmse_3d_mps"),
+        (lambda c: c | {"roll_deg": c["roll_deg"] + 3.0}, "tilt_rmse_deg"),
+        (lambda c: c | {"alt_m": c["alt_m"] + 5.0}, "pos_rmse_d_m"),
+    ],
+)
+def test_a_wrong_reference_shows_and_no_filter_sees_it(tmp_path, change, metric):
+    right = navigate(tmp_path, motion())
+    wrong = navigate(tmp_path, change(motion()))
+    assert_same_solution(wrong.solutions["loose-15"], right.solutions["loose-15"])
+    assert wrong.metrics["loose-15"][metric] > 3.0 * right.metrics["loose-15"][metric]
+    assert wrong.metrics["loose-15"]["verdict"] == "overconfident"
+
+
+def test_a_gap_and_a_class_of_rows_left_out_are_not_judged(tmp_path):
+    columns = motion(5.0) | {"quality": np.ones(len(motion(5.0)["t_s"]))}
+    del columns["roll_deg"], columns["pitch_deg"], columns["heading_deg"]
+    columns["quality"][400:425] = 2.0  # 80 to 85 s, with positions far off
+    columns["alt_m"][400:425] += 30.0
+    kept = np.abs(columns["t_s"] + LATE - 110.0) > 5.0
+    columns = {name: values[kept] for name, values in columns.items()}
+    result = navigate(tmp_path, columns, REFERENCE + "quality = [1]\n")
+    t = result.errors["loose-15"].t + result.more["log"]["origin_s"]
+    assert result.errors["loose-15"].states == 6
+    assert result.metrics["loose-15"]["verdict"] == "consistent"
+    assert result.metrics["loose-15"]["pos_rmse_d_m"] < 0.2
+    assert not ((t > 80.21) & (t < 85.19)).any()
+    assert not ((t > 105.01) & (t < 114.99)).any()
+    assert "heading_rmse_deg" not in result.metrics["loose-15"]
+
+
+def test_a_solution_of_rtklib_and_one_of_kf_gins_are_references(tmp_path):
+    columns = motion(5.0)
+    week = columns["t_s"] + LATE
+    place = [columns[name] for name in ("lat_deg", "lon_deg", "alt_m")]
+    vel = [columns[f"vel_{a}_mps"] for a in "ned"]
+    angles = [columns[f"{name}_deg"] for name in ("roll", "pitch", "heading")]
+    nav = np.column_stack([0.0 * week + 2300, week, *place, *vel, *angles])
+    np.savetxt(tmp_path / "other.nav", nav, fmt="%.10f")
+    with (tmp_path / "other.pos").open("w") as file:
+        file.write(
+            "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+        )
+        for t, *row in zip(week, *place, strict=True):
+            file.write("0 {:.3f} {:.10f} {:.10f} {:.5f} 1 12 0.02 0.02 0.02\n".format(t, *row))
+    for file, states in (("other.nav", 9), ("other.pos", 3)):
+        text = REFERENCE.replace(f"time_offset_s = {LATE}", "").format(file=file)
+        result = bench.navigate_log(drives.write_log(tmp_path, drives.LOG + text))
+        assert result.metrics["loose-15"]["nees_states"] == states
+        assert result.metrics["loose-15"]["verdict"] == "consistent"
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "said"),
+    [
+        ("file = 'none.csv'", {}, "no such file beside the log"),
+        ("file = 'other.csv'\nquality = [1]", {}, "quality is set, but the file has no column quality"),
+        ("file = 'other.csv'\ntime_offset_s = 1e6", {}, "do not overlap those of the IMU"),
+        ("file = 'other.csv'", {"lat_deg": None}, "no columns for position"),
+        ("file = 'other.csv'", {"valid": 0.0}, "0 of 750 rows can judge; at least 3 are needed"),
+        (
+            "file = 'other.csv'\nposition_m = [0, 200, 0]",
+            {},
+            "position_m[1] = 200 m is outside -100 to 100 m",
+        ),
+        ("file = 'other.csv'\n[evaluation]\nwithhold = 5", {}, "withhold is for a log without"),
+    ],
+)
+def test_a_wrong_reference_is_one_line(tmp_path, capsys, text, columns, said):
+    table = motion(5.0)
+    table |= {name: np.full(len(table["t_s"]), value or 0.0) for name, value in columns.items()}
+    table = {name: values for name, values in table.items() if columns.get(name, 0.0) is not None}
+    drives.write_csv(tmp_path / "other.csv", table)
+    log = drives.LOG.replace("[evaluation]\nfrom_s = 40.0\n", "")
+    path = drives.write_log(tmp_path, f"{log}[reference]\n{text}\n")
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert said in " ".join(err.split())
+    assert err.count("\n") == 1
+
+
+def test_a_reference_of_another_drive_is_told(tmp_path):
+    columns = motion()
+    drives.write_csv(tmp_path / "other.csv", columns | {"lat_deg": columns["lat_deg"] + 0.01})
+    log = bench.read_log(drives.write_log(tmp_path, drives.LOG + REFERENCE.format(file="other.csv")))
+    (check,) = [c for c in log.checks if c.name == "reference_to_fixes_m"]
+    assert not check.good
+    assert "is it of this drive" in check.text
+
+
+@pytest.mark.parametrize("by", ["reference", "withheld"])
+def test_a_navigated_log_is_exported_and_its_solution_scores_what_it_scored(tmp_path, by):
+    """A folder of a log keeps what judges it, and the instants that were asked for."""
+    run, out = tmp_path / "run", tmp_path / "out"
+    if by == "reference":
+        result = navigate(tmp_path, motion())
+    else:
+        result = bench.navigate_log(drives.write_log(tmp_path))
+    bench.save(result, run, recording=False, report=False)
+    bench.export_run(run, "csv", out=out, include=["solution:loose-15"])
+    with (out / "output.csv").open() as file:
+        assert file.readline() == "t_s\n"
+        assert_allclose(np.loadtxt(file), result.solutions["loose-15"].t, atol=1e-9)
+    assert "## output.csv" in (out / "README.md").read_text()
+    own = result.metrics["loose-15"]
+    score = bench.score_solution(out / "solution-loose-15.csv", run, label="again", out=tmp_path / "both")
+    numbers = [name for name, value in own.items() if isinstance(value, float)]
+    names = [name for name in numbers if name.startswith(("pos_", "vel_", "nees_"))]
+    assert len(names) > 10
+    assert_allclose([score.metrics[n] for n in names], [own[n] for n in names], rtol=1e-4)
+    assert score.metrics["verdict"] == own["verdict"]
+    both = bench.load(tmp_path / "both")
+    assert set(both.solutions) == {"loose-15", "again"}
+    assert by in both.records
