@@ -69,6 +69,7 @@ _PUBLIC = {
     "list_profiles": "bench.config",
     "list_sensors": "bench.config",
     "load": "bench.store",
+    "load_campaign": "bench.campaigns.stored",
     "load_profile": "bench.config",
     "make_card": "bench.campaigns.card",
     "measure_allan": "bench.api",

@@ -69,6 +69,7 @@ class Campaign:
     planned: int
     finished: int
     failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
+    conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
     timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
     interrupted: bool
     folder: Path | None
@@ -201,7 +202,11 @@ def run_campaign(
             make_scratch()
             if folder is None
             else store.keep_folder(
-                folder, (NAME, RUNS, EPOCHS, SUMMARY), store.CAMPAIGN, force=force, resume=resume
+                folder,
+                (NAME, RUNS, EPOCHS, SUMMARY, store.REPORT),
+                store.CAMPAIGN,
+                force=force,
+                resume=resume,
             )
         )
         journal = stack.enter_context(Journal(place / NAME))
@@ -314,6 +319,7 @@ def _finish(
 
     write_runs(place / RUNS, plan, rows())
     write_epochs(place / EPOCHS, plan, epochs)
+    profiles = {cell.condition: cell.profile.document for cell in reversed(plan.cells)}
     result = Campaign(
         outcomes=tuple(outcomes),
         comparisons=tuple(comparisons),
@@ -322,16 +328,15 @@ def _finish(
         planned=len(plan.runs),
         finished=len(cpu),
         failed=failed,
+        conditions=tuple(
+            {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
+            for number, one in enumerate(plan.conditions)
+        ),
         timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
         interrupted=interrupted,
         folder=folder,
     )
-    profiles = {cell.condition: cell.profile.document for cell in reversed(plan.cells)}
-    conditions = [
-        {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
-        for number, one in enumerate(plan.conditions)
-    ]
-    store.write_json(place / SUMMARY, describe(result) | {"conditions": conditions})
+    store.write_json(place / SUMMARY, describe(result))
     return result
 
 
@@ -344,6 +349,7 @@ def describe(campaign: Campaign) -> dict[str, Any]:
         "sentences": campaign.sentences,
         "outcomes": [asdict(one) for one in campaign.outcomes],
         "comparisons": [asdict(one) for one in campaign.comparisons],
+        "conditions": campaign.conditions,
         "timing": campaign.timing,
         **store.provenance(),
     }

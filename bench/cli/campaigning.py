@@ -18,6 +18,7 @@ from bench.cli.group import (
     json_option,
     new_console,
     out_option,
+    report_option,
     seed_option,
     set_option,
 )
@@ -40,6 +41,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @seed_option
 @click.option("--resume", is_flag=True, help="continue the campaign in the folder: run only what is missing")
 @json_option("the statistics")
+@report_option
 @force_option("campaign")
 @code_option("profile")
 def campaign(profile: str, as_json: bool, **options: Any) -> int:
@@ -60,8 +62,8 @@ def campaign(profile: str, as_json: bool, **options: Any) -> int:
     \b
     Writes to DIR: runs.parquet (a row for each run and estimator, with the command
     that repeats it), epochs.parquet (mean and percentiles over the runs at up to 600
-    instants, NEES with its band), campaign.json (figures and sentences) and the
-    journal.
+    instants, NEES with its band), campaign.json (figures and sentences), report.html and
+    the journal.
     """
     if options["jobs"] and options["scheduler"]:
         raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")

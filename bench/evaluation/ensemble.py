@@ -305,9 +305,9 @@ class Comparison:
                 f"{self.first} and {self.second} do not differ in {self.runs} runs: the first minus the "
                 f"second is {low:.3g} to {high:.3g} {self.unit}"
             )
-        better = self.second if low > 0.0 else self.first
+        better, other = (self.second, self.first) if low > 0.0 else (self.first, self.second)
         low, high = sorted((abs(low), abs(high)))
-        return f"{better} is better by {low:.3g} to {high:.3g} {self.unit}"
+        return f"{better} is better than {other} by {low:.3g} to {high:.3g} {self.unit}"
 
 
 def compare_rmse(

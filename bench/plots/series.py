@@ -63,6 +63,7 @@ class Plot:
     series: tuple[Series, ...]
     scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]
     far: float = np.inf  # nor a series that reaches so many times farther than the middle one
+    across: str = "s"  # unit of the horizontal axis
 
     def limits(self) -> tuple[float, float]:
         """Return where the vertical axis begins and ends: a little beyond round numbers around the values.

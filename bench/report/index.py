@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import bench
 from bench import store
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import format_number
@@ -56,7 +55,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
             rows += _list_rows(folder, store.read_summary(folder), path.parent)
         except ConfigError as error:
             problems += error.lines
-    store.write_text(path, page.render("index.html.jinja", rows=rows, version=bench.__version__))
+    store.write_text(path, page.render("index.html.jinja", title="Results", rows=rows))
     return problems
 
 

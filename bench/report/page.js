@@ -3,7 +3,7 @@
 const areas = [...document.querySelectorAll("svg.area")].map((svg) => {
   const [t0, t1, low, high] = svg.dataset.edges.split(" ").map(Number);
   const box = svg.viewBox.baseVal;
-  return { svg, t0, t1, low, high, width: box.width, height: box.height, lines: null };
+  return { svg, t0, t1, low, high, unit: svg.dataset.unit, width: box.width, height: box.height, lines: null };
 });
 const cursor = document.getElementById("cursor");
 const short = (x) => String(Number(x.toPrecision(4))).replace("-", "−");
@@ -40,7 +40,7 @@ function showCursor(area, event) {
   const rect = area.svg.getBoundingClientRect(), view = area.svg.viewBox.baseVal;
   const x = view.x + (event.clientX - rect.left) / rect.width * view.width;
   const t = area.t0 + x / area.width * (area.t1 - area.t0);
-  const texts = [`${short(t)} s`];
+  const texts = [`${short(t)} ${area.unit}`];
   for (const { points, name } of readLines(area)) {
     const value = area.high - findValue(points, x) / area.height * (area.high - area.low);
     if (Number.isFinite(value)) texts.push(`${name} ${short(value)}`);
@@ -51,8 +51,10 @@ function showCursor(area, event) {
   cursor.style.top = `${event.clientY + 14}px`;
 }
 
-function zoom(from, to) {
+// Plots over time are looked at together, others alone.
+function zoom(chosen, from, to) {
   for (const area of areas) {
+    if (area !== chosen && (chosen.unit !== "s" || area.unit !== "s")) continue;
     const scale = area.width / (area.t1 - area.t0);
     area.svg.setAttribute("viewBox", `${(from - area.t0) * scale} 0 ${(to - from) * scale} ${area.height}`);
     markTimes(area, from, to);
@@ -89,11 +91,11 @@ for (const area of areas) {
   plot.addEventListener("pointerup", (event) => {
     if (dragged && dragged.area === area && Math.abs(event.clientX - dragged.x) > 8) {
       const ends = [dragged.from, timeAt(event)].sort((a, b) => a - b);
-      if (ends[1] > ends[0]) zoom(...ends);
+      if (ends[1] > ends[0]) zoom(area, ...ends);
     }
     dragged = null;
   });
-  plot.addEventListener("dblclick", () => zoom(area.t0, area.t1));
+  plot.addEventListener("dblclick", () => zoom(area, area.t0, area.t1));
 }
 
 for (const table of document.querySelectorAll("table")) {

@@ -32,6 +32,7 @@ _MARKS = {
     verdict.CONSISTENT: ("good", "✓"),
     verdict.UNDERCONFIDENT: ("wide", "△"),
     verdict.NO_CLAIM: ("none", "–"),
+    "undecided": ("none", "?"),
 }
 """Verdict -> class of its card, and a sign for those who do not see colours; all others are bad."""
 _BAD = ("bad", "✗")
@@ -123,7 +124,6 @@ def make_page(name: str, result: RunResult) -> str:
         provenance=list(_list_provenance(result.provenance)),
         command=_find_command(result),
         document=store.to_json(profile),
-        version=bench.__version__,
     )
 
 
@@ -218,7 +218,7 @@ def _draw_sections(
         groups = [
             {
                 "label": label,
-                "rows": [[_make_figure(plot, window, shades) for plot in row] for row in _join_rows(rows)],
+                "rows": [[make_figure(plot, window, shades) for plot in row] for row in _join_rows(rows)],
             }
             for label, rows in tab.plots(content).items()
             if any(rows)
@@ -234,7 +234,8 @@ def _join_rows(rows: series.Rows) -> series.Rows:
     return [*([single] if single else []), *(row for row in rows if len(row) > 1)]
 
 
-def _make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]) -> Figure:
+def make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]) -> Figure:
+    """Draw a plot with its legend."""
     legend: dict[str, tuple[str, str, str]] = {}
     for one in plot.series:
         for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
@@ -297,24 +298,26 @@ def render(template: str, **values: Any) -> str:
     """
     script = _read("page.js")
     policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src '{_hash(script)}'"
-    page: str = _load_template(template).render(
-        style=_read("page.css"), script=script, policy=policy, **values
+    page: str = (
+        _load_templates()
+        .get_template(template)
+        .render(style=_read("page.css"), script=script, policy=policy, version=bench.__version__, **values)
     )
     return page
 
 
 @cache
-def _load_template(name: str) -> Any:
+def _load_templates() -> Any:
     import jinja2
 
-    environment = jinja2.Environment(
+    return jinja2.Environment(
+        loader=jinja2.FunctionLoader(_read),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=_clean,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.from_string(_read(name))
 
 
 def _clean(value: Any) -> Any:

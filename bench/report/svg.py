@@ -52,7 +52,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     plot : Plot
         What to draw.
     window : (float, float)
-        First and last instant of the axis [s].
+        Where the horizontal axis begins and ends, such as the first and the last instant [s].
     shades : sequence of Shade
         Intervals to shade behind the lines.
     """
@@ -128,7 +128,7 @@ def _open_area(frame: Frame, plot: Plot) -> str:
     return (
         f'<svg class="area" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
-        f'data-edges="{edges}">'
+        f'data-edges="{edges}" data-unit="{escape(plot.across)}">'
     )
 
 

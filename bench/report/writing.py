@@ -6,21 +6,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench import store
+from bench.campaigns.running import SUMMARY
+from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
-from bench.report import index, page, paper
+from bench.report import campaign_page, index, page, paper
 
 
 def write_report(
     folder: str | Path, out: str | Path | None = None, say: Callable[[str], object] = lambda text: None
 ) -> Path:
-    """Write the report of a results folder, or the index of a folder of results, as a page of HTML.
+    """Write the report of a results folder or of a campaign, or the index of a folder of results, as HTML.
 
     Parameters
     ----------
     folder : str or Path
-        A results folder, or a folder with results folders in it, two levels deep.
+        A results folder, that of a campaign, or one with results folders in it, two levels deep.
     out : str, Path or None
-        The file to write. Default ``report.html`` in the results folder, or ``index.html`` in the folder of
+        The file to write. Default ``report.html`` in the folder, or ``index.html`` in the folder of
         results, where each results folder without a report gets one.
     say : callable
         Called with a message for each results folder that cannot be read.
@@ -38,12 +40,19 @@ def write_report(
         If a file cannot be written; an existing file is left unchanged.
     """
     folder = Path(folder)
-    folders = [] if (folder / store.RESULT).is_file() else index.find_folders(folder)
+    of_campaign = (folder / SUMMARY).is_file()
+    folders = [] if of_campaign or (folder / store.RESULT).is_file() else index.find_folders(folder)
     path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
     if not folders:
-        result = store.load(folder)
-        page.check_page(path)
-        page.write(path, folder.resolve().name, result)
+        name = folder.resolve().name
+        if of_campaign:
+            campaign = load_campaign(folder)
+            page.check_page(path)
+            campaign_page.write(path, name, campaign)
+        else:
+            result = store.load(folder)
+            page.check_page(path)
+            page.write(path, name, result)
         if out is None:
             store.add_to_mark(folder, store.REPORT)
         return path

@@ -23,6 +23,7 @@ from bench.campaigns.running import Campaign, Progress
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.key_figures import format_number
+from bench.report.writing import write_report
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 
@@ -42,10 +43,12 @@ def run_campaign(
     scheduler: str | None,
     force: bool,
     resume: bool,
+    report: bool,
     **options: Any,
 ) -> Campaign:
-    """Run a campaign, print and return its result; options are those of `bench.campaigns.plan.plan_runs`.
+    """Run a campaign, write its report, print and return it.
 
+    The options are those of `bench.campaigns.plan.plan_runs`.
     If ``out`` is None the folder is ``campaigns/<profile>-<seed>``.
     """
     find_own_estimators()
@@ -61,7 +64,11 @@ def run_campaign(
             resume=resume,
             progress=progress,
         )
+    if report:
+        write_report(folder)
     print_campaign(console, result)
+    if report:
+        console.print(f"Report: {folder / store.REPORT}", soft_wrap=True)
     return result
 
 

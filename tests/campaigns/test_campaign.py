@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import html
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -27,6 +29,7 @@ from bench.campaigns.worker import MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import mean_band
+from bench.evaluation.key_figures import format_number
 
 PROFILE = """
 title = "Short"
@@ -191,7 +194,36 @@ def test_the_summary_has_figures_and_sentences(here):
     rows = pq.read_table(here / "two" / RUNS).to_pylist()
     pooled = np.sqrt(np.mean([row["pos_rmse_h_m"] ** 2 for row in rows if row["estimator"] == "loose-22"]))
     assert found["outcomes"][1]["errors"]["pos_rmse_h_m"]["value"] == pytest.approx(pooled)
-    assert any("loose-15 and loose-22" in text or "is better by" in text for text in found["sentences"])
+    assert any("loose-15 and loose-22" in text or "is better than" in text for text in found["sentences"])
+
+
+def test_the_report_shows_what_the_tables_hold(here, capsys):
+    assert main(["report", "two"]) == 0
+    text = (here / "two" / "report.html").read_text()
+    read = bench.load_campaign("two")
+    assert read.outcomes == bench.campaign("short.toml", 4, **OPTIONS, out="two", resume=True).outcomes
+    words = html.unescape(text)
+    assert all(one.sentence in words for one in read.comparisons)
+    worst = max(
+        (row for row in read.runs.to_pylist() if row["estimator"] == "loose-22"),
+        key=lambda row: row["pos_rmse_h_m"],
+    )
+    assert f"<td>worst</td><td>{format_number(worst['pos_rmse_h_m'])}</td>" in text
+    assert f"<code>{worst['command']}</code>" in words
+    plots = re.findall(r'aria-label="([^"]+)"', text)
+    nees = next(words for words in plots if words.startswith("NEES, mean of the runs: loose-15"))
+    rows = [row for row in read.epochs.to_pylist() if row["estimator"] == "loose-15" and row["t_s"] >= 5.0]
+    means = [row["nees_mean"] for row in rows]
+    assert f"loose-15 {min(means):.3g} to {max(means):.3g}" in nees
+    share = next(words for words in plots if words.startswith("runs with at most this pos_rmse_h_m"))
+    assert "loose-22 0 to 100" in share
+    (here / "damaged").mkdir()
+    for name in (RUNS, EPOCHS):
+        (here / "damaged" / name).write_bytes((here / "two" / name).read_bytes())
+    for content in ("[]", "{}", '{"outcomes": [1]}', "{"):
+        (here / "damaged" / "campaign.json").write_text(content)
+        with pytest.raises(ConfigError, match=r"campaign\.json"):
+            bench.load_campaign("damaged")
 
 
 def test_a_folder_is_not_replaced_unasked(here):

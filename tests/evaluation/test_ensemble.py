@@ -178,7 +178,7 @@ def test_two_estimators_are_compared_on_the_same_draws():
     assert found.difference.low <= truth <= found.difference.high
     assert found.difference.high - found.difference.low < 0.8
     low, high = found.difference.low, found.difference.high
-    assert found.sentence == f"loose-22 is better by {low:.3g} to {high:.3g} m"
+    assert found.sentence == f"loose-22 is better than loose-15 by {low:.3g} to {high:.3g} m"
     turned = ensemble.compare_rmse(("loose-22", "loose-15"), loose_22, loose_15, "m")
     assert turned.sentence == found.sentence
 

@@ -95,7 +95,9 @@ def test_an_estimator_without_attitude_has_no_attitude(results):
 def test_two_estimators_of_the_same_runs(results):
     found = compare_estimators(results, ("gnss-only", "loose-15"))
     assert found.runs == 6
-    assert found.sentence.startswith(("loose-15 is better by", "gnss-only and loose-15 do not differ"))
+    assert found.sentence.startswith(
+        ("loose-15 is better than gnss-only by", "gnss-only and loose-15 do not differ")
+    )
 
 
 def test_runs_that_did_not_converge_leave_too_few(results):

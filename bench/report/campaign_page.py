@@ -1,0 +1,262 @@
+"""The report of a campaign: what many runs say together, on one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import store
+from bench.arrays import FloatArray
+from bench.campaigns.outcome import POOLED, Outcome
+from bench.campaigns.running import Campaign
+from bench.evaluation.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.key_figures import format_number
+from bench.evaluation.metrics import find_metric
+from bench.plots import series
+from bench.plots.series import Colour, Plot, Series
+from bench.report import page, svg
+from bench.report.page import Figure
+
+_MOST_CONDITIONS = 6  # that have plots
+_MOST_LOST = 50  # runs that are listed
+_FAR = (
+    20.0  # an estimator that errs so many times more than the middle one does not scale a plot, has no band
+)
+
+_COURSES = (
+    ("pos_err_n_m", "north position error [m]"),
+    ("pos_err_e_m", "east position error [m]"),
+    ("pos_err_d_m", "down position error [m]"),
+    ("vel_err_n_mps", "north velocity error [m/s]"),
+    ("vel_err_e_mps", "east velocity error [m/s]"),
+    ("vel_err_d_mps", "down velocity error [m/s]"),
+    ("tilt_deg", "tilt error [deg]"),
+    ("heading_err_deg", "heading error [deg]"),
+    ("nees", "NEES, mean of the runs"),
+    ("pos_sd_h_m", "claimed horizontal sigma [m]"),
+    ("pos_sd_d_m", "claimed vertical sigma [m]"),
+    ("heading_sd_deg", "claimed heading sigma [deg]"),
+)
+"""Columns of the table of epochs -> title."""
+
+
+class Row(NamedTuple):
+    """A row of the table of figures: one condition and one estimator."""
+
+    condition: str
+    label: str
+    converged: str
+    kind: str  # class of its verdict
+    word: str
+    cells: tuple[tuple[str, str], ...]  # a figure and its interval
+
+
+class Section(NamedTuple):
+    """The plots of one condition."""
+
+    name: str
+    values: str  # what is varied
+    courses: list[Figure]
+    distributions: list[Figure]
+
+
+def make_page(name: str, campaign: Campaign) -> str:
+    """Return the report of a campaign as HTML; ``name`` is that of its folder."""
+    labels = list(dict.fromkeys(one.label for one in campaign.outcomes))
+    colours = series.estimator_colours(labels)
+    errors = list(dict.fromkeys(name for one in campaign.outcomes for name in one.errors))
+    several = len(campaign.conditions) > 1
+    return page.render(
+        "campaign.html.jinja",
+        title=_find_title(name, campaign),
+        facts=list(_list_facts(campaign)),
+        cards=[] if several else [_make_card(one) for one in campaign.outcomes],
+        sentences=[] if several else [one.sentence for one in campaign.comparisons],
+        errors=errors,
+        rows=[_make_row(one, errors) for one in campaign.outcomes],
+        confidence=f"{100 * CONFIDENCE:.0f} %",
+        legend=[(label, svg.css_colour(colour), "line") for label, colour in colours.items()],
+        sections=list(_draw_conditions(campaign, colours)),
+        left_out=max(len(campaign.conditions) - _MOST_CONDITIONS, 0),
+        extremes=_list_extremes(campaign, labels),
+        lost=_list_lost(campaign)[:_MOST_LOST],
+        lost_count=len(_list_lost(campaign)),
+        document=store.to_json([dict(one) for one in campaign.conditions]),
+    )
+
+
+def write(path: Path, name: str, campaign: Campaign) -> None:
+    """Write the report of a campaign, completely or not at all.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    store.write_text(path, make_page(name, campaign))
+
+
+# --- words and tables ---------------------------------------------------------------------------------
+
+
+def _find_title(name: str, campaign: Campaign) -> str:
+    if len(campaign.conditions) == 1:
+        return str(campaign.conditions[0]["as_flown"].get("title", name))
+    return name
+
+
+def _list_facts(campaign: Campaign) -> Iterator[str]:
+    yield f"{campaign.finished} of {campaign.planned} runs"
+    if len(campaign.conditions) > 1:
+        yield f"{len(campaign.conditions)} conditions"
+    if campaign.failed:
+        yield f"{len(campaign.failed)} runs failed as a whole"
+    yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals"
+
+
+def _make_card(outcome: Outcome) -> dict[str, Any]:
+    word = outcome.consistency.word if outcome.consistency else "too few runs for a verdict"
+    kind, mark = page.mark_of(word) if outcome.consistency else ("none", "–")
+    first, *rest = (text.removeprefix(f"{outcome.label}: ") for text in outcome.sentences)
+    return {
+        "label": outcome.label,
+        "word": word,
+        "kind": kind,
+        "mark": mark,
+        "text": rest[0].removeprefix(f"{outcome.label} is {word}: ") if rest else "",
+        "drifts": [first, *rest[1:]],
+    }
+
+
+def _make_row(outcome: Outcome, errors: Sequence[str]) -> Row:
+    found = outcome.consistency
+    ratio = Estimate(found.ratio, found.low, found.high) if found else None
+    estimates = (*(outcome.errors.get(name) for name in errors), ratio)
+    return Row(
+        outcome.condition,
+        outcome.label,
+        f"{outcome.converged_runs} of {outcome.runs}",
+        page.mark_of(found.word)[0] if found else "none",
+        found.word if found else "–",
+        tuple(("–", "") if one is None else _format(one) for one in estimates),
+    )
+
+
+def _format(estimate: Estimate) -> tuple[str, str]:
+    return format_number(estimate.value), f"{estimate.low:.3g} to {estimate.high:.3g}"
+
+
+def _list_extremes(campaign: Campaign, labels: Iterable[str]) -> list[tuple[str, str, str, str]]:
+    """Return estimator, which run, its horizontal error and its command: the median and the worst run."""
+    table, found = campaign.runs.to_pydict(), []
+    if "pos_rmse_h_m" not in table:
+        return []
+    rows = list(zip(table["estimator"], table["pos_rmse_h_m"], table["command"], strict=True))
+    for label in labels:
+        mine = sorted((error, command) for one, error, command in rows if one == label and error is not None)
+        for which, k in (("median", len(mine) // 2), ("worst", len(mine) - 1)):
+            if mine:
+                found.append((label, which, format_number(mine[k][0]), mine[k][1]))
+    return found
+
+
+def _list_lost(campaign: Campaign) -> list[tuple[str, str, str]]:
+    """Return estimator, reason and command of each run that did not converge."""
+    table = campaign.runs.to_pydict()
+    columns = (table[name] for name in ("estimator", "converged", "reason", "command"))
+    return [
+        (label, str(reason or ""), command)
+        for label, converged, reason, command in zip(*columns, strict=True)
+        if not converged
+    ]
+
+
+# --- drawings -----------------------------------------------------------------------------------------
+
+
+def _draw_conditions(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[Section]:
+    """Yield the plots of the first conditions."""
+    epochs, runs = (
+        {name: np.array(column) for name, column in table.to_pydict().items()}
+        for table in (campaign.epochs, campaign.runs)
+    )
+    for number, condition in enumerate(campaign.conditions[:_MOST_CONDITIONS]):
+        here = {name: column[epochs["condition"] == number] for name, column in epochs.items()}
+        of_runs = {name: column[runs["condition"] == number] for name, column in runs.items()}
+        if len(here["t_s"]):
+            flown = condition["as_flown"]
+            begun = float(flown["evaluation"]["from_s"])
+            lost = tuple(
+                (float(row["start_s"]), float(row["start_s"]) + float(row["duration_s"]))
+                for row in flown.get("gnss_outage", ())
+            )
+            shades = (series.Shade("outage", "GNSS outage", series.OUTAGE, lost),) if lost else ()
+            yield Section(
+                str(condition["profile"]),
+                ", ".join(f"{key} = {value}" for key, value in condition["values"].items()),
+                [figure for plot in _plot_courses(here, colours, begun) for figure in _draw(plot, shades)],
+                [figure for plot in _plot_distributions(of_runs, colours) for figure in _draw(plot)],
+            )
+
+
+def _plot_courses(
+    epochs: Mapping[str, FloatArray], colours: Mapping[str, Colour], begun: float
+) -> Iterator[Plot]:
+    """Yield a plot of each channel along the run: the median of the runs, and the middle 90 % as a band."""
+    for channel, title in _COURSES:
+        lines = []
+        for label, colour in colours.items():
+            mine = epochs["estimator"] == label
+            middle, low, high = (
+                np.asarray(epochs[f"{channel}_{end}"][mine], float) for end in ("p50", "p05", "p95")
+            )
+            if channel == "nees":  # its mean has a known band
+                middle = np.asarray(epochs["nees_mean"][mine], float)
+                low, high = (np.asarray(epochs[f"nees_{end}"][mine], float) for end in ("low", "high"))
+            if np.isfinite(middle).any():
+                values = np.column_stack([middle, low, high])
+                of_band = series.BAND if channel == "nees" else colour
+                lines.append(_make_line(label, epochs["t_s"][mine], values, colour, of_band))
+        if lines:
+            yield Plot(("campaign", channel), title, tuple(_drop_far_bands(lines, begun)), begun, _FAR)
+
+
+def _drop_far_bands(lines: Sequence[Series], begun: float) -> Iterator[Series]:
+    reach = np.array([np.nanmax(np.abs(line.values[line.t >= begun]), initial=0.0) for line in lines])
+    for line, far in zip(lines, reach > _FAR * np.median(reach), strict=True):
+        yield replace(line, values=line.values * [1.0, np.nan, np.nan]) if far else line
+
+
+def _make_line(label: str, t: FloatArray, values: FloatArray, colour: Colour, of_band: Colour) -> Series:
+    return Series(label, t, values, (label,) * 3, (colour, of_band, of_band), (1.5, 1.0, 1.0), band=(1, 2))
+
+
+def _plot_distributions(runs: Mapping[str, Any], colours: Mapping[str, Colour]) -> Iterator[Plot]:
+    """Yield a plot of each main metric: the share of the runs in which it is at most so large."""
+    for metric in POOLED:
+        known = find_metric(metric)
+        lines = []
+        for label, colour in colours.items():
+            values = np.array(list(runs.get(metric, ())), float)[runs["estimator"] == label]
+            values = np.sort(values[np.isfinite(values)])
+            if len(values):
+                share = 100.0 * np.arange(len(values) + 1) / len(values)
+                x, y = np.repeat(values, 2), np.repeat(share, 2)[1:-1]
+                lines.append(series.draw_line(label, x, y, label, colour))
+        if lines and known is not None:
+            title = f"runs with at most this {metric} [%]"
+            yield Plot(("campaign", metric), title, tuple(lines), across=known.unit)
+
+
+def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[Figure]:
+    """Yield a plot; the axis of a distribution leaves out estimators that err far more."""
+    ends = np.array([line.t[-1] for line in plot.series])
+    if plot.across == "s":
+        yield page.make_figure(plot, (0.0, float(ends.max())), shades)
+        return
+    near = ends[ends <= _FAR * np.median(ends)]
+    yield page.make_figure(plot, (0.0, 1.05 * float(near.max()) or 1.0), ())
