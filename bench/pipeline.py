@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
@@ -156,10 +157,11 @@ def run(
     clock["sense"] = time.process_time()
     sensed = sense(profile, truth, run)
     clock["navigate"] = time.process_time()
-    solutions, unmodelled = {}, dict[str, list[str] | None]()
+    solutions, unmodelled, used = {}, dict[str, list[str] | None](), dict[str, float]()
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     for label, one in built.items():
         unmodelled[label] = None
+        begun = _read_cpu_clock()
         try:
             solution = estimator.answer(one, label, sensed.data, sensed.initial)
             unmodelled[label] = estimator.list_unmodelled(one, label, _list_specs(profile))
@@ -167,6 +169,7 @@ def run(
             raised[label] = error
             solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
         solutions[label] = solution
+        used[label] = _read_cpu_clock() - begun
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.evaluation.verdict import add_verdict
@@ -197,7 +200,13 @@ def run(
         metrics=metrics,
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
-        provenance={**store.provenance(), "profile": profile.name, "inputs": hashes, "cpu_s": cpu_s},
+        provenance={
+            **store.provenance(),
+            "profile": profile.name,
+            "inputs": hashes,
+            "cpu_s": cpu_s,
+            "estimator_cpu_s": used,
+        },
         more={"scene": _describe_scene(profile)},
         records={"spec": profile, "truth": truth, "sensed": sensed},
     )
@@ -208,6 +217,11 @@ def _describe_scene(profile: Profile) -> dict[str, Any]:
     gnss = profile.sensors.gnss
     mask = None if gnss is None or gnss.sky is None else degrees(gnss.sky.antenna_mask)
     return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask}
+
+
+def _read_cpu_clock() -> float:
+    """Return the CPU time of this process and of the programs that it has run to their end [s]."""
+    return time.process_time() + sum(os.times()[2:4])
 
 
 def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:

@@ -71,6 +71,7 @@ class Campaign:
     failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
     conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
     timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
+    estimator_cpu_s: Mapping[str, Sequence[float]]  # of each finished run [s]
     interrupted: bool
     folder: Path | None
 
@@ -307,6 +308,7 @@ def _finish(
         epochs += map(describe_instants, of_condition)
     failed: dict[str, str] = {}
     cpu: list[float] = []
+    used: dict[str, list[float]] = {}
 
     def rows() -> Iterator[tuple[PlannedRun, Mapping[str, Any]]]:
         for planned in plan.runs:
@@ -315,6 +317,8 @@ def _finish(
                 if "error" in row:
                     failed[plan.cells[planned.cell].repeat(planned.run)] = row["error"]
                 cpu.append(sum(row.get("cpu_s", {}).values()))
+                for label, seconds in row.get("estimator_cpu_s", {}).items():
+                    used.setdefault(label, []).append(seconds)
                 yield planned, row
 
     write_runs(place / RUNS, plan, rows())
@@ -333,6 +337,7 @@ def _finish(
             for number, one in enumerate(plan.conditions)
         ),
         timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
+        estimator_cpu_s=used,
         interrupted=interrupted,
         folder=folder,
     )

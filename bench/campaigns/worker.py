@@ -61,10 +61,10 @@ def measure(task: RunTask) -> dict[str, Any]:
         result = pipeline.run(task.profile, task.run, truth=truth)
     except Exception as error:
         return {**row, "error": describe_error(error)}
-    cpu_s = result.provenance["cpu_s"]
+    cpu_s = {name: result.provenance[name] for name in ("cpu_s", "estimator_cpu_s")}
     labels = result.metrics
     found = {label: _collect(result, label, task) for label in labels}
-    return {**row, "step": task.step, "cpu_s": cpu_s, "estimators": found}
+    return {**row, "step": task.step, **cpu_s, "estimators": found}
 
 
 def describe_error(error: Exception) -> str:

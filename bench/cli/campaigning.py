@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import click
@@ -132,14 +133,16 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to judge")
+@click.option("-e", "--estimator", metavar="NAME", help="the one to judge")
 @click.option("--against", default="loose-full", metavar="NAME", help="the one to compare it with")
-@click.option("--quick", is_flag=True, help="three flights of 8 draws instead of seven of 40")
+@click.option("--quick", is_flag=True, help="seven flights of 8 draws instead of thirteen of 40")
 @jobs_option
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
+@click.option("--html", type=FILE, metavar="FILE", help="write it as a page")
+@click.option("--compare", "compared", type=FILE, nargs=2, metavar="A B", help="compare two cards")
 @json_option("the card")
 @force_option("card")
-def card(as_json: bool, estimator: str, **options: Any) -> int:
+def card(as_json: bool, estimator: str | None, compared: tuple[Path, Path] | None, **options: Any) -> int:
     """Judge a filter over a fixed suite of flights, beside a built-in one.
 
     Accuracy is a ratio to the other filter on the same noise, with its interval. Version
@@ -149,11 +152,19 @@ def card(as_json: bool, estimator: str, **options: Any) -> int:
     Examples:
       bench card -e mine:Filter --quick
       bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
+      bench card --compare mine.json theirs.json
     """
     from bench.store import to_json
-    from bench.workbench.campaign_verb import run_card
+    from bench.workbench.campaign_verb import print_comparison, run_card
 
-    found = run_card(estimator, console=new_console(stderr=as_json), **options)
+    if (estimator is None) == (compared is None):
+        raise click.UsageError("give -e NAME to judge, or --compare A B")
+    console = new_console(stderr=as_json)
+    found: Any
+    if compared is not None:
+        found = [asdict(line) for line in print_comparison(compared, console=console)]
+    else:
+        found = run_card(str(estimator), console=console, **options).model_dump()
     if as_json:
-        click.echo(to_json(asdict(found)), nl=False)
+        click.echo(to_json(found), nl=False)
     return DONE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from rich.text import Text
 
 from bench import store
 from bench.campaigns import plan, running
-from bench.campaigns.card import Card, make_card
+from bench.campaigns.card import Card, describe_suite, make_card, read_card
+from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.errors import ConfigError
@@ -174,20 +174,41 @@ def _format_estimate(estimate: Estimate | None) -> str:
     return f"{format_number(estimate.value)} ({estimate.low:.3g} to {estimate.high:.3g})"
 
 
-def run_card(estimator: str, *, console: Console, out: Path | None, force: bool, **options: Any) -> Card:
+def run_card(
+    estimator: str, *, console: Console, out: Path | None, html: Path | None, force: bool, **options: Any
+) -> Card:
     """Make the card of an estimator, print it and write it; options are those of `bench.make_card`."""
     find_own_estimators()
-    if out is not None:
-        store.check_file(out)
-        if out.exists() and not force:
-            raise ConfigError(f"{out}: exists; --force replaces it")
+    for path in (out, html):
+        if path is not None:
+            store.check_file(path)
+            if path.exists() and not force:
+                raise ConfigError(f"{path}: exists; --force replaces it")
     with _show_progress(f"card of {estimator}") as progress:
         card = make_card(estimator, progress=progress, **options)
-    suite = f"suite {card.suite}, {card.suite_hash}, {card.draws} draws of each flight"
-    console.print(f"{card.estimator}, beside {card.against}: {suite}; 95 % intervals", soft_wrap=True)
+    console.print(f"{card.estimator}, beside {card.against}: {describe_suite(card)}", soft_wrap=True)
+    console.print(card.summary, soft_wrap=True)
     for sentence in card.sentences:
         console.print(sentence, soft_wrap=True)
     if out is not None:
-        store.write_json(out, asdict(card))
+        store.write_json(out, card.model_dump())
         console.print(f"Wrote {out}.")
+    if html is not None:
+        from bench.report.card_page import write_card
+
+        write_card(html, card)
+        console.print(f"Wrote {html}.")
     return card
+
+
+def print_comparison(paths: tuple[Path, Path], *, console: Console) -> list[ComparedLine]:
+    """Print and return how the cards in two files differ."""
+    first, second = (read_card(path) for path in paths)
+    names = name_cards((first, second), [str(path) for path in paths])
+    found = compare_cards(names, first, second)
+    console.print(f"{names[0]} and {names[1]}: {describe_suite(first)}", soft_wrap=True)
+    if different := list_differences(first, second):
+        console.print(f"Made with other versions: {', '.join(different)}.", style="yellow", soft_wrap=True)
+    for line in found:
+        console.print(line.sentence, soft_wrap=True)
+    return found

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
+from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
 import bench
 from bench.campaigns import card, running
+from bench.campaigns.card import read_card
+from bench.campaigns.card_comparison import compare_cards, list_differences
+from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.study import Study
 from bench.cli import main
+from bench.config import load_profile
+from bench.errors import ConfigError
+from bench.report.card_page import write_card
 from tests.campaigns.test_campaign import PROFILE
 
 FAULT = """
@@ -25,44 +30,174 @@ start_s = 8.0
 duration_s = 3.0
 step_m = [400.0, 0.0, 0.0]
 """
+GAP = [{"kind": "dropped", "sensor": "imu", "start_s": 12.0, "duration_s": 2.0}]
+HEADING = {"initial_error_sd.heading_deg": 10.0}
+DRAWS = 3
+BOTH = ["-e", "loose-15", "--against", "loose-22", "--quick"]
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
-    (tmp_path / "short.toml").write_text(PROFILE + FAULT)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(card, "_QUICK", Study("card-quick", ("short.toml",), runs=3))
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
-    return tmp_path
+def make_suite(fault: str = FAULT) -> Suite:
+    Path("short.toml").write_text(PROFILE + fault)
+    members = (
+        SuiteFlight("short", "short.toml"),
+        SuiteFlight("gap", "short.toml", {"fault": GAP}, "short"),
+        SuiteFlight("heading", "short.toml", {**HEADING, "fault": []}),
+    )
+    return Suite("card-quick", (), runs=DRAWS, members=members)
 
 
-def test_a_card_says_what_the_runs_say(here, capsys):
-    assert main(["card", "-e", "loose-15", "--against", "loose-22", "--quick", "-o", "a.json"]) == 0
-    assert "times that of loose-22" in capsys.readouterr().out
-    found = json.loads(Path("a.json").read_text())
-    lines = {(line["topic"], line["sentence"].split()[1]): line for line in found["lines"]}
-    results = [bench.run("short.toml", run=k) for k in range(3)]
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with two cards of loose-15, a page, and a card of loose-22."""
+    place = tmp_path_factory.mktemp("card")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        patch.setattr(card, "QUICK", make_suite())
+        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        assert main(["card", *BOTH, "-o", "a.json", "--html", "a.html"]) == 0
+        assert main(["card", *BOTH, "-o", "again.json"]) == 0
+        assert main(["card", "-e", "loose-22", "--against", "loose-22", "--quick", "-o", "b.json"]) == 0
+        yield place
+
+
+def find(found: card.Card, flight: str, topic: str) -> card.Line:
+    (line,) = (one for one in found.lines if (one.flight, one.topic) == (flight, topic))
+    return line
+
+
+def test_a_card_says_what_the_runs_say(made):
+    found = read_card(made / "a.json")
+    results = [bench.run("short.toml", run=k) for k in range(DRAWS)]
     own, other = ([one.metrics[label] for one in results] for label in ("loose-15", "loose-22"))
 
     def ratio(name: str) -> float:
         return math.sqrt(sum(a[name] ** 2 for a in own) / sum(b[name] ** 2 for b in other))
 
-    assert lines["accuracy", "horizontal"]["value"] == pytest.approx(ratio("pos_rmse_h_m"))
-    assert lines["heading", "heading"]["value"] == pytest.approx(ratio("heading_rmse_deg"))
-    assert lines["outages", "growth"]["value"] == pytest.approx(ratio("outage_1_growth_h_m"))
-    assert lines["faults", "largest"]["value"] == pytest.approx(ratio("fault_1_max_h_m"))
-    nees = [one["nees_mean"] / 9 for one in own]
-    assert lines["honesty", "NEES"]["value"] == pytest.approx(sum(nees) / 3)
-    assert lines["faults", "noticed"]["value"] == sum(one["fault_1_detected"] for one in own) / 3
-    assert lines["convergence", "converged"]["value"] == 1.0
-    assert all(line["low"] <= line["value"] <= line["high"] for line in found["lines"])
+    for topic, name in (
+        ("accuracy", "pos_rmse_h_m"),
+        ("heading", "heading_rmse_deg"),
+        ("outages", "outage_1_growth_h_m"),
+    ):
+        assert find(found, "short", topic).value == pytest.approx(ratio(name)), topic
+    assert find(found, "short", "accuracy").by_draw == pytest.approx([one["pos_rmse_h_m"] for one in own])
+    assert find(found, "short", "honesty").value == pytest.approx(sum(one["nees_mean"] for one in own) / 27)
+    largest, noticed = (line for line in found.lines if (line.flight, line.topic) == ("short", "faults"))
+    assert largest.value == pytest.approx(ratio("fault_1_max_h_m"))
+    assert noticed.value == sum(one["fault_1_detected"] for one in own) / DRAWS
+    assert find(found, "short", "convergence").value == 1.0
+    for line in (*found.lines, found.speed):
+        assert (line.low or -math.inf) <= (line.value or 0.0) <= (line.high or math.inf), line
+    assert found.summary.startswith("loose-15 converged in 9 of 9 draws, is ")
 
 
-def test_equal_inputs_give_equal_cards_and_another_suite_another_hash(here):
-    first = bench.make_card("loose-15", against="loose-22", quick=True)
-    assert bench.make_card("loose-15", against="loose-22", quick=True) == first
-    alone = bench.make_card("loose-22", against="loose-22", quick=True)
-    assert alone.suite_hash == first.suite_hash
-    assert not any("times that of" in text for text in alone.sentences)
-    Path("short.toml").write_text(PROFILE + FAULT.replace("400.0", "401.0"))
+def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
+    found = read_card(made / "a.json")
+    [values] = [one.values for one in make_suite().members if one.name == "gap"]
+    gap = [
+        bench.run(load_profile("short.toml", values, estimators=["loose-15"]), run=k) for k in range(DRAWS)
+    ]
+    errors = [one.metrics["loose-15"]["pos_rmse_h_m"] for one in gap]
+    line, plain = find(found, "gap", "robustness"), find(found, "short", "accuracy").by_draw
+    assert line.by_draw == pytest.approx(errors)
+    assert line.value == pytest.approx(math.sqrt(sum(x * x for x in errors) / sum(x * x for x in plain)))
+    assert not [one for one in found.lines if (one.flight, one.topic) == ("gap", "faults")]
+    _, times = (line for line in found.lines if (line.flight, line.topic) == ("heading", "convergence"))
+    profile = load_profile("short.toml", {**HEADING, "fault": []}, estimators=["loose-15"])
+    settled = [
+        bench.run(profile, run=k).metrics["loose-15"]["heading_convergence_s_all"] for k in range(DRAWS)
+    ]
+    assert list(times.by_draw) == settled
+    assert times.value == sorted(settled)[1]
+
+
+def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
+    first, again, other = (read_card(made / name) for name in ("a.json", "again.json", "b.json"))
+    assert first.speed.value > 0.0
+    assert again.model_copy(update={"speed": None}) == first.model_copy(update={"speed": None})
+    assert other.suite_hash == first.suite_hash
+    assert not any("times that of" in text for text in other.sentences)
+    moved = make_suite(FAULT.replace("400.0", "401.0")).members[:1]
+    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=DRAWS, members=moved))
     assert bench.make_card("loose-22", against="loose-22", quick=True).suite_hash != first.suite_hash
+
+
+def test_two_cards_compare_draw_by_draw(made, capsys):
+    capsys.readouterr()
+    assert main(["card", "--compare", "b.json", "a.json"]) == 0
+    text = capsys.readouterr().out
+    first, second = (read_card(made / name) for name in ("b.json", "a.json"))
+    found = compare_cards(("loose-22", "loose-15"), first, second)
+    assert text.splitlines()[1:] == [line.sentence for line in found]
+    values = {(line.topic, line.flight): line.values for line in found}
+    pair = (find(one, "short", "honesty").value for one in (first, second))
+    assert values["honesty", "short"] == tuple(pair)
+    assert found[-1].sentence.startswith("speed: loose-22 takes ")
+    other = second.model_copy(update={"suite_hash": "0", "versions": {"bench": "0"}})
+    with pytest.raises(ConfigError, match="the cards are not of the same suite: b has 2, quick"):
+        compare_cards(("b", "a"), first, other)
+    assert list_differences(first, second) == []
+    assert f"bench {first.versions['bench']} and 0" in list_differences(first, other)
+
+
+def test_the_better_filter_is_named(made):
+    line = find(read_card(made / "a.json"), "short", "accuracy")
+
+    def with_errors(values: list[float]) -> card.Card:
+        base = read_card(made / "a.json")
+        return base.model_copy(update={"lines": (line.model_copy(update={"by_draw": tuple(values)}),)})
+
+    cards = with_errors([1.0, 2.0, 3.0, 2.0, 1.0]), with_errors([1.1, 2.21, 3.29, 2.2, 1.1])
+    [found] = compare_cards(("x", "y"), *cards)[:1]
+    assert found.sentence.endswith("): x is better.")
+    [found] = compare_cards(("x", "y"), cards[1], with_errors([1.0, 2.5, 3.2, 2.3, 1.0]))[:1]
+    assert found.sentence.endswith("): not proven to differ.")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "x.json: not valid JSON"),
+        ("[]", "x.json: must hold one JSON object"),
+        ("{}", "x.json: estimator is missing"),
+        (None, "x.json: No such file"),
+    ],
+)
+def test_what_is_no_card_is_refused(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "x.json").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_card(tmp_path / "x.json")
+
+
+def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
+    found = read_card(made / "a.json")
+    page = (made / "a.html").read_text()
+    assert found.suite_hash in page
+    for line in found.lines:
+        assert line.sentence.removeprefix(f"{line.flight}: ") in page
+    hostile = found.model_copy(update={"estimator": "<script>alert(1)</script>"})
+    write_card(tmp_path / "b.html", hostile)
+    scripts: list[str] = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, attributes: scripts.append(tag) if tag == "script" else None
+    parser.feed((tmp_path / "b.html").read_text())
+    assert len(scripts) == 1
+    (tmp_path / "c.html").write_text("mine")
+    with pytest.raises(ConfigError, match="bench did not write it"):
+        write_card(tmp_path / "c.html", found)
+
+
+def test_the_suite_names_flights_that_load():
+    assert FULL.members[: len(QUICK.members)] == QUICK.members
+    names = [one.name for one in FULL.members]
+    assert len(set(names)) == len(names)
+    for one in FULL.members:
+        profile = load_profile(one.profile, one.values, estimators=["loose-15"])
+        assert one.without in ("", *names)
+        assert bool(profile.sensors.faults) >= bool(one.without)
+
+
+@pytest.mark.parametrize("arguments", [[], ["-e", "loose-15", "--compare", "a", "b"]])
+def test_a_card_is_made_or_compared(arguments, capsys):
+    assert main(["card", *arguments]) == 2
+    assert "give -e NAME to judge, or --compare A B" in capsys.readouterr().err

@@ -1,0 +1,106 @@
+"""Two cards of the same suite: where one filter is better, draw by draw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.campaigns.card import COUNT, Card, Line, compare_rms, write_figure
+from bench.errors import ConfigError
+from bench.evaluation import ensemble, regression
+
+
+@dataclass(frozen=True)
+class ComparedLine:
+    """A figure of two cards."""
+
+    topic: str
+    flight: str
+    figure: str
+    values: tuple[float | None, float | None]  # as they stand on the cards
+    sentence: str
+
+
+def compare_cards(names: tuple[str, str], first: Card, second: Card) -> list[ComparedLine]:
+    """Compare the figures that both cards have, on the same noise.
+
+    Raises
+    ------
+    ConfigError
+        If they are not of the same suite.
+    """
+    if (first.suite, first.suite_hash) != (second.suite, second.suite_hash):
+        raise ConfigError(
+            f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "
+            f"{names[1]} has {second.suite}, {second.suite_hash}"
+        )
+    found = []
+    others = {(line.topic, line.flight, line.figure): line for line in second.lines}
+    for line in first.lines:
+        other = others.get((line.topic, line.flight, line.figure))
+        text = None if other is None else _compare_lines(names, line, other)
+        if other is not None and text:
+            sentence = f"{line.flight}: {text}."
+            found.append(
+                ComparedLine(line.topic, line.flight, line.figure, (line.value, other.value), sentence)
+            )
+    if first.speed and second.speed:
+        a, b = first.speed.value, second.speed.value
+        if a and b:
+            sentence = f"speed: {names[0]} takes {write_figure(a / b)} times the CPU of {names[1]}."
+            found.append(ComparedLine("speed", "all flights", first.speed.figure, (a, b), sentence))
+    return found
+
+
+def list_differences(first: Card, second: Card) -> list[str]:
+    """Return what differs besides the filters: versions of bench and its libraries."""
+    names = dict.fromkeys([*first.versions, *second.versions])
+    return [
+        f"{name} {first.versions.get(name, '-')} and {second.versions.get(name, '-')}"
+        for name in names
+        if first.versions.get(name) != second.versions.get(name)
+    ]
+
+
+def _compare_lines(names: tuple[str, str], one: Line, other: Line) -> str | None:
+    if one.topic == "robustness":  # stands for itself: the error of the same flight is compared as accuracy
+        return None
+    if one.topic == "honesty":
+        return _compare_honesty(names, one, other)
+    if one.figure.startswith("median"):
+        texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "heading found after {} and {}".format(*texts)
+    if one.word == COUNT:
+        counts = (f"{sum(value or 0.0 for value in line.by_draw):.0f}" for line in (one, other))
+        return f"{one.figure}: {' and '.join(counts)} of {len(one.by_draw)}"
+    ratio = compare_rms(one.by_draw, other.by_draw)
+    if ratio is None:
+        return None
+    text = f"{one.figure} of {names[0]} {write_figure(ratio.value)} times that of {names[1]}"
+    better = names[0] if ratio.high < 1.0 else names[1] if ratio.low > 1.0 else None
+    word = "not proven to differ" if better is None else f"{better} is better"
+    return f"{text} ({write_figure(ratio.low)} to {write_figure(ratio.high)}): {word}"
+
+
+def _compare_honesty(names: tuple[str, str], one: Line, other: Line) -> str | None:
+    """Compare the factors between mean NEES and its expectation."""
+    pairs = [
+        (a, b) for a, b in zip(one.by_draw, other.by_draw, strict=True) if a is not None and b is not None
+    ]
+    text = f"NEES is {write_figure(one.value)} and {write_figure(other.value)} times its expectation"
+    if len(pairs) < 2:
+        return text
+    a, b = np.array(pairs, float).T
+    change = regression.estimate_change(a, b, regression.log_distance_from(1.0), paired=True)
+    low, high = change.interval(1.0 - ensemble.CONFIDENCE)
+    if low <= 0.0 <= high:
+        return f"{text}: neither is proven nearer"
+    return f"{text}: {names[0] if low > 0.0 else names[1]} is nearer"
+
+
+def name_cards(cards: Sequence[Card], paths: Sequence[str]) -> tuple[str, str]:
+    """Return names for two cards: their estimators, or their files if those are the same."""
+    first, second = (card.estimator for card in cards)
+    return (first, second) if first != second else (paths[0], paths[1])

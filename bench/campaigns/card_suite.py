@@ -1,0 +1,79 @@
+"""The suite of the cards: fixed flights, units, faults and draws."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from bench import store
+from bench.campaigns.plan import Plan
+from bench.campaigns.study import Study, Values
+
+VERSION = 2
+"""Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
+
+
+@dataclass(frozen=True)
+class SuiteFlight:
+    """A shipped profile with some values replaced."""
+
+    name: str
+    profile: str
+    values: Values = field(default_factory=dict)
+    without: str = ""  # name of the same flight without what happens in this one
+
+
+@dataclass(frozen=True)
+class Suite(Study):
+    """Flights that a card stands on."""
+
+    members: tuple[SuiteFlight, ...] = ()
+
+    def conditions(self) -> Iterator[tuple[str, Values]]:
+        """Yield profile and values of each flight, in order."""
+        return ((one.profile, one.values) for one in self.members)
+
+
+def _drop_imu(start_s: float, duration_s: float) -> Values:
+    return {"kind": "dropped", "sensor": "imu", "start_s": start_s, "duration_s": duration_s}
+
+
+_PLAIN = "s-turns-matched"
+_MATCHED: Values = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
+_GAPS = [_drop_imu(100.0, 0.5), _drop_imu(170.0, 2.0), _drop_imu(250.0, 10.0), _drop_imu(340.0, 5.0)]
+_LATE = [{"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 425.0, "added_s": 0.5}]
+_QUICK = (
+    SuiteFlight("figure-eight-matched", "figure-eight-matched"),
+    SuiteFlight("figure-eight", "figure-eight"),
+    SuiteFlight("gnss-faults", "gnss-faults"),
+    SuiteFlight(_PLAIN, "s-turns", _MATCHED),
+    SuiteFlight("imu-gaps", "s-turns", {**_MATCHED, "fault": _GAPS}, _PLAIN),
+    SuiteFlight("late-fixes", "s-turns", {**_MATCHED, "fault": _LATE}, _PLAIN),
+    SuiteFlight("heading-30-deg-off", "s-turns", {**_MATCHED, "initial_error_sd.heading_deg": 30.0}),
+)
+_FULL = (
+    *_QUICK,
+    SuiteFlight("survey", "survey"),
+    SuiteFlight("survey-stim300", "survey", {"sensors.imu": "stim300"}),
+    SuiteFlight("survey-icm-42688-p", "survey", {"sensors.imu": "icm-42688-p"}),
+    SuiteFlight("gnss-denied-leg", "gnss-denied-leg"),
+    SuiteFlight("high-dynamics", "high-dynamics"),
+    SuiteFlight("turbulent-loiter", "turbulent-loiter"),
+)
+QUICK = Suite("card-quick", (), runs=8, members=_QUICK)
+FULL = Suite("card", (), runs=40, members=_FULL)
+
+
+def hash_suite(plan: Plan) -> str:
+    """Return a hash of the flights, sensors and draws, whatever the estimators are."""
+    parts = [
+        [
+            {key: value for key, value in cell.profile.document.items() if key != "estimator"},
+            store.hash_spec(cell.profile.sensors),
+        ]
+        for cell in plan.cells
+    ]
+    text = json.dumps([VERSION, parts, len(plan.runs)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

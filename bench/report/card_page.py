@@ -1,0 +1,58 @@
+"""The page of a card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bench
+from bench import store
+from bench.campaigns.card import Card, Line, describe_suite
+from bench.evaluation.key_figures import format_number
+from bench.report import page
+
+_TITLES = {
+    "convergence": "Does it converge?",
+    "honesty": "Does it know its error?",
+    "accuracy": "How accurate is it?",
+    "heading": "How accurate is its heading?",
+    "outages": "How does it hold through outages?",
+    "faults": "Does it notice and survive faults?",
+    "robustness": "What do gaps in the IMU and late fixes do to it?",
+    "speed": "How fast is it?",
+}
+"""Topic -> its heading, in the order of the page."""
+
+
+def write_card(path: Path, card: Card) -> None:
+    """Write a card as a page that needs no other file and no network.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If a file is there that bench did not write.
+    OSError
+        If the file cannot be written; an existing file is left unchanged.
+    """
+    page.check_page(path)
+    lines = [*card.lines, *([card.speed] if card.speed else [])]
+    topics = [
+        (title, [_make_row(line) for line in lines if line.topic == topic])
+        for topic, title in _TITLES.items()
+    ]
+    text = page.render(
+        "card.html.jinja",
+        card=card,
+        suite=describe_suite(card),
+        topics=[(title, rows) for title, rows in topics if rows],
+        version=bench.__version__,
+    )
+    store.write_text(path, text)
+
+
+def _make_row(line: Line) -> tuple[str, str, str, str, str, str]:
+    """Return flight, figure, value, interval, class and sentence of a line."""
+    ends = " to ".join("open" if end is None else format_number(end) for end in (line.low, line.high))
+    kind = page.mark_of(line.word)[0] if line.topic == "honesty" else ""
+    text = line.sentence.removeprefix(f"{line.flight}: ").removeprefix(f"{line.topic}: ")
+    value = "never" if line.value is None else format_number(line.value)
+    return line.flight, line.figure, value, ends, kind, text
