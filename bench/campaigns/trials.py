@@ -59,6 +59,7 @@ class Judged:
 
     rmse_h_m: Estimate
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
+    repetition: Mapping[str, tuple[float, float]]  # of innovations, as `measure_repetition` returns it
 
 
 class Trial(Protocol):
@@ -138,7 +139,9 @@ class ProfileTrial:
     def judge(self, figures: Figures) -> Judged:
         """Return how it does with them in the other draws."""
         rows = self._measure(figures, range(self._runs, 2 * self._runs))
-        return _judge(*_draw_values([row for row in rows if row["metrics"]["converged"]]))
+        good = [row for row in rows if row["metrics"]["converged"]]
+        sums = [{name: np.array(one) for name, one in row["repetition"].items()} for row in good]
+        return _judge(*_draw_values(good), sums)
 
 
 class LogTrial:
@@ -194,7 +197,9 @@ class LogTrial:
         t = result.errors[self.label].t
         edges = self._split(t)[_STRETCHES:]
         inside = [(t >= a) & (t < b) for a, b in pairwise(edges)]
-        return _judge(*_stretch_values(result, self.label, [rows for rows in inside if rows.any()]))
+        values = _stretch_values(result, self.label, [rows for rows in inside if rows.any()])
+        innovations = result.solutions[self.label].innovations
+        return _judge(*values, [ensemble.sum_repetition(innovations, edges[0], edges[-1])])
 
 
 def _list_assumed(document: Mapping[str, Any]) -> dict[str, str]:
@@ -226,10 +231,12 @@ def _stretch_values(
     return mean_squares, np.array([errors.nees[rows].mean() for rows in inside]) / errors.states
 
 
-def _judge(mean_squares: FloatArray, nees: FloatArray) -> Judged:
+def _judge(
+    mean_squares: FloatArray, nees: FloatArray, repetition: Sequence[Mapping[str, FloatArray]]
+) -> Judged:
     """Return pooled values with intervals; the mean NEES is positive, so its interval is that of a root."""
     if len(nees) < _LEAST:
         raise ConfigError("too few draws converged to judge the tuned filter")
     root = ensemble.pool_rmse(nees)
     ratio = Estimate(root.value**2, root.low**2, root.high**2)
-    return Judged(ensemble.pool_rmse(mean_squares), ratio)
+    return Judged(ensemble.pool_rmse(mean_squares), ratio, ensemble.measure_repetition(repetition))

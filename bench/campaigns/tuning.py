@@ -28,6 +28,8 @@ DEFAULT_FACTORS = (
 
 _LARGEST = 100.0  # factor
 _FIRST_STEP = 2.0  # factor
+_AT_BOUND = 0.98  # of the logarithm of the bound
+_REPEATS = 0.1  # correlation of neighbouring innovations that matters [1]
 _PULL = 1e-3  # cost of the square of the logarithm of a factor: one without effect stays 1
 
 
@@ -46,13 +48,19 @@ class Tuning:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What was found."""
-        found = [f"{name}: {factor:.3g} times the datasheet" for name, factor in self.factors.items()]
+        found = [_describe_factor(name, factor) for name, factor in self.factors.items()]
         for name, title in (("nees_ratio", "NEES over its expectation"), ("rmse_h_m", "horizontal RMSE [m]")):
             old, new = (getattr(one, name) for one in (self.before, self.after))
             found.append(
                 f"{title}, on data not used for tuning: {old.value:.3g} ({old.low:.3g} to {old.high:.3g}) "
                 f"before, {new.value:.3g} ({new.low:.3g} to {new.high:.3g}) after"
             )
+        found += [
+            f"innovations of {sensor} still repeat from one update to the next: correlation {value:.2f}, "
+            f"within {band:.2f} is right; {self.label} lacks a state there, and white noise only hides it"
+            for sensor, (value, band) in self.after.repetition.items()
+            if abs(value) > max(band, _REPEATS)
+        ]
         return tuple(found)
 
     def write(self, folder: str | Path) -> list[Path]:
@@ -155,6 +163,13 @@ def tune(
         evaluations=len(tried),
         datasheets=_write_datasheets(trial, figures),
     )
+
+
+def _describe_factor(name: str, factor: float) -> str:
+    text = f"{name}: {factor:.3g} times the datasheet"
+    if abs(np.log(factor)) < _AT_BOUND * np.log(_LARGEST):
+        return text
+    return f"{text}: the bound, so the right one was not found; ask whether this noise is in the error at all"
 
 
 def _read_figures(trial: Trial) -> dict[str, float]:

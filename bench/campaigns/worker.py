@@ -16,6 +16,7 @@ from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.errors import BenchError
 from bench.evaluation.consistency import nis_by_sensor
+from bench.evaluation.ensemble import sum_repetition
 from bench.evaluation.error_series import heading_sd, select_epochs
 from bench.run_result import RunResult
 from bench.specs import Profile
@@ -112,11 +113,14 @@ def _read_truth(flight: _Keyed) -> Trajectory:
 def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
     """Return what is kept of an estimator: its metrics, and its errors at some instants."""
     errors, solution = result.errors[label], result.solutions[label]
-    nis = nis_by_sensor(solution.innovations, task.profile.evaluation_from - SAME_INSTANT)
+    begun = task.profile.evaluation_from - SAME_INSTANT
+    nis = nis_by_sensor(solution.innovations, begun)
+    repetition = sum_repetition(solution.innovations, begun)
     return {
         "metrics": {name: value for name, value in result.metrics[label].items() if _is_plain(value)},
         "states": errors.states,
         "nis_dof": {sensor: int(series.dof.sum()) for sensor, series in nis.items()},
+        "repetition": {sensor: sums.tolist() for sensor, sums in repetition.items()},
         "instants": encode(_thin(errors, solution, task.step)),
     }
 

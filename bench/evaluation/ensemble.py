@@ -6,7 +6,7 @@ here comes from the differences between runs. Its confidence is `CONFIDENCE` unl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -281,6 +281,50 @@ def normalize_innovations(
     code = innovations.sensor.index(sensor)
     rows = (innovations.code == code) & (innovations.component == component) & (innovations.t >= from_s)
     return np.asarray(innovations.z[rows] / np.sqrt(innovations.S[rows]))
+
+
+def sum_repetition(innovations: Innovations, from_s: float, to_s: float = np.inf) -> dict[str, FloatArray]:
+    """Return what :func:`measure_repetition` pools, of one run in [from_s, to_s) [s], by sensor.
+
+    Returns
+    -------
+    sums : dict of (3,) array
+        Products of neighbouring normalized innovations, their squares, and the number of neighbours, summed
+        over the components.
+    """
+    found = {}
+    for code, sensor in enumerate(innovations.sensor):
+        inside = (innovations.code == code) & (innovations.t >= from_s) & (innovations.t < to_s)
+        sums = np.zeros(3)
+        for component in np.unique(innovations.component[inside]).tolist():
+            rows = inside & (innovations.component == component)
+            z = innovations.z[rows] / np.sqrt(innovations.S[rows])
+            sums += [z[1:] @ z[:-1], z @ z, max(len(z) - 1, 0)]
+        found[sensor] = sums
+    return found
+
+
+def measure_repetition(runs: Sequence[Mapping[str, FloatArray]]) -> dict[str, tuple[float, float]]:
+    """Return how much innovations repeat from one update to the next, over all runs, by sensor.
+
+    Returns
+    -------
+    repetition : dict of (float, float)
+        Their correlation at a lag of one update, 0 for a matched filter, and the edge of the band that
+        holds 99.9 % of it then.
+    """
+    from scipy.special import ndtri
+
+    total: dict[str, FloatArray] = {}
+    for sums in runs:
+        for sensor, one in sums.items():
+            total[sensor] = total.get(sensor, np.zeros(3)) + one
+    edge = -float(ndtri(0.0005))
+    return {
+        sensor: (float(products / power), edge / float(pairs) ** 0.5)
+        for sensor, (products, power, pairs) in total.items()
+        if pairs and power > 0.0
+    }
 
 
 # --- two estimators --------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ import pytest
 import bench
 from bench.campaigns import tuning
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import Score
+from bench.campaigns.trials import Judged, Score
 from bench.cli import main
 from bench.config import load_profile
 from bench.errors import ConfigError
+from bench.evaluation.ensemble import Estimate
 from bench.places import PACKAGE
 from tests.builders import band
 from tests.campaigns.test_campaign import PROFILE
@@ -82,6 +83,28 @@ def test_before_and_after_are_on_other_draws(here):
     mean = sum(one.metrics["loose-15"]["pos_rmse_h_m"] ** 2 for one in results) / 3
     assert found.before.rmse_h_m.value == pytest.approx(math.sqrt(mean))
     assert any("times the datasheet" in text for text in found.sentences)
+
+
+def test_a_state_that_is_missing_is_told_by_innovations_that_repeat(here):
+    """A receiver whose error wanders: no white noise makes the innovations white, a state for it does."""
+    options: Any = {"factors": ["gnss.gnss.pos_"], "runs": 8, "evaluations": 3}
+    wandering = {"sensors.gnss": "l1-code", "sensors.assumed.gnss": "l1-code"}
+    value, edge = {}, {}
+    for label in ("loose-15", "loose-22"):
+        found = bench.tune("short.toml", label, overrides=wandering, **options)
+        value[label], edge[label] = found.after.repetition["gnss_position"]
+        told = [text for text in found.sentences if text.startswith("innovations of gnss_position still")]
+        assert bool(told) == (label == "loose-15")
+    assert value["loose-15"] > 2 * edge["loose-15"]
+    assert abs(value["loose-22"]) < edge["loose-22"]
+
+
+@pytest.mark.parametrize(("factor", "told"), [(100.0, True), (0.0101, True), (60.0, False), (1.0, False)])
+def test_a_factor_at_its_bound_is_told(factor, told):
+    one = Estimate(1.0, 0.9, 1.1)
+    judged = Judged(one, one, {})
+    found = tuning.Tuning("x", "consistency", {"imu.gyro.noise": factor}, judged, judged, 9, {})
+    assert ("the bound" in found.sentences[0]) == told
 
 
 def test_the_cost_is_least_at_the_expectation():

@@ -5,6 +5,8 @@ epochs would hold the truth in a third of all cases. Counts of misses are held a
 binomial with the stated rate, one-sided where an interval may be wider than it says.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import beta, binom, chi2, norm
@@ -163,6 +165,29 @@ def test_innovations_are_normalized_by_component():
     )  # fmt: skip
     assert ensemble.normalize_innovations(table, "gnss", 1, from_s=0.5).tolist() == [1.5, 2.5]
     assert len(ensemble.normalize_innovations(table, "baro", 0)) == 0
+
+
+def test_innovations_that_repeat_are_found_in_two_runs():
+    rng = np.random.default_rng(11)
+    runs = []
+    for _ in range(2):
+        white = rng.standard_normal(3000)
+        wandering = white + 0.5 * np.concatenate([[0.0], white[:-1]])
+        z = np.column_stack([white, wandering, 1e3 * np.ones(3000)]).ravel()
+        code = np.tile([0, 1, 1], 3000)
+        t, component = np.repeat(np.arange(3000.0), 3), np.tile([0, 0, 1], 3000)
+        table = Innovations(
+            t, ("baro", "gnss"), code, component, z, np.full(9000, 4.0), np.zeros(9000), np.ones(9000, bool)
+        )
+        runs.append(ensemble.sum_repetition(table, 1000.0, 2000.0))
+    assert [one["gnss"][2] for one in runs] == [2 * 999] * 2
+    found = ensemble.measure_repetition([{"baro": one["baro"]} for one in runs])
+    value, edge = found["baro"]
+    assert edge == pytest.approx(norm.ppf(0.9995) / np.sqrt(2 * 999))
+    assert abs(value) < edge
+    only = [ensemble.sum_repetition(replace(table, z=np.where(component, 0.0, z)), 1000.0) for _ in runs]
+    value, edge = ensemble.measure_repetition(only)["gnss"]
+    assert value == pytest.approx(0.4, abs=edge)  # of a moving average with 0.5: 0.5 / 1.25
 
 
 # --- two estimators --------------------------------------------------------------------------------------
