@@ -27,6 +27,7 @@ TRIADS_OFF = np.deg2rad(5.0)
 """Allowed angle between the axes of gyros and accelerometers [rad]."""
 ARM_OFF = 0.5
 """Allowed error of the lever arm [m]."""
+_ARM_KNOWN = 0.25  # sd of a lever arm that the motion shows [m]: half of what is known before
 YAW_OFF = np.deg2rad(10.0)
 """Allowed angle between the forward axis and the motion through the air or over ground [rad]."""
 LEVEL_OFF = np.deg2rad(30.0)
@@ -42,6 +43,9 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
     stretches = find_stretches(motion.t, *motion.take_velocities())
     if not len(stretches):
         text = "gnss: too few fixes in a row; clocks, units and axes of IMU and receiver are not compared"
+        return [Check("imu_shift_s", None, text, True)]
+    if not motion.moves:
+        text = "imu: nothing moves: clocks, units and axes of gyros, and the lever arm do not show"
         return [Check("imu_shift_s", None, text, True)]
     t, gyro, accel = motion.t, motion.gyro, motion.accel
     fit = fit_motion(stretches, t, gyro, accel, antenna_b)
@@ -139,12 +143,12 @@ def _check_triads(fit: MotionFit) -> Check:
 def _check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
     each = [_take(fit, f"arm_{axis}") for axis in "xyz"]
     bad = [_is_off(arm, sd, ARM_OFF) for arm, sd in each]
-    known = [sd <= ARM_OFF for _, sd in each]
+    known = [sd <= _ARM_KNOWN for _, sd in each]
     if not any(bad) and not any(known):
         return _unknown("arm_off_m", "where the antenna is")
     shown = ", ".join(
-        f"{at + off:.2f}" if sd <= ARM_OFF or wrong else "?"
-        for at, (off, sd), wrong in zip(antenna_b, each, bad, strict=True)
+        f"{at + off:.2f}" if told or wrong else "?"
+        for at, (off, _), told, wrong in zip(antenna_b, each, known, bad, strict=True)
     )
     text = f"gnss: by the motion the antenna is at {shown} m (forward, right, down of the IMU)"
     if any(bad):

@@ -15,6 +15,8 @@ STILL = 0.2
 STILL_AT_LEAST = 2.0
 """Shortest standstill that is used [s]."""
 _WILD = 1e5  # a number beyond it in SI is damage, not motion in another unit
+_MOVES = 0.4  # ground speed that a vehicle reaches at least once if it moves at all [m/s]
+_NEAR = 5  # fixes whose median velocity counts, so that the noise of single ones is no motion
 _STEP = 0.02  # samples closer than this are averaged [s]: no vehicle turns much within it
 
 
@@ -61,6 +63,15 @@ class RecordedMotion:
     def speed(self) -> FloatArray:
         """Speed (M,) over ground [m/s]."""
         return np.asarray(np.hypot(self.vel_n[:, 0], self.vel_n[:, 1]))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the vehicle moves at all, by its velocities or, without them, by its positions."""
+        vel_n = self.take_velocities()[2]
+        if len(vel_n) < _NEAR:
+            return False
+        near = np.median(np.lib.stride_tricks.sliding_window_view(vel_n, _NEAR, axis=0), axis=-1)
+        return bool(np.linalg.norm(near, axis=1).max() > _MOVES)
 
     def find_standstills(self) -> list[tuple[float, float]]:
         """Return start and end [s] of every standstill between fixes."""

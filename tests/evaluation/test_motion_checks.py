@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from bench.config.library import list_profiles
-from bench.evaluation import motion_fit
+from bench.evaluation import motion_checks, motion_fit
 from bench.evaluation.recorded_motion import RecordedMotion
 from tests.evaluation import seeded
 
@@ -57,6 +59,27 @@ def test_the_derivatives_of_the_fit_are_those_of_its_own_integral(sound):
         sign = -1.0 if k < 8 else 1.0  # biases and gains are taken off
         expected = (more - less) / 2e-4
         assert_allclose(sign * U[..., k], expected, atol=2e-2 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("arm", ["forward", "right", "down"])
+def test_at_rest_no_cause_is_named_that_does_not_show(arm):
+    """Nothing moves, so the antenna may be anywhere: no line is wrong, and none says where it is."""
+    spoil, _ = seeded.MISTAKES[f"antenna 2 m {arm}"]
+    found = spoil(seeded.record("static")).check()
+    assert wrong(found) == []
+    assert "nothing moves" in found["imu_shift_s"].text
+    assert not {"arm_off_m", "imu_axes"} & set(found)
+
+
+def test_a_lever_arm_that_was_given_is_not_repeated_as_found():
+    """A component as uncertain after the fit as before is unknown."""
+    names = motion_fit.NAMES
+    sd = np.array([0.1 if name == "arm_x" else 0.499 for name in names])
+    empty = np.empty(0)
+    fit = motion_fit.MotionFit(np.zeros(len(names)), np.diag(sd**2), empty, np.empty((0, 3, 3)), empty)
+    assert "at 1.00, ?, ? m" in motion_checks._check_arm(fit, np.ones(3)).text
+    blind = replace(fit, cov=0.25 * np.eye(len(names)))
+    assert motion_checks._check_arm(blind, np.ones(3)).value is None
 
 
 @pytest.mark.long
