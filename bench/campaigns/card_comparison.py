@@ -11,6 +11,8 @@ from bench.campaigns.card import COUNT, Card, Line, compare_rms, write_figure
 from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
 
+_SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
+
 
 @dataclass(frozen=True)
 class ComparedLine:
@@ -36,16 +38,22 @@ def compare_cards(names: tuple[str, str], first: Card, second: Card) -> list[Com
             f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "
             f"{names[1]} has {second.suite}, {second.suite_hash}"
         )
-    found = []
+    found, same = [], 0
     others = {(line.topic, line.flight, line.figure): line for line in second.lines}
     for line in first.lines:
         other = others.get((line.topic, line.flight, line.figure))
-        text = None if other is None else _compare_lines(names, line, other)
-        if other is not None and text:
+        if other is None or line.topic == "robustness":  # its error is compared as accuracy
+            continue
+        if _are_same(line, other):
+            same += 1
+        elif text := _compare_lines(names, line, other):
             sentence = f"{line.flight}: {text}."
             found.append(
                 ComparedLine(line.topic, line.flight, line.figure, (line.value, other.value), sentence)
             )
+    if same:
+        sentence = f"{same} figures are the same in every draw."
+        found.append(ComparedLine("same", "all flights", "figures", (None, None), sentence))
     if first.speed and second.speed:
         a, b = first.speed.value, second.speed.value
         if a and b:
@@ -64,9 +72,13 @@ def list_differences(first: Card, second: Card) -> list[str]:
     ]
 
 
+def _are_same(one: Line, other: Line) -> bool:
+    """Tell whether every draw has the same value, but for the processor."""
+    a, b = (np.array(line.by_draw, float) for line in (one, other))  # None: NaN
+    return a.shape == b.shape and bool(np.isclose(a, b, rtol=_SAME, atol=0.0, equal_nan=True).all())
+
+
 def _compare_lines(names: tuple[str, str], one: Line, other: Line) -> str | None:
-    if one.topic == "robustness":  # stands for itself: the error of the same flight is compared as accuracy
-        return None
     if one.topic == "honesty":
         return _compare_honesty(names, one, other)
     if one.figure.startswith("median"):

@@ -7,7 +7,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +71,9 @@ class Campaign:
     failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
     conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
     timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
-    estimator_cpu_s: Mapping[str, Sequence[float]]  # of each finished run [s]
     interrupted: bool
     folder: Path | None
+    estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of each finished run [s]
 
     @property
     def sentences(self) -> tuple[str, ...]:

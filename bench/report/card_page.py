@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import bench
 from bench import store
 from bench.campaigns.card import Card, Line, describe_suite
 from bench.evaluation.key_figures import format_number
@@ -41,10 +40,10 @@ def write_card(path: Path, card: Card) -> None:
     ]
     text = page.render(
         "card.html.jinja",
+        title=f"Card of {card.estimator}",
         card=card,
         suite=describe_suite(card),
         topics=[(title, rows) for title, rows in topics if rows],
-        version=bench.__version__,
     )
     store.write_text(path, text)
 

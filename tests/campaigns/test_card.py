@@ -132,6 +132,10 @@ def test_two_cards_compare_draw_by_draw(made, capsys):
     pair = (find(one, "short", "honesty").value for one in (first, second))
     assert values["honesty", "short"] == tuple(pair)
     assert found[-1].sentence.startswith("speed: loose-22 takes ")
+    assert found[-2].sentence == "5 figures are the same in every draw."
+    [whole, _] = compare_cards(("x", "y"), first, first)
+    judged = [line for line in first.lines if line.topic != "robustness"]
+    assert whole.sentence == f"{len(judged)} figures are the same in every draw."
     other = second.model_copy(update={"suite_hash": "0", "versions": {"bench": "0"}})
     with pytest.raises(ConfigError, match="the cards are not of the same suite: b has 2, quick"):
         compare_cards(("b", "a"), first, other)
