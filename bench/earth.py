@@ -67,6 +67,17 @@ def displace_kernel(lla: FloatArray, d_n: FloatArray, out: FloatArray) -> None:
 
 
 @kernel
+def difference_kernel(lla: FloatArray, ref: FloatArray, out: FloatArray) -> None:
+    """Fill out (3,) with the small difference lla - ref (3,) of positions [m], n at ref."""
+    meridian, prime = radii_kernel(np.sin(ref[0]))
+    east = lla[1] - ref[1]
+    east -= 2.0 * np.pi * np.round(east / (2.0 * np.pi))
+    out[0] = (lla[0] - ref[0]) * (meridian + ref[2])
+    out[1] = east * (prime + ref[2]) * np.cos(ref[0])
+    out[2] = ref[2] - lla[2]
+
+
+@kernel
 def gravity_kernel(sin_lat: float, cos_lat: float, alt: float) -> tuple[float, float]:
     """Return the north and down components of WGS 84 normal gravity [m/s^2]."""
     s2 = sin_lat * sin_lat

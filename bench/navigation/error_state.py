@@ -18,7 +18,7 @@ from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray, as_float
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
-from bench.navigation.mechanization import turn_kernel
+from bench.navigation.mechanization import turn_between_kernel, turn_kernel
 from bench.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
@@ -340,6 +340,17 @@ def feedback_kernel(state: FloatArray, dx: FloatArray) -> None:
         state[i + 1] -= dx[i]
     for i in range(dx.shape[0]):
         dx[i] = 0.0
+
+
+@kernel
+def difference_kernel(state: FloatArray, other: FloatArray, d: FloatArray) -> None:
+    """Fill d (n,) with the error state by which a filter state (n + 1,) differs from another."""
+    earth.difference_kernel(state, other, d)
+    for i in range(VEL, PHI):
+        d[i] = state[i] - other[i]
+    turn_between_kernel(state, other, d[PHI:GYRO])
+    for i in range(GYRO, d.shape[0]):
+        d[i] = state[i + 1] - other[i + 1]
 
 
 def dynamics(nav: ArrayLike, C_nb: ArrayLike, f_n: ArrayLike) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
-from bench.earth import displace_kernel, radii_kernel
+from bench.earth import difference_kernel, displace_kernel
 from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
 from bench.navigation.timeline import TIME_TOLERANCE
 
@@ -228,23 +228,20 @@ def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: FixLog
     x, P, z, e, dx = now.x, now.P, work.z, work.e, work.dx
     vel_n = fixes.vel_n[k]
     for code in range(2 if np.isfinite(vel_n[0] + vel_n[1] + vel_n[2]) else 1):
-        if code == 0:  # z is predicted less measured
-            lla = fixes.lla[k]
-            meridian, prime = radii_kernel(np.sin(x[0]))
-            east = x[1] - lla[1]
-            z[0] = (x[0] - lla[0]) * (meridian + x[2])
-            z[1] = (east - 2.0 * np.pi * np.round(east / (2.0 * np.pi))) * (prime + x[2]) * np.cos(x[0])
-            z[2] = lla[2] - x[2]
+        if code == 0:
+            difference_kernel(fixes.lla[k], x, e)
         else:
             for i in range(3):
-                z[i] = x[3 + i] - vel_n[i]
+                e[i] = vel_n[i] - x[3 + i]
+        for i in range(3):
+            z[i] = -e[i]
         H, r = work.H[code], fixes.r[k, 3 * code : 3 * code + 3]
         nis = nis_kernel(P, dx, H, z, r, work.var, work.square)
         sound = nis <= model.nis
         accepted = sound or now.misses[code] >= model.readmit_after
         now.misses[code] = 0 if accepted else now.misses[code] + 1
         for i in range(3):
-            row, e[i] = log.filled[0], -z[i]
+            row = log.filled[0]
             log.numbers[row, 0], log.numbers[row, 1] = now.t[0], e[i]
             log.numbers[row, 2], log.numbers[row, 3] = work.var[i], nis
             log.marks[row, 0], log.marks[row, 1], log.marks[row, 2] = code, i, accepted

@@ -341,3 +341,20 @@ def test_difference_and_move_are_inverse():
     moved = error_state.moved_state(state, d)
     assert_allclose(error_state.state_difference(moved, state), d, rtol=1e-5, atol=1e-9)
     assert_allclose(error_state.moved_state(state, d[3]), moved[3], rtol=1e-15)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-6, 1e-3, 0.5, 3.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_difference_of_the_kernel_is_that_of_two_states(turn, sign):
+    """Across the date line, by any turn, with either sign of the quaternion."""
+    rng = np.random.default_rng(5)
+    q = rotation.from_euler(0.3, -0.4, 5.0)
+    other = np.concatenate([[0.8, np.pi - 1e-9, 500.0], rng.normal(size=3), q, rng.normal(size=9)])
+    d = rng.normal(size=len(other) - 1)
+    d[6:9] *= turn / np.linalg.norm(d[6:9])
+    state, found = error_state.moved_state(other, d), np.empty_like(d)
+    state[1] -= 2 * np.pi
+    state[6:10] *= sign
+    error_state.difference_kernel(state, other, found)
+    assert_allclose(found, error_state.state_difference(state, other), rtol=1e-12, atol=1e-14)
+    assert_allclose(found, d, rtol=1e-8, atol=2e-9)
