@@ -58,6 +58,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "check": "bench.baselines.checking",
     "campaign": "bench.campaigns.running",
+    "compare_results": "bench.baselines.comparing",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
     "fly": "bench.api",

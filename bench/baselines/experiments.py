@@ -114,7 +114,7 @@ class Flight:
             return self.give_up(describe_error(error))
         sensed = result.records["sensed"]
         digest = digest_record([sensed.data, sensed.initial])
-        rows = {label: _collect(result, label, self.profile.evaluation_from) for label in result.metrics}
+        rows = {label: collect_draw(result, label, self.profile.evaluation_from) for label in result.metrics}
         return Draw(digest, rows)
 
     def give_up(self, reason: str) -> Draw:
@@ -123,10 +123,10 @@ class Flight:
         return Draw(UNKNOWN, {choice.label: lost for choice in self.profile.estimators})
 
 
-def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
+def collect_draw(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
     """Return the metrics that baselines hold, after the alignment window; none if the estimator failed."""
     values, errors = result.metrics[label], result.errors[label]
-    metrics = {name: x for name, x in values.items() if _is_watched(name) and not values.get("failed")}
+    metrics = {name: x for name, x in values.items() if is_watched(name) and not values.get("failed")}
     expected = {"nees_mean": float(errors.states)}
     for sensor, nis in nis_by_sensor(result.solutions[label].innovations, from_s - SAME_INSTANT).items():
         expected[f"nis_mean_{sensor}"] = float(nis.dof.mean())
@@ -140,7 +140,8 @@ def _collect(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
     )
 
 
-def _is_watched(name: str) -> bool:
+def is_watched(name: str) -> bool:
+    """Return whether a metric is compared: it can be better or worse."""
     row = None if name.endswith("_all") else find_metric(name)
     return row is not None and row.direction != "not judged"
 
@@ -172,18 +173,22 @@ class Recording:
         """Return RMSE and mean NEES over one stretch of the judged time."""
         result, start = self.result, self.log.spec.evaluation_from
         end = float(self.log.records.imu.t.max())
-        edges = start + (end - start) / STRETCHES * np.arange(draw, draw + 2)
-        rows = {}
-        for label, errors in result.errors.items():
-            inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)
-            rows[label] = EstimatorDraw(
-                converged=bool(result.metrics[label]["converged"]),
-                reason=result.metrics[label]["reason"] or "",
-                metrics=_judge_stretch(errors, inside),
-                expected={"nees_mean": float(errors.states)},
-                epochs=int(inside.sum()),
-            )
+        rows = {label: collect_stretch(result, label, draw, start, end) for label in result.errors}
         return Draw(digest_record([result.sensors]), rows)
+
+
+def collect_stretch(result: RunResult, label: str, draw: int, start: float, end: float) -> EstimatorDraw:
+    """Return RMSE and mean NEES over one of the `STRETCHES` of a log that is judged from start to end [s]."""
+    errors, values = result.errors[label], result.metrics[label]
+    edges = start + (end - start) / STRETCHES * np.arange(draw, draw + 2)
+    inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)
+    return EstimatorDraw(
+        converged=bool(values["converged"]),
+        reason=values["reason"] or "",
+        metrics=_judge_stretch(errors, inside),
+        expected={"nees_mean": float(errors.states)},
+        epochs=int(inside.sum()),
+    )
 
 
 def _judge_stretch(errors: ErrorSeries, inside: Any) -> dict[str, Value]:
@@ -212,12 +217,12 @@ def make_baseline(
         truth=experiment.truth_digest,
         sensors=tuple(draw.sensors for draw in draws),
         estimators={
-            label: _join([draw.estimators[label] for draw in draws]) for label in draws[0].estimators
+            label: join_draws([draw.estimators[label] for draw in draws]) for label in draws[0].estimators
         },
     )
 
 
-def _join(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
+def join_draws(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
     """Return the values of an estimator by metric, from those by draw."""
     names = dict.fromkeys(name for row in rows for name in row.metrics)
     expected: dict[str, list[float]] = {}

@@ -87,16 +87,14 @@ class Candidate:
     certain: bool = False  # the word needs no statistics
 
 
-def decide(candidates: Sequence[Candidate]) -> list[Verdict]:
-    """Return the verdicts of a whole check at one look.
+def decide(candidates: Sequence[Candidate], error: float = ERROR / len(LOOKS)) -> list[Verdict]:
+    """Return the verdicts of a whole check at one look, with a probability of any false one of ``error``.
 
     A metric is worse (or better) if its change is beyond the tolerance and its Holm-corrected interval
     excludes zero. Beyond the tolerance without that, it is undecided.
     """
     open_rows = [k for k, one in enumerate(candidates) if not one.certain]
-    rejected, levels = regression.reject_by_holm(
-        [candidates[k].p_value for k in open_rows], ERROR / len(LOOKS)
-    )
+    rejected, levels = regression.reject_by_holm([candidates[k].p_value for k in open_rows], error)
     verdicts = [one.row for one in candidates]
     for k, proven, level in zip(open_rows, rejected, levels, strict=True):
         one = candidates[k]

@@ -70,6 +70,7 @@ class Campaign:
     finished: int
     failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
     conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
+    provenance: Mapping[str, Any]  # versions, commit
     timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
     interrupted: bool
     folder: Path | None
@@ -336,6 +337,7 @@ def _finish(
             {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
             for number, one in enumerate(plan.conditions)
         ),
+        provenance=store.provenance(),
         timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
         estimator_cpu_s=used,
         interrupted=interrupted,
@@ -355,6 +357,7 @@ def describe(campaign: Campaign) -> dict[str, Any]:
         "outcomes": [asdict(one) for one in campaign.outcomes],
         "comparisons": [asdict(one) for one in campaign.comparisons],
         "conditions": campaign.conditions,
+        "estimator_cpu_s": campaign.estimator_cpu_s,
         "timing": campaign.timing,
-        **store.provenance(),
+        **campaign.provenance,
     }

@@ -56,6 +56,8 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
                 }
                 for row in summary["conditions"]
             ),
+            estimator_cpu_s={label: list(values) for label, values in summary["estimator_cpu_s"].items()},
+            provenance={name: summary[name] for name in store.provenance()},
             timing={name: float(value) for name, value in summary["timing"].items()},
             interrupted=int(summary["finished"]) < int(summary["planned"]),
             folder=folder,

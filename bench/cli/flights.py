@@ -1,4 +1,4 @@
-"""The verbs of simulated flights: run, fly, list, guide, new, view, report, record, check, cache."""
+"""The verbs of simulated flights: run, fly, list, guide, new, view, report, record, compare, check, cache."""
 
 from __future__ import annotations
 
@@ -237,6 +237,32 @@ def record(folder: Path, out: Path | None) -> int:
     from bench.workbench.record_verbs import write_recording
 
     write_recording(folder, out, console=new_console())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folders", nargs=-1, required=True, type=FILE, metavar="DIR DIR...")
+@out_option("draw the results over each other: a folder for a report and a recording")
+@json_option("the comparison")
+@force_option()
+def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: bool) -> int:
+    """Compare finished results: the first folder with each other one.
+
+    DIR is a results folder, a folder with results folders in it, or that of a campaign.
+    Runs of the same seed and number on the same flight are compared in pairs, by
+    the rules of bench check; it says what else differs.
+
+    \b
+    Examples:
+      bench compare runs/before runs/after -o runs/both
+      bench compare campaigns/loose-22 campaigns/mine
+    """
+    from bench.store import to_json
+    from bench.workbench.compare_verb import compare as compare_folders
+
+    compared = compare_folders(folders, console=new_console(stderr=as_json), out=out, force=force)
+    if as_json:
+        click.echo(to_json([asdict(one) for one in compared]), nl=False)
     return DONE
 
 

@@ -48,6 +48,11 @@ OUTAGES = (
 )
 
 
+def is_key_figure(name: str) -> bool:
+    """Return whether a metric stands in the tables."""
+    return name.startswith(_SUMMARY) and not name.endswith(("_all", "_law_95_h_m"))
+
+
 def list_key_figures(measured: Measured) -> list[str]:
     """Return the names of the metrics to show, in order; bounds stand beside what they bound."""
     names = dict.fromkeys(name for values in measured.values() for name in values)
@@ -55,7 +60,7 @@ def list_key_figures(measured: Measured) -> list[str]:
         name
         for start in _SUMMARY
         for name in names
-        if name.startswith(start) and not name.endswith(("_all", "_law_95_h_m")) and find_metric(name)
+        if name.startswith(start) and is_key_figure(name) and find_metric(name)
     ]
     if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
         found.append(_COVERAGE)

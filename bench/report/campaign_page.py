@@ -85,6 +85,7 @@ def make_page(name: str, campaign: Campaign) -> str:
         extremes=_list_extremes(campaign, labels),
         lost=_list_lost(campaign)[:_MOST_LOST],
         lost_count=len(_list_lost(campaign)),
+        provenance=list(page.list_provenance(campaign.provenance)),
         document=store.to_json([dict(one) for one in campaign.conditions]),
     )
 

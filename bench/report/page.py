@@ -121,7 +121,7 @@ def make_page(name: str, result: RunResult) -> str:
         sections=sections,
         units=list(list_units(profile)),
         events=list(_list_events(result)),
-        provenance=list(_list_provenance(result.provenance)),
+        provenance=list(list_provenance(result.provenance)),
         command=_find_command(result),
         document=store.to_json(profile),
     )
@@ -189,7 +189,8 @@ def _list_events(result: RunResult) -> Iterable[tuple[str, str, str, str]]:
         yield when, label, kind.replace("_", " "), text
 
 
-def _list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+def list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    """Yield name and text of what says where figures come from."""
     for key, value in provenance.items():
         if isinstance(value, Mapping):
             inner = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in value.items())

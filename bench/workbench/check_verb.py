@@ -19,7 +19,8 @@ from bench.campaigns.pools import count_processors
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 
-_STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
+STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
+"""Style of each word of a verdict."""
 
 
 def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
@@ -70,7 +71,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
         changed = [row for row in rows if row.word != "same"]
         counts = Counter[str](row.word for row in rows)
-        words = ", ".join(f"{counts[word]} {word}" for word in _STYLES if counts[word])
+        words = ", ".join(f"{counts[word]} {word}" for word in STYLES if counts[word])
         draws = max(row.draws for row in rows)
         how = "" if all(row.paired for row in rows) else f"; {UNPAIRED}"
         console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
@@ -95,5 +96,5 @@ def _make_table(rows: Sequence[Verdict]) -> Table:
     for row in rows:
         numbers = ["-" if value is None else f"{value:.4g}" for value in (row.old, row.new)]
         change = "; ".join(filter(None, [row.format_change(), "" if row.note == UNPAIRED else row.note]))
-        table.add_row(Text(row.word, _STYLES[row.word]), row.metric, *numbers, change)
+        table.add_row(Text(row.word, STYLES[row.word]), row.metric, *numbers, change)
     return table

@@ -38,6 +38,8 @@ PARSED = {
     "view": "opens a window",
     "stream": "sends for as long as the run lasted",
     "campaign": "takes minutes; its tests run it on a short flight",
+    "report campaigns/figure-eight-20260101": "needs a campaign; its tests write the report of a short one",
+    "compare": "needs more results; its tests compare short ones",
     "card": "takes minutes; its tests run it on a short flight",
     "tune": "takes minutes; its tests run it on a short flight",
     "check": "runs every profile that has limits",

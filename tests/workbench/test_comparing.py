@@ -1,0 +1,120 @@
+"""Finished results are compared draw by draw, whatever their order, and what differs is said."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import bench
+from bench.baselines import comparing
+from bench.baselines.baseline_file import Baseline, EstimatorValues
+from bench.baselines.comparing import Side
+from bench.cli import main
+from bench.errors import ConfigError
+from tests.test_api import SHORT
+
+
+def make_side(name, values, keys, truth="a", label="mine"):
+    estimator = EstimatorValues(
+        epochs=1000,
+        expected={},
+        converged=(True,) * len(values),
+        metrics={"pos_rmse_h_m": tuple(values), "heading_rmse_deg": tuple(0.1 * np.array(values))},
+    )
+    draws = Baseline(
+        profile="", requested=None, seed=0, versions={}, truth=truth, sensors=tuple(keys),
+        estimators={label: estimator},
+    )  # fmt: skip
+    return Side(name, {"flight": draws}, {"flight": {"title": name}})
+
+
+@pytest.fixture
+def draws():
+    """Twenty draws with errors of many sizes, and the same made 10 % worse with 5 % scatter."""
+    rng = np.random.default_rng(4)
+    before = 10.0 * np.exp(rng.normal(0.0, 0.5, 20))
+    return before, before * 1.1 * np.exp(rng.normal(0.0, 0.05, 20))
+
+
+def test_runs_are_paired_by_seed_and_number(draws):
+    before, after = draws
+    keys = [f"seed 1, run {k}" for k in range(20)]
+    turned = np.random.default_rng(5).permutation(20)
+    other = make_side("other", after[turned], [keys[k] for k in turned])
+    found = comparing._compare_sides(make_side("first", before, keys), other)
+    assert {row.word for row in found.verdicts if row.metric != "converged"} == {"worse"}
+    assert found.differences == ("draws: 20 and 20, 20 in both",)
+    assert "mine: first is better than other by" in found.sentences[0]
+    lost = make_side("other", after[turned], [f"seed 2, run {k}" for k in turned])
+    unpaired = comparing._compare_sides(make_side("first", before, keys), lost)
+    assert {row.word for row in unpaired.verdicts if row.metric != "converged"} == {"undecided"}
+    assert "draws: 20 and 20, 0 in both" in unpaired.differences
+    assert "do not tell chance from a difference" in unpaired.sentences[0]
+
+
+def test_another_truth_gives_no_pairs(draws):
+    before, after = draws
+    keys = [f"seed 1, run {k}" for k in range(20)]
+    found = comparing._compare_sides(
+        make_side("first", before, keys), make_side("other", after, keys, truth="b")
+    )
+    assert not any(row.paired for row in found.verdicts)
+    assert found.differences == ("truth: the same profile was flown differently",)
+
+
+def test_a_single_estimator_of_each_is_compared_whatever_its_label(draws):
+    before, after = draws
+    keys = [f"seed 1, run {k}" for k in range(20)]
+    first = make_side("first", before, keys, label="loose-15")
+    found = comparing._compare_sides(first, make_side("other", after, keys, label="mine"))
+    assert {row.estimator for row in found.verdicts} == {"loose-15, mine"}
+    two = make_side("two", after, keys, label="mine")
+    two.draws["flight"].estimators["third"] = two.draws["flight"].estimators["mine"]
+    with pytest.raises(ConfigError, match="has no estimator in common with first: mine, third and loose-15"):
+        comparing._compare_sides(first, two)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("compared")
+    for name, changes, options in (
+        ("a", {}, {"estimators": ["loose-15", "gnss-only"]}),
+        ("b", {}, {"estimators": ["loose-15"]}),
+        ("c", {"sensors.imu": "stim300"}, {"estimators": ["loose-15"]}),
+        ("d", {"start.alt_m": 900.0}, {"estimators": ["loose-15"]}),
+    ):
+        profile = bench.load_profile("figure-eight", {**SHORT, **changes}, seed=3, **options)
+        bench.save(bench.run(profile), place / name, recording=False, report=False)
+    return place
+
+
+def test_folders_are_compared_and_laid_over_each_other(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    same, other, flown = bench.compare_results(["a", "b", "c", "d"])
+    assert same.differences == ()
+    assert {row.word for row in same.verdicts} == {"same"}
+    assert "sensors.imu: adis16475 and stim300" in other.differences
+    assert {row.word for row in other.verdicts if row.metric.startswith("pos_rmse")} == {"undecided"}
+    assert any("alt_m" in text for text in flown.differences)
+    assert main(["compare", "a", "c", "-o", "both", "--json"]) == 0
+    out, err = capsys.readouterr()
+    (found,) = json.loads(out)
+    assert found["other"] == "c"
+    assert "loose-15: horizontal error" in err
+    merged = bench.load("both")
+    assert list(merged.metrics) == ["loose-15, a", "gnss-only, a", "loose-15, c"]
+    assert np.array_equal(merged.solutions["loose-15, c"].lla, bench.load("c").solutions["loose-15"].lla)
+    assert (folder / "both" / "flight.rrd").is_file()
+    assert main(["compare", "a", "d", "-o", "no"]) == 2
+    assert "d: not drawn over a, it is of another flight or log" in capsys.readouterr().err
+    assert not (folder / "no").exists()
+
+
+def test_what_cannot_be_compared_is_said_in_a_line(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder)
+    with pytest.raises(ConfigError, match="at least two folders"):
+        bench.compare_results(["a"])
+    with pytest.raises(ConfigError, match="holds no results"):
+        bench.compare_results(["a", tmp_path])
