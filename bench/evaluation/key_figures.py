@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.evaluation.metrics import find_metric
@@ -39,9 +39,22 @@ _COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
 
 MEANING = (
     "! outside its bounds, which stand beside or below: what this one run allows an honest filter (NEES and "
-    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. nees_mean: "
-    "nees_states is expected. Errors of one run last, so its bounds are wide; many runs tell more."
+    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. Errors of one "
+    "run last, so its bounds are wide; many runs tell more."
 )
+_ROWS = {
+    "pos_claimed": "claimed: root mean square of the sigma that the filter gives",
+    "cep": "cep50, cep95: radius around the truth that holds 50, 95 % of the horizontal positions",
+    "heading_convergence": "heading_convergence: from then on the heading is right within 1 deg or 3 sigma; "
+    "no sooner than the figures begin",
+    "drift_end": "drift_end: error at the end over the distance flown",
+    "inertial_end": "inertial_end: error at the end without any fix",
+    "nees": "nees_mean: squared error over covariance, nees_states is expected",
+    "nees_inside_95": "nees_inside_95: share of the time with NEES in the central 95 % of its distribution",
+    "coverage": "coverage: share of the time with an error within 3 sigma, 0.997 is expected",
+    "nis": "nis: squared innovation over its covariance",
+}
+"""Beginning of the name of a row -> what it is."""
 OUTAGES = (
     "Outages: drift is the error at the end, growth how far the error moved since the start, which may be "
     "more or less; law is the growth that the datasheets give, root mean square."
@@ -51,6 +64,14 @@ OUTAGES = (
 def is_key_figure(name: str) -> bool:
     """Return whether a metric stands in the tables."""
     return name.startswith(_SUMMARY) and not name.endswith(("_all", "_law_95_h_m"))
+
+
+def explain_rows(names: Sequence[str]) -> str:
+    """Return what rows of the table are that their names do not tell."""
+    found = [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
+    axes = "h: horizontal; n, e, d: north, east, down"
+    attitude = ["phi: attitude error about n, e, d"] if any("_phi_" in name for name in names) else []
+    return "; ".join([axes, *attitude, *found]) + "."
 
 
 def list_key_figures(measured: Measured) -> list[str]:

@@ -16,7 +16,14 @@ from bench import earth, store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
-from bench.evaluation.key_figures import MEANING, OUTAGES, format_bounds, format_number, list_key_figures
+from bench.evaluation.key_figures import (
+    MEANING,
+    OUTAGES,
+    explain_rows,
+    format_bounds,
+    format_number,
+    list_key_figures,
+)
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.places import PACKAGE
@@ -99,6 +106,7 @@ def make_page(name: str, result: RunResult) -> str:
     shades = series.shades(result.events) if content is not None else ()
     window = (float(content.motion.t[0]), float(content.motion.t[-1])) if content else (0.0, 1.0)
     sections = list(_draw_sections(content, window, shades)) if content else []
+    key_figures = list_key_figures(result.metrics)
     return render(
         "page.html.jinja",
         title=str(profile.get("title", name)),
@@ -106,10 +114,10 @@ def make_page(name: str, result: RunResult) -> str:
         facts=list(list_facts(result)),
         cards=[_make_card(label, values, result) for label, values in result.metrics.items()],
         labels=list(result.metrics),
-        figures=_fill_table(result.metrics, list_key_figures(result.metrics)),
+        figures=_fill_table(result.metrics, key_figures),
         all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
-        meaning=MEANING,
-        outages=OUTAGES if any(n.startswith("outage_") for n in list_key_figures(result.metrics)) else "",
+        meaning=f"{MEANING} {explain_rows(key_figures)}",
+        outages=OUTAGES if any(n.startswith("outage_") for n in key_figures) else "",
         drift_columns=DRIFT_COLUMNS,
         drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
         drift_meaning=DRIFT_MEANING,

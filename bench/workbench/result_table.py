@@ -16,6 +16,7 @@ from bench.evaluation.key_figures import (
     MEANING,
     OUTAGES,
     Measured,
+    explain_rows,
     format_bounds,
     format_number,
     list_key_figures,
@@ -36,7 +37,7 @@ _STYLES = {
 def print_result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print verdicts and main metrics of one run, one column per estimator, and the errors not modelled."""
     begun = profile.evaluation_from
-    console.print(f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, from {begun:g} s on")
+    console.print(f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, figures from {begun:g} s on")
     print_metrics(console, run.metrics, run.solutions)
 
 
@@ -53,6 +54,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
         console.print(table)
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
+    console.print(explain_rows(names), style="dim")
     if any(name.startswith("outage_") for name in names):
         console.print(OUTAGES, style="dim")
     for values in measured.values():
