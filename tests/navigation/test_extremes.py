@@ -51,8 +51,9 @@ def honest(estimator, truth, spec, draws, options=None):
         solution = load(estimator, options or {}).run(sensed.data, sensed.initial)
         assert_positive_definite(solution)
         assert solution.innovations.accepted.mean() > 0.995  # one in 1e5 is refused by chance
-        nees.append(error_series(truth, solution).nees)
-    low, high = band(draws, 9)
+        errors = error_series(truth, solution)
+        nees.append(errors.nees)
+    low, high = band(draws, errors.states)
     instants = (np.linspace(0.25, 1.0, 4) * (len(nees[0]) - 1)).astype(int)
     late = np.mean(nees, axis=0)[instants]
     assert (low < late).all(), late
@@ -73,7 +74,11 @@ def assert_positive_definite(solution):
     "estimator",
     [
         "loose-15",
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("loose-22", "loose-mems", "tight")),
+        "gnss-only",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("loose-22", "loose-mems", "loose-full", "tight", "smoother", "ukf", "classic-22")
+        ),
     ],
 )
 @pytest.mark.parametrize("place", PLACES)
@@ -91,12 +96,19 @@ def test_every_covariance_stays_positive_definite_next_to_the_pole(estimator):
 
 
 @pytest.mark.parametrize(
-    ("estimator", "duration"),
-    [("loose-15", 86400.0), ("loose-22", 86400.0), pytest.param("ukf", 86400.0, marks=pytest.mark.long)],
+    "estimator",
+    [
+        "loose-15",
+        "loose-22",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("loose-full", "smoother", "gnss-only", "ukf", "classic-22")
+        ),
+    ],
 )
-def test_a_day_at_rest(estimator, duration):
+def test_a_day_at_rest(estimator):
     """Tactical grade, IMU at 1 Hz, a fix every 10 s."""
-    truth = at_rest(duration, 1.0, (47 * DEG, 0.3, 300.0), 0.02, 0.05, 1.2)
+    truth = at_rest(86400.0, 1.0, (47 * DEG, 0.3, 300.0), 0.02, 0.05, 1.2)
     seldom = units(FINE, replace(GNSS, rate=0.1), replace(BARO, rate=0.1))
     spec = replace(seldom, initial_heading_sd=0.5 * DEG, output_rate=1 / 600)
     honest(estimator, truth, spec, draws=4, options={"covariance_hz": 0.1} if estimator == "ukf" else None)
@@ -109,7 +121,7 @@ def test_a_day_at_rest(estimator, duration):
         ("smoother", 8.0),
         *(
             pytest.param(name, 24.0, marks=pytest.mark.long)
-            for name in ("loose-22", "loose-mems", "tight", "smoother")
+            for name in ("loose-22", "loose-mems", "loose-full", "tight", "smoother")
         ),
     ],
 )
@@ -126,7 +138,7 @@ def test_a_day_at_rest_of_a_mems_unit(estimator, hours):
     assert (np.sqrt(solution.cov[solution.t > 7200.0, 8, 8]) > 90 * DEG).all()
 
 
-def free_drift(part, estimator="free-inertial"):
+def free_drift(part, estimator):
     """Mean NEES after 10 minutes without aiding, all errors ``part`` of those of a MEMS unit."""
     gyro, accel = (
         replace(t, **{name: part * getattr(t, name) for name in ("random_walk", "turn_on_bias_sd")})
@@ -146,12 +158,13 @@ def free_drift(part, estimator="free-inertial"):
     return np.mean(nees), built.unmodelled(spec.assumed)
 
 
-def test_what_free_drift_leaves_out_is_of_second_order_and_said():
+@pytest.mark.parametrize("estimator", ["free-inertial", "baro-inertial"])
+def test_what_free_drift_leaves_out_is_of_second_order_and_said(estimator):
     """A thirtieth of the errors: honest. All of them: tilts of degrees bend the drift, and words say so."""
     low, high = band(8, 9)
-    small, words = free_drift(1 / 30)
+    small, words = free_drift(1 / 30, estimator)
     assert low < small < high
     assert words == ()
-    large, words = free_drift(1.0)
+    large, words = free_drift(1.0, estimator)
     assert large > 100 * high
     assert words == ("second order of a free drift by degrees of tilt",)
