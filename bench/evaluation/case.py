@@ -9,8 +9,8 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
-from bench.evaluation.consistency import SensorNis, nis_by_sensor
-from bench.evaluation.error_series import heading_sd, select_epochs
+from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
+from bench.evaluation.error_series import as_slice, heading_sd, select_epochs
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
 from bench.specs import AssumedSpecs, Fault
@@ -53,6 +53,7 @@ class Case:
     heading_sd: FloatArray  # (M,) [rad]
     sd: FloatArray  # (M, 9) of pos_n, vel_n, phi_n
     nees: FloatArray  # (M,)
+    nees_samples: float  # independent values of nees
     states: int  # number of states in nees
     nis: Mapping[str, SensorNis]
     events: Mapping[str, int]  # number of the estimator's events by kind
@@ -146,19 +147,21 @@ def build_case(
         Those of the solution.
     """
     rows = errors.t >= from_s - SAME_INSTANT
+    taken = as_slice(rows)
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
     inside = select_epochs(solution, rows)
     with np.errstate(invalid="ignore"):
         sd = np.sqrt(np.einsum("kii->ki", inside.cov))
     return Case(
-        t=errors.t[rows],
-        pos_n=errors.pos_n[rows],
-        vel_n=errors.vel_n[rows],
-        phi_n=errors.phi_n[rows],
-        heading=errors.heading[rows],
+        t=errors.t[taken],
+        pos_n=errors.pos_n[taken],
+        vel_n=errors.vel_n[taken],
+        phi_n=errors.phi_n[taken],
+        heading=errors.heading[taken],
         heading_sd=heading_sd(inside),
         sd=sd,
-        nees=errors.nees[rows],
+        nees=errors.nees[taken],
+        nees_samples=count_independent(errors.nees[taken] - errors.states),
         states=errors.states,
         nis=nis_by_sensor(solution.innovations, from_s - SAME_INSTANT),
         events={kind: kinds.count(kind) for kind in sorted(set(kinds))},

@@ -11,9 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from bench.arrays import FloatArray
 from bench.evaluation.case import Case
-from bench.evaluation.consistency import chi2_quantile
+from bench.evaluation.consistency import chi2_quantile, count_independent
 from bench.evaluation.error_series import BLOCKS
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
@@ -28,35 +27,9 @@ INSIDE_3_SIGMA = 0.9973
 _UNITS = {"gyro_bias": DEG / HOUR, "accel_bias": 1e-3 * STANDARD_GRAVITY}  # deg/h and mg in SI
 
 
-def count_independent(deviation: FloatArray) -> float:
-    """Return the number of independent values that have the same information about the mean of a series.
-
-    ``deviation`` (M,) is the distance from the mean that is expected, not from the mean of the series: an
-    error that lasts the whole run counts as one value. The autocorrelation is summed over pairs of lags as
-    long as their sum is positive (Geyer, Practical Markov chain Monte Carlo, Statistical Science 7, 1992).
-    0 if a value is not finite.
-
-    Examples
-    --------
-    >>> count_independent(np.ones(1000))
-    1.0
-    """
-    count = len(deviation)
-    if not np.isfinite(deviation).all() or not deviation.any():
-        return 0.0
-    spectrum = (
-        np.abs(np.fft.rfft(deviation / np.abs(deviation).max(), 1 << (2 * count - 1).bit_length())) ** 2
-    )
-    correlation = np.fft.irfft(spectrum)[:count]
-    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1) / correlation[0]
-    ended = np.flatnonzero(pairs <= 0.0)
-    length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0
-    return float(np.clip(count / max(length, 1.0), 1.0, count))
-
-
 def nees_samples(case: Case) -> float:
     """Number of independent values of NEES in the run, see :func:`count_independent`."""
-    return count_independent(case.nees - case.states)
+    return case.nees_samples
 
 
 def nees_band(edge: Edge, case: Case) -> float | None:
@@ -65,7 +38,7 @@ def nees_band(edge: Edge, case: Case) -> float | None:
     The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
     one epoch to the whole run, an honest filter is outside in at most 0.5 % of the runs.
     """
-    return _find_edge(edge, case.states, nees_samples(case))
+    return _find_edge(edge, case.states, case.nees_samples)
 
 
 def _find_edge(edge: Edge, states: int, samples: float) -> float | None:

@@ -38,6 +38,36 @@ def mean_band(dof: float, n: int, probability: float) -> tuple[float, float]:
     return chi2_quantile(tail, dof * n) / n, chi2_quantile(1.0 - tail, dof * n) / n
 
 
+def count_independent(deviation: FloatArray) -> float:
+    """Return the number of independent values that have the same information about the mean of a series.
+
+    ``deviation`` (M,) is the distance from the mean that is expected, not from the mean of the series: an
+    error that lasts the whole run counts as one value. The autocorrelation is summed over pairs of lags as
+    long as their sum is positive (Geyer, Practical Markov chain Monte Carlo, Statistical Science 7, 1992).
+    0 if a value is not finite.
+
+    Examples
+    --------
+    >>> count_independent(np.ones(1000))
+    1.0
+    """
+    count = len(deviation)
+    if not np.isfinite(deviation).all() or not deviation.any():
+        return 0.0
+    length = _fast_length(2 * count - 1)
+    spectrum = np.abs(np.fft.rfft(deviation / np.abs(deviation).max(), length)) ** 2
+    correlation = np.fft.irfft(spectrum, length)[:count]
+    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1) / correlation[0]
+    ended = np.flatnonzero(pairs <= 0.0)
+    length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0
+    return float(np.clip(count / max(length, 1.0), 1.0, count))
+
+
+def _fast_length(least: int) -> int:
+    """Return an even length, a power of two times 1, 3 or 5, that a Fourier transform takes fast."""
+    return min(odd << max(-(-least // odd) - 1, 1).bit_length() for odd in (1, 3, 5))
+
+
 @dataclass(frozen=True, slots=True)
 class SensorNis:
     """Normalized innovation squares (NIS) of one sensor, a row per measurement vector."""

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, read_only
+from bench.compiled import kernel
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.units import SAME_INSTANT
 
@@ -61,7 +62,8 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
         error = np.hstack([pos_n, vel_error_n, phi_n])
         present = claimed_blocks(solution)
         counted = np.repeat([name in present for name in BLOCKS], 3)
-        nees = normalized_squares(error[:, counted], solution.cov[:, counted][:, :, counted])
+        cov = solution.cov if counted.all() else solution.cov[:, counted][:, :, counted]
+        nees = normalized_squares(error[:, counted], cov)
     return ErrorSeries(
         t=solution.t,
         pos_n=pos_n,
@@ -147,11 +149,9 @@ def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
     differ in scale. NaN where that matrix is not positive definite or not finite.
     """
     nees = np.full(len(error), np.nan)
-    if error.shape[1] == 0:
-        return nees
-    rows, factor, sd = _scaled_factors(cov, np.array(np.isfinite(error).all(axis=1)))
-    y = np.linalg.solve(factor, (error[rows] / sd)[:, :, None])[:, :, 0]
-    nees[rows] = np.sum(y * y, axis=1)
+    if error.shape[1]:
+        e, P = (read_only(np.ascontiguousarray(rows)) for rows in (error, cov))
+        _nees_kernel(e, P, np.zeros(cov.shape[1:]), np.zeros((2, error.shape[1])), nees)
     return nees
 
 
@@ -160,28 +160,36 @@ def positive_definite(cov: FloatArray) -> BoolArray:
 
     Each is scaled by its own standard deviations first.
     """
-    good = np.zeros(len(cov), np.bool_)
-    good[_scaled_factors(cov, ~good)[0]] = True
-    return good
+    return ~np.isnan(normalized_squares(np.zeros(cov.shape[:2]), cov))
 
 
-def _scaled_factors(cov: FloatArray, wanted: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the wanted rows that are positive definite, their Cholesky factors of D^-1 P D^-1, and D."""
-    variance = np.einsum("kii->ki", cov)
-    usable = wanted & np.isfinite(cov).all(axis=(1, 2)) & (variance > 0).all(axis=1)
-    sd = np.sqrt(variance[usable])
-    P = cov[usable] / sd[:, :, None] / sd[:, None, :]
-    good = np.ones(len(P), np.bool_)
-    try:
-        factors = np.linalg.cholesky(P)
-    except np.linalg.LinAlgError:  # at least one matrix is not positive definite: find out which
-        for k, matrix in enumerate(P):
-            try:
-                np.linalg.cholesky(matrix)
-            except np.linalg.LinAlgError:
-                good[k] = False
-        factors = np.linalg.cholesky(P[good])
-    return np.flatnonzero(usable)[good], np.asarray(factors, np.float64), sd[good]
+@kernel
+def _nees_kernel(
+    error: FloatArray, cov: FloatArray, L: FloatArray, rows: FloatArray, nees: FloatArray
+) -> None:
+    """Fill nees (M,) of errors (M, n) with covariances (M, n, n); L (n, n) and rows (2, n) are memory.
+
+    The square root of what is not positive is NaN or 0, and what follows from it is not finite. Above the
+    diagonal it counts only whether a number is finite.
+    """
+    n, y, scale = L.shape[0], rows[0], rows[1]
+    for k in range(error.shape[0]):
+        P, total = cov[k], 0.0
+        for i in range(n):
+            scale[i] = 1.0 / np.sqrt(P[i, i])
+        for i in range(n):
+            y[i] = error[k, i] * scale[i]
+            for j in range(i + 1):
+                value = P[i, j] * scale[i] * scale[j]
+                for m in range(j):
+                    value -= L[i, m] * L[j, m]
+                L[i, j] = np.sqrt(value) if i == j else value / L[j, j]
+            for j in range(i):
+                y[i] -= L[i, j] * y[j]
+                total += 0.0 * P[j, i]
+            y[i] /= L[i, i]
+            total += y[i] * y[i]
+        nees[k] = total if np.isfinite(total) else np.nan
 
 
 def heading_sd(solution: NavSolution) -> FloatArray:
@@ -266,14 +274,20 @@ def find_covered_epochs(solution: NavSolution) -> BoolArray:
 
 def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Series:
     """Return the given epochs of a solution or error series; all innovations and events are kept."""
-    if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows):
-        first = int(np.argmax(rows))
-        rows = slice(first, None) if rows[first:].all() else rows  # a view and no copy
+    rows = as_slice(rows)
     if isinstance(rows, slice) and rows == slice(0, None):
         return record
     columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
     selected: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
     return replace(record, **selected)
+
+
+def as_slice(rows: BoolArray | IntArray | slice) -> BoolArray | IntArray | slice:
+    """Return a mask of all rows from one on as a slice, which takes a view and no copy; else the rows."""
+    if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and len(rows):
+        first = int(np.argmax(rows))
+        return slice(first, None) if rows[first:].all() else rows
+    return rows
 
 
 def _not_finite(values: FloatArray) -> BoolArray:

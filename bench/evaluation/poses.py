@@ -9,6 +9,7 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, NavSolution
+from bench.evaluation.error_series import as_slice
 
 _PACE = 1.0  # a relative error begins every so many seconds [s]
 
@@ -45,7 +46,8 @@ class Poses:
         """Return the poses of some epochs (M,); None if there are fewer than three."""
         if np.sum(rows) < 3:
             return None
-        return Poses(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+        taken = as_slice(rows)
+        return Poses(**{field.name: getattr(self, field.name)[taken] for field in fields(self)})
 
     def pairs(self, along: FloatArray, step: float) -> tuple[IntArray, IntArray]:
         """Return the first rows, one a second, and the last rows of the pieces that are a step long."""
