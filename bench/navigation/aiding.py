@@ -51,6 +51,7 @@ SENSORS = (
 )
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
 RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
+ABSENT = -1
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
@@ -114,6 +115,9 @@ def use_kernel(
     a = first
     while a < first + rows:
         code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
+        if code == ABSENT:
+            a += m
+            continue
         level = gate.level[code]
         H, z, r = pending.H[a : a + m], pending.z[a : a + m], pending.r[a : a + m]
         for b in range(m):
@@ -263,6 +267,9 @@ def _fix_kernel(
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
             z[i] += state[index.gnss_pos + 1 + i]
+    if not np.isfinite(values[0]):  # a position that a test before the filter has refused
+        for i in range(3):
+            pending.tags[first + i, 0], z[i] = ABSENT, 0.0
     return 6 if np.isfinite(values[3] + values[4] + values[5]) else 3  # a fix may have no velocity
 
 

@@ -117,6 +117,7 @@ class Fusion:
             initial.t,
             compensate=self.options.compensate_latency,
             accuracy=self.options.fix_accuracy,
+            false_alarm=self.options.gate_probability if "velocity" in self.options.integrity else None,
         )
         schedule.events += events
         sky, seen = ranging.empty_sky(), sensors.observations if SATELLITES in used else None

@@ -46,7 +46,7 @@ NotNegative = Annotated[float, _limited(lambda x: x >= 0, "must not be negative"
 Probability = Annotated[float, _limited(lambda x: 0 < x < 1, "must lie between 0 and 1")]
 Count = Annotated[int, _limited(lambda n: n >= 1, "must be at least 1")]
 _LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-Tests = Annotated[tuple[Literal["nis", "trace", "tolerance"], ...], _LIST]
+Tests = Annotated[tuple[Literal["nis", "trace", "tolerance", "velocity"], ...], _LIST]
 Spread = Annotated[tuple[NotNegative, NotNegative, NotNegative], _LIST]
 Place = Annotated[tuple[float, float, float], _LIST]
 
@@ -83,7 +83,8 @@ class IntegrityOptions(GateOptions):
 
     integrity: Tests = ("nis",)
     """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
-    fixes the distance from the INS since the last one used (A-5.4.T)."""
+    fixes the distance from the INS since the last one used (A-5.4.T) and the way by the velocities of the
+    receiver."""
     max_acceleration: Positive = 20.0
     """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
     tolerance_sigmas: Positive = 5.0
@@ -169,6 +170,8 @@ class FusionOptions(IntegrityOptions, FixOptions):
             wrong.append(
                 "nonholonomic = true and coordinated = true: a vehicle has wheels on the road or flies"
             )
+        if "velocity" in self.integrity and (self.tight or not self.gnss):
+            wrong.append("integrity = 'velocity' needs fixes: it compares their positions with velocities")
         if self.gnss_markov and not self.gnss:
             wrong.append("gnss_markov = true needs gnss = true: the states are errors of its fixes")
         if self.gnss_markov and self.tight:
@@ -265,6 +268,8 @@ class ClassicOptions(IntegrityOptions):
     @model_validator(mode="after")
     def _across(self) -> ClassicOptions:
         wrong = []
+        if "velocity" in self.integrity:
+            wrong.append("integrity = 'velocity' is a test of the compiled filters")
         if self.form != "joseph" and self.rows == 8:
             wrong.append(f"form = {self.form!r} needs rows = 7: the noise of eight rows is not independent")
         if not self.feedback and self.correction_period != 0:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import GLONASS, GPS, GnssFixes, GnssObservations, InitialState, SensorData
-from bench.navigation import ranging, timeline
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, InitialState, SensorData
+from bench.navigation import integrity, ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
 from bench.navigation.blocks import assumed
 from bench.navigation.error_state import StateLayout
-from bench.navigation.measurements import AidingSensor, weigh_fixes
+from bench.navigation.measurements import AidingSensor, fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy
 from bench.navigation.timeline import TIME_TOLERANCE, Steps
 from bench.specs import GnssSpec
@@ -34,15 +34,24 @@ class Schedule:
         Measure at the instant of validity, not at that of arrival.
     accuracy : str
         What the variance of a fix comes from, see :func:`bench.navigation.measurements.weigh_fixes`.
+    false_alarm : float or None
+        Chance of :func:`bench.navigation.integrity.find_moved_fixes`, whose positions are left out; None: no
+        such test.
     """
 
     def __init__(
-        self, sensors: SensorData, start: float, *, compensate: bool, accuracy: FixAccuracy = "datasheet"
+        self,
+        sensors: SensorData,
+        start: float,
+        *,
+        compensate: bool,
+        accuracy: FixAccuracy = "datasheet",
+        false_alarm: float | None = None,
     ) -> None:
         self.rows, self.span, self.events = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
         self.imu_t = sensors.imu.t[self.rows]
         self._imu, self._start, self._compensate = sensors.imu, start, compensate
-        self._accuracy = accuracy
+        self._accuracy, self._false_alarm = accuracy, false_alarm
         self._end = max(start, float(self.imu_t[-1])) if len(self.imu_t) else start
         self._kinds: list[tuple[int, IntArray, FloatArray, FloatArray]] = []  # kind, row, valid, arrival
         self._values: list[FloatArray] = []
@@ -77,6 +86,12 @@ class Schedule:
         if isinstance(record, GnssFixes):
             variance = weigh_fixes(record, white, self._accuracy)
             rows, _, events = timeline.fix_rows(record, self.imu_t, self._start)
+            if self._false_alarm is not None:
+                values = np.array(values)
+                own = weigh_fixes(record, fix_variance(spec, gnss_markov=True), self._accuracy)[rows]
+                moved = integrity.find_moved_fixes(record.take(rows), own, spec, self._false_alarm)
+                values[rows[moved], :3] = np.nan
+                events += _list_moved(record.t[rows], moved)
         else:
             rows, _, events = timeline.aiding_rows(record, values, sensor.spec, self.imu_t, self._start)
         self.events += events
@@ -187,6 +202,15 @@ class Schedule:
         """Return the step that ends at each instant t (M,) [s], -1 at the start."""
         at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
         return np.where(t < self._start + TIME_TOLERANCE, -1, at)
+
+
+def _list_moved(t: FloatArray, moved: BoolArray) -> list[EventRow]:
+    """Return an event for each stretch of fixes whose position moved otherwise than their velocity."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], moved.astype(np.int8), [0]]))).reshape(-1, 2)
+    words = "positions moved otherwise than the velocities of the receiver"
+    return [
+        (float(t[a]), float(t[b - 1]), "integrity", f"{b - a} {words}", "gnss_position") for a, b in edges
+    ]
 
 
 def _slots(measure: IntArray, use: IntArray) -> IntArray:
