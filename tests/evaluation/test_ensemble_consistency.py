@@ -10,22 +10,12 @@ from scipy.stats import binom, chi2, t
 
 from bench.evaluation.consistency import SensorNis
 from bench.evaluation.ensemble_consistency import INSTANTS, LEAST_RUNS, check_consistency
-
-STATES = 9
-TIME_CONSTANTS = np.array([900.0] * 5 + [60.0] * 2 + [5.0] * 2)  # [s]
-STEP, EPOCHS = 60.0, 11  # 600 s
+from tests.evaluation.power import EPOCHS, STATES, draw_nees
 
 
 def nees_of_ensembles(seed, ensembles, runs):
     """NEES (ensembles, runs, EPOCHS) of a matched filter with run-long errors."""
-    rng = np.random.default_rng(seed)
-    a = np.exp(-STEP / TIME_CONSTANTS)
-    x = rng.standard_normal((ensembles, runs, STATES))
-    nees = np.empty((ensembles, runs, EPOCHS))
-    for k in range(EPOCHS):
-        nees[:, :, k] = np.square(x).sum(axis=2)
-        x = a * x + np.sqrt(1 - a * a) * rng.standard_normal(x.shape)
-    return nees
+    return draw_nees(np.random.default_rng(seed), ensembles, runs)
 
 
 def count_rejected(ensembles):

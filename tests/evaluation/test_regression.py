@@ -5,8 +5,9 @@ import pytest
 from scipy.stats import binom, fisher_exact, ttest_ind, ttest_rel
 
 from bench.evaluation import regression
+from tests.evaluation.power import LOOKS, ROWS, draw_rmse, is_proven
 
-DRAWS, ROWS, LOOKS = 20, 100, 3
+DRAWS = 20
 
 
 def identity(mean):
@@ -72,25 +73,10 @@ def test_too_few_draws_are_an_error(fewer):
 # --- the rule as a whole, by simulation -------------------------------------------------------------------
 
 
-def rmse_of_draws(rng, checks, loss, scatter, spread=0.4):
-    """RMSE (checks, 80) before and after: log-normal over the draws, a loss with a scatter per draw."""
-    old = np.exp(rng.normal(0.0, spread, (checks, 80)))
-    return old, old * (1 + loss) * np.exp(rng.normal(0.0, scatter, old.shape))
-
-
-def is_proven(old, new):
-    """Whether a change beyond 2 % is proven, as one of 100 rows at one of three looks."""
-    by_draw = np.log(new / old)
-    change = regression.estimate_change(
-        old**2, new**2, regression.half_log_of_mean, paired=True, by_draw=by_draw
-    )
-    return abs(change.estimate) > np.log(1.02) and change.p_value < 0.01 / LOOKS / ROWS
-
-
 def test_a_loss_of_10_percent_with_5_percent_scatter_is_found():
     """At least 90 % of 300 checks find it after 20, 40 or 80 draws, by the 99.9 % band of 90 %."""
-    old, new = rmse_of_draws(np.random.default_rng(4), 300, 0.10, 0.05)
-    found = sum(any(is_proven(a[:n], b[:n]) for n in (20, 40, 80)) for a, b in zip(old, new, strict=True))
+    old, new = draw_rmse(np.random.default_rng(4), 300, 0.10, 0.05, spread=0.4)
+    found = sum(any(is_proven(a[:n], b[:n]) for n in LOOKS) for a, b in zip(old, new, strict=True))
     assert found >= binom.ppf(0.001, 300, 0.9)
 
 
@@ -100,9 +86,9 @@ def test_scatter_without_a_loss_raises_no_alarm():
     Without the test of the single draws about 7 rows raise an alarm: the largest draws decide the pooled
     value, and the jackknife does not know how few they are.
     """
-    old, new = rmse_of_draws(np.random.default_rng(5), 50 * ROWS, 0.0, 0.20, spread=0.6)
+    old, new = draw_rmse(np.random.default_rng(5), 50 * ROWS, 0.0, 0.20, spread=0.6)
     alarms = sum(is_proven(a[:20], b[:20]) for a, b in zip(old, new, strict=True))
-    assert alarms <= binom.ppf(0.999, 50, 0.01 / LOOKS)
+    assert alarms <= binom.ppf(0.999, 50, 0.01 / len(LOOKS))
 
 
 def test_draws_that_move_the_other_way_prove_nothing():
