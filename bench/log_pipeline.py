@@ -22,7 +22,8 @@ from bench.evaluation import validity
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
-from bench.evaluation.recorded_motion import Check
+from bench.evaluation.recorded_motion import Check, RecordedMotion
+from bench.evaluation.rest_noise import assume_rest_noise
 from bench.evaluation.verdict import add_verdict
 from bench.exchange import reference
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
@@ -56,6 +57,7 @@ def read_log(
     estimators: Sequence[str] | None = None,
     allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
+    tune_noise: bool = False,
 ) -> RecordedLog:
     """Read a recording of real sensors and check its consistency; nothing is repaired.
 
@@ -70,6 +72,9 @@ def read_log(
         Let the log run the code it names, a class or a program.
     overrides : mapping or None
         Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
+
+    tune_noise : bool
+        Let the filters assume the noise of the IMU at rest, where it is larger than that of its datasheet.
 
     Raises
     ------
@@ -95,6 +100,11 @@ def read_log(
             built[label] = pipeline.build_estimator(replace(choice, options=options))
         if weighing:
             checks.append(_describe_accuracy(records))
+    if tune_noise:
+        standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
+        imu, found = assume_rest_noise(spec.assumed.imu, records.imu, standstills)
+        spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
+        checks.append(found)
     judge_by = None
     if spec.reference is not None:
         judge_by = reference.read_reference(spec.reference, records.origin, float(records.imu.t.max()))

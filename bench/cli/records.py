@@ -49,6 +49,11 @@ class _LogCommand(click.Command):
 @click.option(
     "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
 )
+@click.option(
+    "--tune-noise",
+    is_flag=True,
+    help="assume the noise of the IMU at rest if it is larger than that of its datasheet",
+)
 @recording_option
 @report_option
 @force_option()

@@ -1,0 +1,72 @@
+"""The white noise of an IMU where it is mounted, from the standstills of a recording.
+
+What shakes it, an engine or the wind, is no error of a bias, so no state of a filter takes it: it has to be
+believed as noise. While the vehicle moves there is more of it, which standstills do not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import ImuData
+from bench.evaluation.noise_curves import format_noise_figures
+from bench.evaluation.recorded_motion import Check
+from bench.specs import ImuSpec, TriadSpec
+
+TAU = 1.0
+"""Averaging time of the Allan deviation [s]: a bias changes little within it."""
+LEAST = 10.0
+"""Shortest time at rest that tells a noise [s]: it is then known to a third or better."""
+_MARGIN = 0.5  # to the ends of a standstill [s]
+_STEPS = 8  # averages begin this often in each averaging time
+_MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
+
+
+def measure_rest_noise(
+    imu: ImuData, standstills: Sequence[tuple[float, float]]
+) -> tuple[float, float] | None:
+    """Return the noise of gyros [rad/sqrt(s)] and accelerometers [m/s/sqrt(s)], root mean square of the axes.
+
+    By the Allan deviation at `TAU`; a median in place of a mean, so that a step into the car or a door does
+    not count. None if the vehicle rests for less than `LEAST` seconds.
+    """
+    sums = np.cumsum(np.hstack([imu.dtheta_b, imu.dvel_b])[imu.valid], axis=0)
+    t, length, apart = imu.t[imu.valid], 0.0, list[FloatArray]()
+    for start, end in standstills:
+        at = np.arange(start + _MARGIN, end - _MARGIN, TAU / _STEPS)
+        if len(at) > 2 * _STEPS:
+            way = np.stack([np.interp(at, t, column) for column in sums.T], axis=-1)
+            apart.append(way[2 * _STEPS :] - 2.0 * way[_STEPS:-_STEPS] + way[: -2 * _STEPS])
+            length += float(at[-1] - at[0])
+    if length < LEAST:
+        return None
+    noise = _MAD * np.median(np.abs(np.concatenate(apart)), axis=0) / np.sqrt(2.0 * TAU)
+    gyro, accel = (float(np.sqrt(np.mean(np.square(part)))) for part in (noise[:3], noise[3:]))
+    return gyro, accel
+
+
+def assume_rest_noise(
+    spec: ImuSpec, imu: ImuData, standstills: Sequence[tuple[float, float]]
+) -> tuple[ImuSpec, Check]:
+    """Return a datasheet with the larger of its noise and that at rest, and a line that says so."""
+    found = measure_rest_noise(imu, standstills)
+    if found is None:
+        text = f"imu: at rest for less than {LEAST:g} s; the noise assumed is that of {spec.name}"
+        return spec, Check("rest_noise_ratio", None, text, True)
+    words, triads, ratios = [], dict[str, TriadSpec](), list[float]()
+    for name, noise in zip(("gyro", "accel"), found, strict=True):
+        triad = getattr(spec, name).averaged()
+        shown = format_noise_figures(name, replace(triad, random_walk=noise))["white noise"]
+        ratio = noise / triad.random_walk if triad.random_walk > 0 else np.inf
+        taken = "assumed" if ratio > 1.0 else f"less than in {spec.name}, which is assumed"
+        words.append(f"{name} {shown}, {ratio:.3g} times {spec.name}: {taken}")
+        triads[name] = replace(triad, random_walk=max(noise, triad.random_walk))
+        ratios.append(ratio)
+    text = f"imu: noise at rest: {'; '.join(words)}; while it moves there may be more"
+    return replace(spec, gyro=triads["gyro"], accel=triads["accel"]), Check(
+        "rest_noise_ratio", max(ratios), text, True
+    )

@@ -1,0 +1,60 @@
+"""The noise of an IMU at rest, found from a log by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bench
+from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.rest_noise import LEAST, measure_rest_noise
+from tests.exchange import drives
+
+
+@pytest.fixture
+def quiet(tmp_path):
+    """A log whose datasheet has a twentieth of the noise."""
+    path = drives.write_log(tmp_path)
+    sheet = drives.IMU_SHEET.replace("0.011459", "0.00057").replace("204.0", "10.2")
+    (tmp_path / "imu.toml").write_text(sheet)
+    return path
+
+
+def test_the_noise_is_that_of_the_drive_whatever_the_datasheet_says(quiet):
+    """Of 17 s at rest and six axes the deviation is known to 12 %; 40 % is beyond three times that."""
+    log = bench.read_log(quiet, tune_noise=True)
+    imu = log.spec.assumed.imu
+    assert imu.gyro.random_walk == pytest.approx(drives.GYRO_N, rel=0.4)
+    assert imu.accel.random_walk == pytest.approx(drives.ACCEL_N, rel=0.4)
+    (line,) = [check.text for check in log.checks if check.name == "rest_noise_ratio"]
+    assert "times imu: assumed" in line
+    assert bench.read_log(quiet).spec.assumed.imu.gyro.random_walk < 0.1 * drives.GYRO_N
+
+
+def test_a_filter_told_so_is_no_longer_overconfident(quiet):
+    plain, tuned = (bench.navigate_log(bench.read_log(quiet, tune_noise=on)) for on in (False, True))
+    nees = [one.metrics["loose-15"]["nees_mean"] for one in (plain, tuned)]
+    assert nees[0] > 2.0 * nees[1]
+    assert tuned.metrics["loose-15"]["verdict"] == "consistent"
+
+
+def test_a_larger_datasheet_stays_and_steps_do_not_count(tmp_path):
+    path = drives.write_log(tmp_path)
+    (tmp_path / "imu.toml").write_text(drives.IMU_SHEET.replace("0.011459", "1.0"))
+    log = bench.read_log(path, tune_noise=True)
+    assert log.spec.assumed.imu.gyro.random_walk == pytest.approx(np.deg2rad(1.0))
+    assert any("which is assumed" in check.text for check in log.checks)
+    spans = RecordedMotion.from_records(log.records.imu, log.records.fixes).find_standstills()
+    imu = log.records.imu
+    kicked = imu.dtheta_b.copy()
+    kicked[(imu.t > 5.0) & (imu.t < 5.5)] += 1e-3  # a door
+    usual, disturbed = (measure_rest_noise(one, spans)[0] for one in (imu, replace(imu, dtheta_b=kicked)))
+    assert disturbed < 1.5 * usual
+
+
+def test_without_a_standstill_the_datasheet_counts(quiet):
+    log = bench.read_log(quiet)
+    assert measure_rest_noise(log.records.imu, []) is None
+    assert measure_rest_noise(log.records.imu, [(0.0, 0.9 * LEAST)]) is None
