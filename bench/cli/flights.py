@@ -11,6 +11,7 @@ import click
 from bench.cli.group import (
     FILE,
     STATUS,
+    FiniteRange,
     code_option,
     commands,
     end_run,
@@ -208,7 +209,7 @@ def view(folder: Path | None, web: bool) -> int:
     "file for the page  [default: DIR/report.html or DIR/index.html], or folder for the figures", "PATH"
 )
 @click.option("--figures", type=click.Choice(["pdf", "svg", "png"]), help="draw figures for a paper instead")
-@click.option("--width-mm", type=click.FloatRange(30, 500), default=88.0, metavar="MM", help="of the figures")
+@click.option("--width-mm", type=FiniteRange(30, 500), default=88.0, metavar="MM", help="of the figures")
 @click.option("--serif", is_flag=True, help="letters with serifs in the figures")
 def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> int:
     """Write the report of a results folder as one HTML page.
@@ -336,7 +337,7 @@ def check(
 @click.option("--empty", is_flag=True, help="remove all flights")
 @click.option(
     "--limit",
-    type=click.FloatRange(min=0),
+    type=FiniteRange(min=0),
     metavar="GB",
     help="remove the least recently used flights until this much is left",
 )

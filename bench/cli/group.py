@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -44,6 +45,17 @@ def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[st
         except (tomllib.TOMLDecodeError, RecursionError):
             values[key] = text
     return values
+
+
+class FiniteRange(click.FloatRange):
+    """A range of numbers; nan and inf are none of it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or end with what is wrong with it."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
 
 
 def parse_durations(ctx: click.Context, param: click.Parameter, given: str | None) -> tuple[float, ...]:

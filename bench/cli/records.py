@@ -10,6 +10,7 @@ import click
 from bench.cli.group import (
     FILE,
     STATUS,
+    FiniteRange,
     code_option,
     commands,
     end_run,
@@ -104,7 +105,7 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     default="saastamoinen",
     help="vertical delay",
 )
-@click.option("--mask-deg", type=click.FloatRange(0, 60), default=10.0, help="lowest elevation used")
+@click.option("--mask-deg", type=FiniteRange(0, 60), default=10.0, help="lowest elevation used")
 @click.option(
     "--without",
     multiple=True,

@@ -15,7 +15,8 @@ from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
 from bench.wording import quantity, suggest
 
-_LABEL = re.compile(r"[A-Za-z0-9_.-]+")
+LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""Label of an estimator, a part of the names of its files."""
 
 
 def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
@@ -136,8 +137,8 @@ def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
             hint = suggest(choice.use, BUILT_IN, "estimators")
             wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
         what = f"{place}label = {choice.label!r}"
-        if not _LABEL.fullmatch(choice.label):
-            wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.'")
+        if not LABEL.fullmatch(choice.label):
+            wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.', 100 at most")
         if choice.label in labels:
             wrong.append(f"{what} is taken by an entry above; give each its own label")
         labels.append(choice.label)

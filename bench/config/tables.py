@@ -95,7 +95,10 @@ def read_toml(path: Path, shown: str) -> dict[str, Any]:
 
 
 def _parse_toml(text: str, shown: str) -> dict[str, Any]:
-    """Return the content of a TOML file; raise ConfigError if its keys are too many, too long or too deep."""
+    """Return the content of a TOML file; raise ConfigError if its keys are too many, too long or too deep.
+
+    So it does for a text with a zero character.
+    """
     if _LONG_CHAIN.search(text):
         raise ConfigError(f"{shown}: a dotted key has more than {_DEEPEST} names")
     if text.count("=") > _MOST_KEYS or text.count("[") > _MOST_KEYS:
@@ -106,12 +109,10 @@ def _parse_toml(text: str, shown: str) -> dict[str, Any]:
         keys = [key for item in level if isinstance(item, dict) for key in item]
         if (longest := max(keys, key=len, default="")) and len(longest) > _LONGEST_KEY:
             raise ConfigError(f"{shown}: the key {longest[:30]}... is longer than {_LONGEST_KEY} characters")
-        level = [
-            inner
-            for item in level
-            for inner in (item.values() if isinstance(item, dict) else item)
-            if isinstance(inner, dict | list)
-        ]
+        values = [inner for item in level for inner in (item.values() if isinstance(item, dict) else item)]
+        if any("\0" in value for value in values if isinstance(value, str)):  # no file has such a name
+            raise ConfigError(f"{shown}: a text with the character \\u0000; leave it out")
+        level = [value for value in values if isinstance(value, dict | list)]
         if not level:
             return document
     raise ConfigError(f"{shown}: more than {_DEEPEST} tables or arrays within each other")

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench import store
 from bench.config import fault_tables
+from bench.config.checks import LABEL
 from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
@@ -23,8 +24,6 @@ from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
-
-_LABEL = re.compile(r"[A-Za-z0-9_.-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +42,10 @@ class Score:
 def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
     """Judge a solution on a run; parameters and errors as `bench.api.score_solution`."""
     label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
-    if not _LABEL.fullmatch(label):
-        raise ConfigError(f"--label {label!r} must be a name of letters, digits, '-', '_' and '.'")
+    if not LABEL.fullmatch(label):
+        raise ConfigError(
+            f"--label {label!r} must be a name of letters, digits, '-', '_' and '.', 100 at most"
+        )
     for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")

@@ -240,6 +240,8 @@ WRONG = [
     (["run", "short.toml", "--view", "--no-rrd"], "error: --view needs the recording"),
     (["run", "nowhere.toml"], "error: nowhere.toml: no such file"),
     (["run", "figure-nine"], "error: no shipped profile 'figure-nine'"),
+    (["cache", "--limit", "nan"], "error: Invalid value for '--limit': nan is not a finite number."),
+    (["cache", "--limit", "inf"], "error: Invalid value for '--limit': inf is not a finite number."),
     (
         ["run", "short.toml", "--set", "start.lat_deg=95"],
         "error: short.toml: [start] lat_deg = 95 deg is outside",

@@ -415,6 +415,7 @@ ONE_THING_WRONG = [
         "[[estimator]] 1: use = 'los-15' is not a built-in estimator. Did you mean",
     ),
     ({"estimator.1.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
+    ({"estimator.1.label": "l" * 101}, f"[[estimator]] 1: label = '{'l' * 101}' must be a name of letters,"),
     ({"evaluation.output_hz": 7}, "[evaluation] output_hz = 7 Hz must divide rate_hz = 200 Hz"),
     (
         {"evaluation.from_s": 100, "duration_s": 90},
@@ -658,6 +659,7 @@ def test_a_hostile_file_is_refused_in_bounded_memory_and_depth(tmp_path):
         ("k=1\n" * 100_001, "more than 100000 keys or tables"),
         (f"a = {'[' * 60}{']' * 60}", "more than 50 tables or arrays within each other"),
         (f"a = {'1' * 5000}", "not valid TOML: Exceeds the limit"),
+        ('a.b = [{ c = "x\\u0000" }]', r"a text with the character \\u0000; leave it out"),
     ],
 )
 def test_what_would_take_long_to_parse_is_refused_at_once(tmp_path, text, message):
