@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
 from bench.data import Events
 
 Colour = tuple[int, int, int]
@@ -31,6 +31,12 @@ ESTIMATOR_NAMES = ("blue", "orange", "violet", "teal", "pink", "olive")
 
 MOST_ROWS = 50.0
 """Poses and plots hold at most this many rows a second [Hz]."""
+
+MOST_POINTS = 30_000
+"""What has more rows than this is of a long flight."""
+
+LONG_POINTS = 8_000
+"""Rows that are kept of it: a few for each pixel of a screen."""
 
 SLOW = 5.0
 """The same for what only shows how the flight went [Hz]."""
@@ -102,6 +108,35 @@ def thin(t: FloatArray, most: float = MOST_ROWS) -> slice:
         return slice(None)
     rate = (len(t) - 1) / (t[-1] - t[0])
     return slice(None, None, max(1, int(np.ceil(rate / most - 1e-6))))
+
+
+def limit_rate(t: FloatArray, most: float) -> float:
+    """Return how many rows a second to keep [Hz]: ``most``, or less of a long flight."""
+    duration = float(np.ptp(t)) if len(t) else 0.0
+    return most if most * duration <= MOST_POINTS else LONG_POINTS / duration
+
+
+def select_rows(series: Series) -> IntArray:
+    """Return the rows of a series that a screen can show: thinned, or the extremes of parts of its time.
+
+    A spike of one epoch stays, and so do gaps.
+    """
+    rows = np.arange(len(series.t))[thin(series.t, series.most)]
+    if len(rows) <= MOST_POINTS:
+        return rows
+    rows = np.arange(len(series.t))
+    parts = LONG_POINTS // (2 * series.values.shape[1])
+    edges = np.linspace(0, len(rows), parts + 1).astype(np.int64)[:-1]
+    broken = ~np.isfinite(series.values).all(axis=1)
+    kept = [np.flatnonzero(broken & ~np.roll(broken, 1))]  # where a gap begins
+    for values in np.where(np.isfinite(series.values), series.values, np.nan).T:
+        for worst, sign in ((np.inf, 1.0), (-np.inf, -1.0)):
+            column = np.where(np.isnan(values), worst, values)
+            best = np.minimum.reduceat(sign * column, edges)
+            found = np.flatnonzero(sign * column == np.repeat(best, np.diff(np.append(edges, len(rows)))))
+            part = np.searchsorted(edges, found, "right")
+            kept.append(found[np.unique(part, return_index=True)[1]])
+    return np.unique(np.concatenate([[0], *kept, [len(rows) - 1]]))
 
 
 def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:

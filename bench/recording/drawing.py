@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from bench.arrays import FloatArray
-from bench.plots.series import Plot, Shade, thin
+from bench.plots.series import Plot, Shade, select_rows
 
 TIMELINE = "flight_time"
 
@@ -33,7 +33,7 @@ def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
             else rr.SeriesLines(colors=colours, names=names, widths=series.widths)
         )
         stream.log(path, style, static=True)
-        keep = thin(series.t, series.most)
+        keep = select_rows(series)
         _send_scalars(stream, path, series.t[keep], series.values[keep])
     for shade in shades:
         _send_shade(stream, entity(*plot.path, "shaded", shade.key), shade, plot)

@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from bench.plots.content import Tab
 from bench.plots.series import Plot, Rows
 from bench.plots.tabs import TABS
+from bench.plots.tabs.comparison import COMPARISON
 from bench.plots.tabs.flight_data import FLIGHT
 from bench.plots.tabs.navigation_errors import ATTITUDE, POSITION
 from bench.plots.tabs.satellites import SATELLITES
@@ -60,10 +61,13 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
 
 def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
     position, attitude = (plots[tab.name].get(main, ()) for tab in (POSITION, ATTITUDE))
-    key_plots = [row[0] for row in (*position, *attitude[2:])] or [plots[FLIGHT.name][""][0][0]]
+    others = plots[COMPARISON.name].get("", ())[:1]
+    key_plots = [row[0] for row in (*others, *position, *attitude[2:])] or [plots[FLIGHT.name][""][0][0]]
 
     where = rrb.Vertical(_make_space_view(scene), _make_map(scene), row_shares=[3, 2])
-    errors = rrb.Vertical(*[_make_plot(scene, plot) for plot in key_plots], _make_phases(scene))
+    errors = rrb.Vertical(
+        *[_make_plot(scene, plot, legend=k == 0) for k, plot in enumerate(key_plots)], _make_phases(scene)
+    )
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
         rrb.TextLogView(
@@ -78,9 +82,13 @@ def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
 
 def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     narrow = all(len(row) == 1 for rows in columns.values() for row in rows)
+    beside = narrow and len(columns) <= SIDE_BY_SIDE
     grids = [
         rrb.Vertical(
-            *[_make_row(scene, row) for row in rows],
+            *[
+                _make_row(scene, row, legend=k == 0, label="" if beside else label)
+                for k, row in enumerate(rows)
+            ],
             *([_make_phases(scene)] if narrow else []),
             row_shares=[4.0] * len(rows) + ([2.0] if narrow else []),
             name=label or None,
@@ -91,16 +99,23 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
         return rrb.Horizontal(
             sky_view.make_view(), *grids, column_shares=[1.0] * (1 + len(grids)), name=tab.name
         )
+    if tab is COMPARISON:
+        verdicts = rrb.TextDocumentView(origin="/verdicts", name="Verdicts")
+        return rrb.Horizontal(*grids, verdicts, column_shares=[3, 1], name=tab.name)
     if len(grids) == 1:
         grids[0].name = tab.name
         return grids[0]
-    if narrow and len(grids) <= SIDE_BY_SIDE:
+    if beside:
         return rrb.Horizontal(*grids, name=tab.name)
     return rrb.Tabs(*grids, name=tab.name, active_tab=0)
 
 
-def _make_row(scene: Scene, row: Sequence[Plot]) -> Any:
-    views = [_make_plot(scene, plot) for plot in row]
+def _make_row(scene: Scene, row: Sequence[Plot], *, legend: bool, label: str) -> Any:
+    """Return the views of a row; titles leave out the label that stands on the tab."""
+    views = [
+        _make_plot(scene, plot, legend=legend and k == 0, name=plot.title.removeprefix(f"{label}: "))
+        for k, plot in enumerate(row)
+    ]
     return views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
 
@@ -109,14 +124,14 @@ def _make_time_axis(scene: Scene) -> Any:
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
 
 
-def _make_plot(scene: Scene, plot: Plot) -> Any:
+def _make_plot(scene: Scene, plot: Plot, *, legend: bool, name: str = "") -> Any:
     return rrb.TimeSeriesView(
         origin=entity(*plot.path),
         contents="$origin/**",
-        name=plot.title,
+        name=name or plot.title,
         axis_x=_make_time_axis(scene),
         axis_y=rrb.ScalarAxis(range=plot.limits()),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
 
 
@@ -154,7 +169,7 @@ def _make_map(scene: Scene) -> Any:
     zoom = np.log2(40_075_017.0 * np.cos(scene.lat) / 256.0 / metres)
     return rrb.MapView(
         origin="/map",
-        name="Map",
+        name="Map (its background needs the network)",
         zoom=float(np.clip(zoom, 1.0, 18.0)),
         overrides=_show_past(scene, "/map"),
     )

@@ -41,12 +41,16 @@ def send(stream: Any, content: Content) -> None:
         return
     first, t = find_epochs(sky)
     keep = np.arange(len(t))[thin(t, _PACE)]
+    if t[0] > truth.t[0]:  # the first epoch stands from the start on: a recording opens there
+        keep = np.append(keep[0], keep)
     counts = np.diff(np.append(first, len(sky)))[keep]
     shown = np.concatenate([np.arange(first[k], first[k] + n) for k, n in zip(keep, counts, strict=True)])
+    shown_from = t[keep]
+    shown_from[0] = min(shown_from[0], float(truth.t[0]))
     state = np.where(sky.used, 2, np.isfinite(sky.cn0).astype(int))[shown]
     stream.send_columns(
         f"{SKY}/satellites",
-        [rr.TimeColumn(TIMELINE, duration=t[keep])],
+        [rr.TimeColumn(TIMELINE, duration=shown_from)],
         rr.Points2D.columns(
             positions=_place(sky.elevation[shown], sky.azimuth[shown]),
             colors=np.array([LOST, RECEIVED, USED], np.uint8)[state],
@@ -64,7 +68,7 @@ def send(stream: Any, content: Content) -> None:
     colour = np.tile(np.array(_ANTENNA, np.uint8), (len(edges), 1))
     stream.send_columns(
         f"{SKY}/antenna",
-        [rr.TimeColumn(TIMELINE, duration=t[keep])],
+        [rr.TimeColumn(TIMELINE, duration=shown_from)],
         rr.LineStrips2D.columns(strips=edges, colors=colour).partition(np.ones(len(edges), np.int64)),
     )
 

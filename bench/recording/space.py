@@ -10,19 +10,24 @@ import rerun as rr
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.data import Trajectory
+from bench.data import NavSolution, Trajectory
 from bench.plots.content import Content
 from bench.plots.series import (
     AXIS_COLOURS,
+    BAND,
     FIX,
+    MOST_ROWS,
     SLOW,
     TRUTH,
     Colour,
+    limit_rate,
     round_number,
     thin,
 )
 from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
+
+_CALM = 0.1  # less wind has no arrow [m/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +77,7 @@ def send(stream: Any, mesh: str | None, content: Content) -> None:
     """
     truth, solutions, colours = content.motion, content.solutions, content.colours
     origin = truth.lla[0]
-    keep = thin(truth.t)
+    keep = thin(truth.t, limit_rate(truth.t, MOST_ROWS))
     t, lla = truth.t[keep], truth.lla[keep]
     pos = earth.local_ned(lla, origin)
     size = float(np.ptp(pos[:, :2], axis=0).max())
@@ -104,9 +109,14 @@ def send(stream: Any, mesh: str | None, content: Content) -> None:
         time,
         rr.Transform3D.columns(translation=pos, quaternion=rotation.to_scalar_last(q_sb)),
     )
+    if isinstance(truth, Trajectory):
+        _send_wind(stream, truth, origin, size)
+        main = next(iter(solutions), None)
+        if main is not None:
+            _send_estimate(stream, main, solutions[main], colours[main], mesh, origin, size)
     colour = TRUTH if isinstance(truth, Trajectory) else next(iter(colours.values()))
     stream.log(f"/map/{vehicle}", rr.GeoPoints.from_fields(colors=[colour], radii=[-7.0]), static=True)
-    slow = thin(truth.t, SLOW)
+    slow = thin(truth.t, limit_rate(truth.t, SLOW))
     stream.send_columns(
         f"/map/{vehicle}",
         [rr.TimeColumn(TIMELINE, duration=truth.t[slow])],
@@ -115,7 +125,8 @@ def send(stream: Any, mesh: str | None, content: Content) -> None:
 
     fixes = content.sensed.data.fixes
     if fixes is not None:
-        good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
+        good = np.flatnonzero(fixes.valid & np.isfinite(fixes.lla).all(axis=1))
+        good = good[thin(fixes.t[good], limit_rate(fixes.t, MOST_ROWS))]
         time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
         for place, points, positions in (
             ("/world/gnss/fixes", rr.Points3D, earth.local_ned(fixes.lla[good], origin)),
@@ -125,8 +136,73 @@ def send(stream: Any, mesh: str | None, content: Content) -> None:
             stream.send_columns(place, time, points.columns(positions=positions))
 
 
-def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> None:
-    """Send the shape of the vehicle: an aircraft, or body axes without a mesh."""
+def _send_estimate(
+    stream: Any,
+    label: str,
+    solution: NavSolution,
+    colour: Colour,
+    mesh: str | None,
+    origin: FloatArray,
+    size: float,
+) -> None:
+    """Send the aircraft as the main estimator has it, in its colour, and its 3 sigma ellipsoid."""
+    good = np.isfinite(np.hstack([solution.lla, solution.q_nb])).all(axis=1)
+    rows = np.flatnonzero(good)[thin(solution.t[good], limit_rate(solution.t, SLOW))]
+    if not len(rows):
+        return
+    place, time = entity("world", "estimators", label), [rr.TimeColumn(TIMELINE, duration=solution.t[rows])]
+    lla = solution.lla[rows]
+    pos, q_sb = earth.local_ned(lla, origin), _convert_to_start_frame(solution.q_nb[rows], lla, origin)
+    _send_vehicle(stream, f"{place}/aircraft", mesh, size, colour)
+    stream.send_columns(
+        f"{place}/aircraft",
+        time,
+        rr.Transform3D.columns(translation=pos, quaternion=rotation.to_scalar_last(q_sb)),
+    )
+    cov = solution.cov[rows, :3, :3]
+    known = np.isfinite(cov).all(axis=(1, 2))
+    if not known.any():
+        return
+    variances, axes = np.linalg.eigh(cov[known])
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # a rotation, no reflection
+    stream.log(
+        f"{place}/ellipsoid",
+        rr.Ellipsoids3D.from_fields(colors=[colour], line_radii=[-0.8], fill_mode="majorwireframe"),
+        static=True,
+    )
+    stream.send_columns(
+        f"{place}/ellipsoid",
+        [rr.TimeColumn(TIMELINE, duration=solution.t[rows][known])],
+        rr.Ellipsoids3D.columns(
+            half_sizes=3.0 * np.sqrt(np.maximum(variances, 0.0)),
+            centers=pos[known],
+            quaternions=rotation.to_scalar_last(rotation.from_matrix(axes)),
+        ),
+    )
+
+
+def _send_wind(stream: Any, truth: Trajectory, origin: FloatArray, size: float) -> None:
+    """Send an arrow at the aircraft that points where the wind blows; 10 m/s are as long as the aircraft."""
+    air = truth.air
+    if not len(air.t) or not np.isfinite(air.wind_n).all() or np.abs(air.wind_n).max() < _CALM:
+        return
+    keep = thin(air.t, limit_rate(air.t, SLOW))
+    at = np.clip(np.searchsorted(truth.t, air.t[keep] - 1e-6), 0, len(truth) - 1)
+    stream.log("/world/wind", rr.Arrows3D.from_fields(colors=[BAND], labels=["wind"]), static=True)
+    stream.send_columns(
+        "/world/wind",
+        [rr.TimeColumn(TIMELINE, duration=air.t[keep])],
+        rr.Arrows3D.columns(
+            vectors=air.wind_n[keep] * (0.012 * max(size, 8.0)),
+            origins=earth.local_ned(truth.lla[at], origin),
+        ),
+    )
+
+
+def _send_vehicle(
+    stream: Any, place: str, mesh: str | None, size: float, colour: Colour | None = None
+) -> None:
+    """Send the shape of the vehicle, in its own colour if one is given; body axes without a mesh."""
     scale = max(1.0, 0.12 * size)
     if mesh not in MESHES:
         axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLOURS)
@@ -142,7 +218,9 @@ def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float) -> Non
         rr.Mesh3D(
             vertex_positions=corners.reshape(-1, 3),
             vertex_normals=np.repeat(normals, 3, axis=0),
-            vertex_colors=np.repeat(paint, 3, axis=0),
+            vertex_colors=np.repeat(paint, 3, axis=0)
+            if colour is None
+            else np.tile(colour, (corners.size // 3, 1)),
         ),
         static=True,
     )

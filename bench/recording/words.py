@@ -25,6 +25,8 @@ def send(stream: Any, result: RunResult, content: Content) -> None:
     truth, sensed, solutions = content.motion, content.sensed, content.solutions
     page = make_summary(result) + make_drift_page(result.more.get("outages", ()))
     stream.log("/summary", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN), static=True)
+    table = make_verdict_table(result)
+    stream.log("/verdicts", rr.TextDocument(table, media_type=rr.MediaType.MARKDOWN), static=True)
 
     sources = [("", truth.events), ("", sensed.events)]
     sources += [(f"{label}: ", solution.events) for label, solution in solutions.items()]
@@ -115,6 +117,15 @@ def make_summary(result: RunResult) -> str:
         row = [values.get(name) for values in metrics.values()]
         if find_metric(name) is not None and not name.endswith("_all"):
             lines.append(f"| {name} | {' | '.join(format_number(value) for value in row)} |")
+    return "\n".join(lines) + "\n"
+
+
+def make_verdict_table(result: RunResult) -> str:
+    """Return the verdicts of all estimators as a table in Markdown, with error and claim."""
+    lines = ["| | verdict | horizontal error [m] | claimed [m] | NEES |", "|---|---|---:|---:|---:|"]
+    for label, values in result.metrics.items():
+        cells = (format_number(values.get(name)) for name in ("pos_rmse_h_m", "pos_claimed_h_m", "nees_mean"))
+        lines.append(f"| {label} | {values.get('verdict', '')} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

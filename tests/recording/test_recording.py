@@ -335,6 +335,37 @@ def test_ten_minutes_stay_below_fifteen_megabytes(tmp_path):
     assert (tmp_path / "long.rrd").stat().st_size < 15e6
 
 
+def test_ten_hours_stay_below_thirty_megabytes_and_keep_a_spike(tmp_path):
+    run = make_run(36_000.0, 4.0, (330.0, 390.0))
+    error = run["errors"][MAIN]
+    pos_n = error.pos_n.copy()
+    pos_n[77_777, 0] = 1234.5
+    run["errors"] = {**run["errors"], MAIN: replace(error, pos_n=pos_n)}
+    write(tmp_path / "long.rrd", **run)
+    assert (tmp_path / "long.rrd").stat().st_size < 30e6
+    path = entity_of(MAIN, "position", "north", "error")
+    t, shown = recording.column(tmp_path / "long.rrd", path, SCALARS)
+    assert len(t) <= series.LONG_POINTS + 2
+    assert t[[0, -1]] == pytest.approx(error.t[[0, -1]])
+    assert shown[:, 0].max() == 1234.5
+    assert t[shown[:, 0].argmax()] == pytest.approx(error.t[77_777])
+
+
+def test_a_gap_stays_in_a_long_series():
+    t = np.arange(200_000.0)
+    values = np.sin(1e-3 * t)[:, None]
+    values[60_000:60_010] = np.nan
+    rows = series.select_rows(series.draw_line("x", t, values[:, 0], "x", (0, 0, 0), most=np.inf))
+    assert len(rows) <= series.LONG_POINTS + 3
+    assert np.isnan(values[rows]).any()
+
+
+def test_verdicts_stand_beside_the_comparison(run):
+    table = words.make_verdict_table(make_result(run)).splitlines()
+    assert table[2] == f"| {MAIN} |  | 1.235 | - | 9.3 |"
+    assert len(table) == 4
+
+
 def test_a_failed_write_leaves_the_folder_as_it_was(run, tmp_path, monkeypatch):
     import rerun as rr
 
@@ -591,7 +622,8 @@ def test_every_view_has_something_to_show(run, tmp_path, labels):
         assert any(path == origin or path.startswith(f"{origin}/") for path in logged), origin
     titles = [n["ViewBlueprint:display_name"] for n in views]
     for label in labels:
-        assert f"{label}: north position error [m]" in titles
+        assert ("" if len(labels) > 3 else f"{label}: ") + "north position error [m]" in titles
+    assert max(map(len, titles)) < 60
 
 
 def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(run, flight, tmp_path):

@@ -110,6 +110,7 @@ def test_the_recording_holds_them(profile, truth, sensed, tmp_path):
             times = batch.column("flight_time").cast("int64").to_numpy() * 1e-9
             labels = batch.column("Points2D:labels").to_pylist()
             counts |= dict(zip(np.round(times, 6), map(set, labels), strict=True))
+    assert counts[0.0] == counts[1.0]  # a recording opens at 0, before the first epoch
     here = at(sensed.sky, 30.0)
     assert len(counts[30.0]) == len(here["sat"])
     assert {f"G{n:02d}" for n in (6, 10)} <= counts[30.0]

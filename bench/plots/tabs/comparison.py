@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from bench.arrays import FloatArray
 from bench.data import ErrorSeries
 from bench.plots.content import Content, Tab
 from bench.plots.series import Plot, Rows, draw_line
+
+LEAST = 1e-3
+"""Smaller errors are drawn as this on a logarithmic scale."""
 
 FAR = 20.0
 """A filter whose error is so many times that of the middle one leaves a comparison, and flattens none."""
@@ -34,8 +38,22 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         )
         if len(series) > 1:
             path = ("comparison", title.partition(" ")[0])
-            rows.append([Plot(path, title, series, content.evaluation_from, FAR)])
+            plot = Plot(path, title, series, content.evaluation_from, FAR)
+            rows.append([plot, _take_logarithm(plot)])
     return {"": rows}
+
+
+def _take_logarithm(plot: Plot) -> Plot:
+    """Return a plot of the logarithms, in which a filter that runs away leaves the others readable."""
+    with np.errstate(divide="ignore"):
+        lines = [replace(one, values=np.log10(np.maximum(np.abs(one.values), LEAST))) for one in plot.series]
+    return replace(
+        plot,
+        path=("comparison-log", plot.path[1]),
+        title=f"log10 of {plot.title}",
+        series=tuple(lines),
+        far=np.inf,
+    )
 
 
 COMPARISON = Tab("Comparison", 10, _plots)

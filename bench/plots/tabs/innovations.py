@@ -47,10 +47,10 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
         components = np.unique(table.component[here])
         row = []
         for component in components:
-            axis, name = "value", f"{title} innovation"
+            axis, name = "value", title
             if len(components) > 1:
                 axis = AXES_N[component]
-                name += f" {axis}"
+                name += f", {axis}"
             series = _innovation_series(table, here & (table.component == component), colour)
             path = ("estimators", label, "innovation", sensor, axis)
             row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.evaluation_from))
