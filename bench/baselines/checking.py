@@ -179,22 +179,28 @@ def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: 
         lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} draws.*"]
     else:
         cause = reason or "say here why"
-        rows = [row.row for row in compare(old, new, name) if row.side or not row.certain]
-        rows.sort(key=lambda row: -abs(row.change or 0.0))
-        moved: dict[str, list[Verdict]] = {label: [] for label in new.estimators}
-        for row in rows:
-            moved.setdefault(row.estimator, []).append(row)
+        rows = [one for one in compare(old, new, name) if one.side or not one.certain]
+        rows.sort(key=lambda one: -abs(one.row.change or 0.0))
+        moved: dict[str, list[Candidate]] = {label: [] for label in new.estimators}
+        for one in rows:
+            moved.setdefault(one.row.estimator, []).append(one)
         lines = [
-            f"*{today} {label}, {name}: {_describe_rows(found)}; {cause}.*" for label, found in moved.items()
+            f"*{today} {label}, {name}: {_describe_rows(found, old.tolerance)}; {cause}.*"
+            for label, found in moved.items()
         ]
     path = directory / CHANGES
     text = path.read_text(encoding="utf-8") if path.is_file() else _HEADING
     path.write_text(text + "".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def _describe_rows(rows: Sequence[Verdict], most: int = 3) -> str:
-    if not rows:
+def _describe_rows(candidates: Sequence[Candidate], tolerance: float, most: int = 3) -> str:
+    """Return the numbers that moved beyond the tolerance, the largest changes first."""
+    if not candidates:
         return "recorded again, no number moved"
+    rows = [one.row for one in candidates if one.side]
+    if not rows:
+        numbers = "1 number" if len(candidates) == 1 else f"{len(candidates)} numbers"
+        return f"recorded again, {numbers} moved, none by more than {100 * tolerance:g} %"
     shown = [f"{row.metric} {row.old:.4g} -> {row.new:.4g}" for row in rows[:most] if row.old is not None]
     more = f", and {len(rows) - most} more" if len(rows) > most else ""
     return ", ".join(shown) + more

@@ -330,10 +330,15 @@ def test_every_value_of_every_draw_is_stored_on_a_line_for_each_metric(recorded)
 def test_changes_says_what_moved_and_why(recorded, measure):
     measure(lambda k: usual(k, 0.5))
     record_baselines(directory=recorded, reason="tighter gate")
-    first, second = (recorded / "CHANGES.md").read_text().splitlines()[-2:]
+    measure(lambda k: usual(k, 0.505))
+    record_baselines(directory=recorded)
+    first, second, third = (recorded / "CHANGES.md").read_text().splitlines()[-3:]
     assert first.endswith(" loose-15, survey: first record, 80 draws.*")
     assert " loose-15, survey: pos_rmse_h_m 2." in second
     assert second.endswith("; tighter gate.*")
+    assert third.endswith(
+        " loose-15, survey: recorded again, 1 number moved, none by more than 2 %; say here why.*"
+    )
 
 
 def test_programs_of_a_baseline_need_permission(measure, tmp_path):
