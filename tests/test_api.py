@@ -32,6 +32,7 @@ WITHOUT = {
     "guide": "shows pages",
     "new": "writes a starting point to edit",
     "view": "opens a window",
+    "warm": "compiles for this machine",
 }
 """Verb without a function -> why."""
 

@@ -1,4 +1,4 @@
-"""The verbs of simulated flights: run, fly, list, guide, new, view, report, record, compare, check, cache."""
+"""The verbs run, fly, list, guide, new, view, report, record, compare, check, cache and warm."""
 
 from __future__ import annotations
 
@@ -352,4 +352,24 @@ def cache(empty: bool, limit: float | None) -> int:
     from bench.workbench.flight_verbs import look_after_cache
 
     look_after_cache(0.0 if empty else limit, console=new_console())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profile", required=False, metavar="[PROFILE]")
+@estimator_option("compile only this one, built in")
+def warm(profile: str | None, estimators: tuple[str, ...] | None) -> int:
+    """Compile the kernels before the first run, for install scripts and cluster nodes.
+
+    Without PROFILE those of all sensors and built-in estimators are compiled, half a
+    minute once for each version of bench; with it, those that the profile uses.
+
+    \b
+    Examples:
+      bench warm                  everything that is built in
+      bench warm figure-eight     what this profile needs
+    """
+    from bench.workbench.warm_verb import warm as warm_kernels
+
+    warm_kernels(profile, console=new_console(), estimators=estimators)
     return DONE

@@ -1,0 +1,75 @@
+"""The verb warm: compile kernels before they are needed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from bench import config, pipeline
+from bench.compiled import choose_cache
+from bench.errors import ConfigError
+from bench.flight.legs.level import Straight
+from bench.navigation.estimator import BUILT_IN
+from bench.specs import EstimatorChoice, FlightSpec, Profile
+
+_EVERY_SENSOR = "all-sensors"
+"""The shipped profile with the sensors that any built-in estimator uses."""
+_SECONDS = 10.0  # of flight: every sensor reports, every kernel runs
+
+
+def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | None) -> None:
+    """Compile the kernels of the built-in estimators of a profile, or of all, into the cache.
+
+    Sensors, estimators and judge run over ten seconds of level flight. Estimators of the user are not run.
+
+    Parameters
+    ----------
+    name : str or None
+        A profile; None: every sensor and every built-in estimator.
+    console : Console
+        Where to print how many kernels were compiled, how long it took, and the folder.
+    estimators : tuple of str or None
+        Only these.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If there is no such profile, or it has no built-in estimator.
+    """
+    base = config.load_profile(_EVERY_SENSOR)
+    chosen = estimators or (tuple(BUILT_IN) if name is None else None)
+    profile = config.load_profile(name or _EVERY_SENSOR, estimators=chosen, allow_code=True)
+    built_in = tuple(choice for choice in profile.estimators if choice.use in BUILT_IN)
+    if not built_in:
+        raise ConfigError(
+            f"{profile.name}: no built-in estimator to compile; there are {', '.join(BUILT_IN)}"
+        )
+    folder, begun = choose_cache(), time.perf_counter()
+    before = _count_kernels(folder)
+    _run_shortly(base, profile, built_in)
+    compiled, spent = _count_kernels(folder) - before, time.perf_counter() - begun
+    what = (
+        f"Compiled {compiled} kernels in {spent:.1f} s" if compiled else "All kernels were compiled already"
+    )
+    console.print(f"{what}: {folder}", soft_wrap=True)
+
+
+def _run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
+    """Fly level, and run the sensors of a profile, estimators and the judge."""
+    assert isinstance(base.flight, FlightSpec)
+    rate = max(base.flight.rate, getattr(profile.flight, "rate", 0.0))
+    flight = replace(base.flight, legs=(Straight(_SECONDS),), duration=None, rate=rate)
+    truth = pipeline.fly(replace(base, flight=flight), cache=False)
+    sensors = replace(profile.sensors, gnss_outages=(), faults=(), alignment="given")
+    short = replace(profile, sensors=sensors, evaluation_from=0.0)
+    sensed = pipeline.sense(short, truth)
+    for choice in choices:
+        solution = pipeline.navigate(choice, sensed.data, sensed.initial)
+        pipeline.judge(short, truth, solution, sensed.truth)
+
+
+def _count_kernels(folder: Path) -> int:
+    return sum(1 for _ in folder.rglob("*.nbc"))
