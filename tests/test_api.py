@@ -14,6 +14,7 @@ FUNCTIONS = {
     "campaign": "campaign",
     "card": "make_card",
     "check": "check",
+    "compare": "compare_results",
     "export": "export_run",
     "fixes": "solve_rinex",
     "fly": "describe_flight",
