@@ -119,6 +119,7 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     help="datum of the positions in --out",
 )
 @out_option("file for the fixes", "FILE.csv")
+@click.option("--report", type=FILE, metavar="FILE.html", help="write a page with the fixes and their errors")
 @json_option("the figures")
 def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute the fixes of a GNSS receiver from its observations.

@@ -91,11 +91,11 @@ def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray
     Parameters
     ----------
     paths : sequence of (name, colour, (N, 2) array)
-        North and east [m], finite; the first sets the scale.
+        North and east [m], finite; the first sets the scale, without one the dots.
     dots : (M, 2) array
         North and east of fixes [m].
     """
-    first = paths[0][2]
+    first = paths[0][2] if paths else dots
     low, high = first.min(axis=0), first.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.56 * max(float((high - low).max()), 1.0)
     width = height = 420

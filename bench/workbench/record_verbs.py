@@ -98,14 +98,19 @@ def solve_fixes(
     console: Console,
     datum: str,
     out: Path | None,
+    report: Path | None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Solve RINEX files, print and return the figures, and write the fixes.
+    """Solve RINEX files, print and return the figures, and write the fixes and their report.
 
     ``options`` are those of `bench.api.solve_rinex`; ``datum`` is that of the positions in ``out``.
     """
     if out is not None:
         store.check_file(out)
+    if report is not None:
+        from bench.report import fixes_page, page
+
+        page.check_page(report)
     solved = api.solve_rinex(observations, navigation, **options)
     figures = solved.figures()
     table = Table("", "")
@@ -118,6 +123,9 @@ def solve_fixes(
     if out is not None:
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")
+    if report is not None:
+        fixes_page.write(report, solved)
+        console.print(f"Report: {report}", soft_wrap=True)
     return figures
 
 

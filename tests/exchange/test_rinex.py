@@ -110,6 +110,21 @@ def solved(files, **options):
     return bench.solve_rinex(gnss_file(files[0]), gnss_file(files[1]), without=without, **options)
 
 
+def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
+    from bench.report import fixes_page
+
+    known = solved(ESBC)
+    fixes_page.write(tmp_path / "fixes.html", known)
+    text = (tmp_path / "fixes.html").read_text()
+    figures = known.figures()
+    assert f'<th scope="row">horizontal_95_m</th><td>{figures["horizontal_95_m"]:.4g}</td>' in text
+    assert "Errors are relative to the position in the header of the file" in text
+    north = known.errors()[known.fixes.valid, 0]
+    assert "north position [m]: ±3σ, as computed" in text
+    assert f"fix {north.min():.3g} to {north.max():.3g}" in text
+    assert "Track from above, north up" in text
+
+
 def figures_of(files, **options):
     return solved(files, **options).figures()
 
