@@ -54,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         over.set()
     finally:
         over.set()
+        if arguments is None:
+            gc.freeze()  # the process ends: nothing of it is worth a last collection
         gc.set_threshold(*threshold)
         sys.unraisablehook = hook
         for number, handler in before.items():

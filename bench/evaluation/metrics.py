@@ -7,7 +7,7 @@ alignment window on, ``x_all`` over the whole run.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -403,6 +403,7 @@ def _compute_metrics(case: Case, solution: NavSolution, metrics: Sequence[Metric
     }
 
 
+@cache
 def find_metric(name: str) -> Metric | None:
     """Return the row of :data:`METRICS` for the name of a metric, with or without ``_all``; None if unknown.
 
