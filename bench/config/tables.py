@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from bench.errors import MOST_MESSAGES, ConfigError
+from bench.files import check_file
 from bench.wording import as_toml, describe_error, suggest
 
 _T = TypeVar("_T", bound=BaseModel)
@@ -75,13 +76,8 @@ def read_toml(path: Path, shown: str) -> dict[str, Any]:
         If the file cannot be read, is too large or is not TOML. Messages call it ``shown``.
     """
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():  # reading a pipe would block
-            raise ConfigError(f"{shown}: not a regular file")
-        with path.open("rb") as file:
-            text = file.read(MOST_BYTES + 1)
-        if len(text) > MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
-        return _parse_toml(text.decode("utf-8"), shown)
+        check_file(path, shown, MOST_BYTES)
+        return _parse_toml(path.read_bytes().decode("utf-8"), shown)
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except UnicodeDecodeError:

@@ -15,6 +15,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
+from bench.files import check_file
 
 MOST_BYTES = 1_000_000_000
 """Largest size of a file, and of its compressed variables when unpacked [byte]."""
@@ -39,8 +40,7 @@ def read_mat(path: Path) -> dict[str, Value]:
     shown = path.name
     variables: dict[str, Value] = {}
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        check_file(path, shown, MOST_BYTES)
         content = memoryview(path.read_bytes())
         head = bytes(content[:128])
         if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:

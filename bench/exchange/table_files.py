@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.mat_file import Value, get_vector, read_mat
+from bench.files import check_file
 from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
@@ -131,8 +132,7 @@ def read_table(
     import pyarrow as pa
 
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        check_file(path, shown, MOST_BYTES)
         names, batches = _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
         chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]

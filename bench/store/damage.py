@@ -12,6 +12,7 @@ from typing import Any
 import bench
 from bench.errors import BenchError, ConfigError
 from bench.evaluation.metrics import find_metric
+from bench.files import check_file
 from bench.store import parquet
 
 FORMAT = 1
@@ -19,6 +20,7 @@ FORMAT = 1
 
 RESULT = "result.json"
 TRUTH = "truth.parquet"
+_MOST_BYTES = 100_000_000  # of it
 SUMMARY = ("profile", "seed", "run", "metrics", "provenance")
 """Fields of a result in ``result.json``; its other entries are `RunResult.more`."""
 
@@ -33,6 +35,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / RESULT
     try:
+        check_file(path, str(path), _MOST_BYTES)
         summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         layout = summary.pop("format", 1)
         missing = [name for name in SUMMARY if name not in summary]

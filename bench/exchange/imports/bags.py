@@ -24,6 +24,7 @@ from bench.errors import ConfigError
 from bench.exchange.imports import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.exchange.table_files import MOST_BYTES
+from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]
@@ -43,8 +44,10 @@ Bag = tuple[Mapping[str, str], Callable[[str], Messages]]
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a topic of a bag."""
-    sizes = [one.stat().st_size for one in (path.rglob("*") if path.is_dir() else [path]) if one.is_file()]
-    if sum(sizes) > MOST_BYTES:
+    inside = [one for one in (path.rglob("*") if path.is_dir() else [path]) if one.exists()]
+    for one in inside:
+        check_file(one, one.name, MOST_BYTES)
+    if sum(one.stat().st_size for one in inside if one.is_file()) > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     opened = _open_mcap if form == "mcap" else _open_bag
     try:

@@ -22,6 +22,7 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES, TableColumns
+from bench.files import check_file
 from bench.signals.orbits import WEEK
 
 _LINE = 4096  # longest line [characters]
@@ -156,8 +157,7 @@ def _parse_solution(line: str) -> list[float]:
 
 def _read_lines(path: Path) -> Iterator[str]:
     """Yield the lines of a file that are not blank."""
-    if path.stat().st_size > MOST_BYTES:
-        raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
+    check_file(path, path.name, MOST_BYTES)
     try:
         with path.open(encoding="utf-8") as file:
             number = 0

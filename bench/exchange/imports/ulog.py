@@ -18,6 +18,7 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.imports import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
+from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
@@ -30,8 +31,7 @@ _TOPICS = {
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a ULog; ``topic`` is a message, or ``message:instance``."""
-    if path.stat().st_size > _MOST_BYTES:
-        raise ConfigError(f"{path.name}: larger than {_MOST_BYTES // 1_000_000} MB")
+    check_file(path, path.name, _MOST_BYTES)
     from pyulog import ULog
 
     wanted = (topic.partition(":")[0],) if topic else _TOPICS[kind]

@@ -12,6 +12,7 @@ from typing import TextIO
 import numpy as np
 
 from bench.errors import ConfigError
+from bench.files import check_file
 from bench.signals.orbits import DAY
 
 LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
@@ -135,8 +136,7 @@ def _parse_number(text: str) -> float | None:
 def open_lines(path: Path, shown: str) -> Iterator[Lines]:
     """Open a text file and provide its lines; raise ConfigError if it cannot be opened, or is too large."""
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB")
+        check_file(path, shown, MOST_BYTES)
         with path.open(encoding="latin-1", newline="") as file:
             yield Lines(file, shown)
     except FileNotFoundError:

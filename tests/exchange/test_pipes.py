@@ -1,0 +1,61 @@
+"""A pipe in the place of a file is refused by every reader: it would wait for ever."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from bench import store
+from bench.baselines.baseline_file import read_baseline
+from bench.config.tables import read_toml
+from bench.errors import ConfigError
+from bench.exchange.imports import bags, text, ulog
+from bench.exchange.mat_file import read_mat
+from bench.exchange.rinex.lines import open_lines
+from bench.exchange.solutions import read_solution
+from bench.exchange.table_files import read_table
+
+
+def open_rinex(path: Path) -> None:
+    with open_lines(path, path.name):
+        pass
+
+
+READERS = {
+    "x.toml": lambda path: read_toml(path, path.name),
+    "x.csv": lambda path: read_table(path, {"time": [("t_s",)]}, (), 10),
+    "x.parquet": lambda path: read_table(path, {"time": [("t_s",)]}, (), 10),
+    "x.mat": read_mat,
+    "x.ulg": lambda path: ulog.read("ulog", path, "imu", None),
+    "x.bag": lambda path: bags.read("rosbag", path, "imu", None),
+    "x.pos": lambda path: list(text._read_lines(path)),
+    "x.obs": open_rinex,
+    "x.json": read_baseline,
+    "solution.csv": read_solution,
+    "result.json": lambda path: store.load(path.parent),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pipe_is_no_file(tmp_path, name):
+    def end(*_):
+        raise TimeoutError("it waits")
+
+    os.mkfifo(tmp_path / name)
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(10)
+    try:
+        with pytest.raises(ConfigError, match=f"{name}: not a regular file"):
+            READERS[name](tmp_path / name)
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_a_bag_folder_with_a_pipe_in_it_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "x.db3")
+    with pytest.raises(ConfigError, match=r"x\.db3: not a regular file"):
+        bags.read("rosbag", tmp_path, "imu", None)
