@@ -58,6 +58,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "check": "bench.baselines.checking",
     "campaign": "bench.campaigns.running",
+    "compare_cards": "bench.campaigns.card_comparison",
     "compare_results": "bench.baselines.comparing",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
@@ -76,6 +77,7 @@ _PUBLIC = {
     "measure_allan": "bench.api",
     "navigate": "bench.api",
     "navigate_log": "bench.log_pipeline",
+    "read_card": "bench.campaigns.card",
     "read_log": "bench.log_pipeline",
     "record_baselines": "bench.baselines.checking",
     "run": "bench.api",

@@ -25,14 +25,22 @@ class ComparedLine:
     sentence: str
 
 
-def compare_cards(names: tuple[str, str], first: Card, second: Card) -> list[ComparedLine]:
+def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = None) -> list[ComparedLine]:
     """Compare the figures that both cards have, on the same noise.
+
+    Parameters
+    ----------
+    first, second : Card
+        As `bench.make_card` or `bench.read_card` returns them.
+    names : (str, str) or None
+        What the sentences call them; None takes the names of the estimators.
 
     Raises
     ------
     ConfigError
         If they are not of the same suite.
     """
+    names = names or name_cards((first, second), ("the first", "the second"))
     if (first.suite, first.suite_hash) != (second.suite, second.suite_hash):
         raise ConfigError(
             f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "

@@ -205,7 +205,7 @@ def print_comparison(paths: tuple[Path, Path], *, console: Console) -> list[Comp
     """Print and return how the cards in two files differ."""
     first, second = (read_card(path) for path in paths)
     names = name_cards((first, second), [str(path) for path in paths])
-    found = compare_cards(names, first, second)
+    found = compare_cards(first, second, names)
     console.print(f"{names[0]} and {names[1]}: {describe_suite(first)}", soft_wrap=True)
     if different := list_differences(first, second):
         console.print(f"Made with other versions: {', '.join(different)}.", style="yellow", soft_wrap=True)

@@ -10,8 +10,7 @@ import pytest
 
 import bench
 from bench.campaigns import card, running
-from bench.campaigns.card import read_card
-from bench.campaigns.card_comparison import compare_cards, list_differences
+from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
@@ -66,7 +65,7 @@ def find(found: card.Card, flight: str, topic: str) -> card.Line:
 
 
 def test_a_card_says_what_the_runs_say(made):
-    found = read_card(made / "a.json")
+    found = bench.read_card(made / "a.json")
     results = [bench.run("short.toml", run=k) for k in range(DRAWS)]
     own, other = ([one.metrics[label] for one in results] for label in ("loose-15", "loose-22"))
 
@@ -91,7 +90,7 @@ def test_a_card_says_what_the_runs_say(made):
 
 
 def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
-    found = read_card(made / "a.json")
+    found = bench.read_card(made / "a.json")
     [values] = [one.values for one in make_suite().members if one.name == "gap"]
     gap = [
         bench.run(load_profile("short.toml", values, estimators=["loose-15"]), run=k) for k in range(DRAWS)
@@ -111,7 +110,7 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
 
 
 def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
-    first, again, other = (read_card(made / name) for name in ("a.json", "again.json", "b.json"))
+    first, again, other = (bench.read_card(made / name) for name in ("a.json", "again.json", "b.json"))
     assert first.speed.value > 0.0
     assert again.model_copy(update={"speed": None}) == first.model_copy(update={"speed": None})
     assert other.suite_hash == first.suite_hash
@@ -125,35 +124,35 @@ def test_two_cards_compare_draw_by_draw(made, capsys):
     capsys.readouterr()
     assert main(["card", "--compare", "b.json", "a.json"]) == 0
     text = capsys.readouterr().out
-    first, second = (read_card(made / name) for name in ("b.json", "a.json"))
-    found = compare_cards(("loose-22", "loose-15"), first, second)
+    first, second = (bench.read_card(made / name) for name in ("b.json", "a.json"))
+    found = bench.compare_cards(first, second)
     assert text.splitlines()[1:] == [line.sentence for line in found]
     values = {(line.topic, line.flight): line.values for line in found}
     pair = (find(one, "short", "honesty").value for one in (first, second))
     assert values["honesty", "short"] == tuple(pair)
     assert found[-1].sentence.startswith("speed: loose-22 takes ")
     assert found[-2].sentence == "5 figures are the same in every draw."
-    [whole, _] = compare_cards(("x", "y"), first, first)
+    [whole, _] = bench.compare_cards(first, first, names=("x", "y"))
     judged = [line for line in first.lines if line.topic != "robustness"]
     assert whole.sentence == f"{len(judged)} figures are the same in every draw."
     other = second.model_copy(update={"suite_hash": "0", "versions": {"bench": "0"}})
     with pytest.raises(ConfigError, match="the cards are not of the same suite: b has 2, quick"):
-        compare_cards(("b", "a"), first, other)
+        bench.compare_cards(first, other, names=("b", "a"))
     assert list_differences(first, second) == []
     assert f"bench {first.versions['bench']} and 0" in list_differences(first, other)
 
 
 def test_the_better_filter_is_named(made):
-    line = find(read_card(made / "a.json"), "short", "accuracy")
+    line = find(bench.read_card(made / "a.json"), "short", "accuracy")
 
     def with_errors(values: list[float]) -> card.Card:
-        base = read_card(made / "a.json")
+        base = bench.read_card(made / "a.json")
         return base.model_copy(update={"lines": (line.model_copy(update={"by_draw": tuple(values)}),)})
 
     cards = with_errors([1.0, 2.0, 3.0, 2.0, 1.0]), with_errors([1.1, 2.21, 3.29, 2.2, 1.1])
-    [found] = compare_cards(("x", "y"), *cards)[:1]
+    [found] = bench.compare_cards(*cards, names=("x", "y"))[:1]
     assert found.sentence.endswith("): x is better.")
-    [found] = compare_cards(("x", "y"), cards[1], with_errors([1.0, 2.5, 3.2, 2.3, 1.0]))[:1]
+    [found] = bench.compare_cards(cards[1], with_errors([1.0, 2.5, 3.2, 2.3, 1.0]), names=("x", "y"))[:1]
     assert found.sentence.endswith("): not proven to differ.")
 
 
@@ -170,11 +169,11 @@ def test_what_is_no_card_is_refused(tmp_path, text, message):
     if text is not None:
         (tmp_path / "x.json").write_text(text)
     with pytest.raises(ConfigError, match=message):
-        read_card(tmp_path / "x.json")
+        bench.read_card(tmp_path / "x.json")
 
 
 def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
-    found = read_card(made / "a.json")
+    found = bench.read_card(made / "a.json")
     page = (made / "a.html").read_text()
     assert found.suite_hash in page
     for line in found.lines:
