@@ -29,7 +29,7 @@ ESTIMATORS: tuple[Colour, ...] = (
 )
 ESTIMATOR_NAMES = ("blue", "orange", "violet", "teal", "pink", "olive")
 
-MOST_ROWS = 50.0
+MOST_ROWS = 25.0
 """Poses and plots hold at most this many rows a second [Hz]."""
 
 MOST_POINTS = 30_000
@@ -40,6 +40,9 @@ LONG_POINTS = 8_000
 
 SLOW = 5.0
 """The same for what only shows how the flight went [Hz]."""
+
+DRIFTING = 2.0
+"""The same for what drifts over minutes, such as biases [Hz]."""
 
 AXES_N = ("north", "east", "down")
 AXES_B = ("x", "y", "z")
@@ -183,11 +186,12 @@ def draw_three_sigma(
     name: str,
     colour: Colour,
     around: FloatArray | float = 0.0,
+    most: float = MOST_ROWS,
 ) -> Series:
-    """Return a value, and 3 sigma either side of zero or of other values."""
+    """Return a value, and 3 sigma either side of zero or of other values; ``most`` rows a second [Hz]."""
     values = np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd])
     names, pale = (name, "±3σ", "±3σ"), paler(colour)
-    return Series(key, t, values, names, (colour, pale, pale), (1.5, 1.0, 1.0), band=(1, 2), most=MOST_ROWS)
+    return Series(key, t, values, names, (colour, pale, pale), (1.5, 1.0, 1.0), band=(1, 2), most=most)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from bench.arrays import FloatArray
 from bench.data import NavSolution
 from bench.instruments import INSTRUMENTS
 from bench.plots.content import Content, Tab
-from bench.plots.series import AXES_B, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
+from bench.plots.series import AXES_B, DRIFTING, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
 from bench.units import STANDARD_GRAVITY
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
@@ -55,9 +55,11 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
                 continue
             sd = scale * _extra(solution, name, solution.extra_sd)
             value = scale * estimate
-            series = [draw_three_sigma("estimated", solution.t, value, sd, "estimated", colour, around=value)]
+            series = [
+                draw_three_sigma("estimated", solution.t, value, sd, "estimated", colour, value, DRIFTING)
+            ]
             if len(drawn.t):
-                series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH))
+                series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH, DRIFTING))
             path = ("estimators", label, "bias", name)
             row.append(Plot(path, f"{label}: {title}", tuple(series), content.evaluation_from))
         if row:
