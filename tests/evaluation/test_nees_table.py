@@ -1,0 +1,60 @@
+"""The NEES table of the guide: words follow from the interval, faults do not count, every cell is there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bench
+from bench.campaigns.groups import Group
+from bench.campaigns.plan import Condition, plan_runs
+from bench.campaigns.worker import CHANNELS
+from bench.config.library import list_profiles
+from bench.navigation import estimator
+from tests import nees_table
+
+RNG = np.random.default_rng(5)
+
+
+def row(mean: float, draws: int = 50):
+    averages = mean + RNG.standard_normal(draws)
+    return nees_table.summarize("survey", "loose-15", 9, 0, averages)
+
+
+@pytest.mark.parametrize(
+    ("mean", "word"),
+    [(9.0, "consistent"), (400.0, "overconfident"), (5.0, "underconfident"), (11.2, "undecided")],
+)
+def test_the_word_follows_from_the_interval(mean, word):
+    assert row(mean).word == word
+    assert row(mean, 1).word == "undecided"
+
+
+def test_the_interval_holds_the_mean_as_often_as_it_says():
+    """2000 intervals of 99 %: 0.982 to 0.998 of them, 99.9 %."""
+    inside = [abs(one.mean - 9.0) < one.half for one in (row(9.0, 8) for _ in range(2000))]
+    assert 0.982 < np.mean(inside) < 0.998
+
+
+def test_faults_and_runs_that_were_lost_do_not_count():
+    profile = replace(bench.load_profile("gnss-faults"), evaluation_from=60.0)
+    t = np.arange(1.0, 261.0)
+    kept = np.full((4, len(t), len(CHANNELS)), 9.0)
+    kept[:, (t >= 80.0), :] = 1e6  # from the first fault on
+    metrics = tuple({"converged": k < 3} for k in range(4))
+    group = Group(0, Condition("gnss-faults", {}), "loose-15", (1,), 60.0, metrics, 9, (), t, t, t, t, kept)
+    found = nees_table.judge(group, profile)
+    assert (found.mean, found.draws, found.lost) == (9.0, 3, 1)
+    whole = nees_table.judge(group, replace(profile, sensors=replace(profile.sensors, faults=())))
+    assert whole.mean > 1e5
+
+
+def test_the_studies_hold_every_profile_and_every_estimator_of_the_table():
+    plans = [plan_runs(str(path), 1) for path in nees_table.STUDIES.glob("nees*.toml")]
+    flown = {condition.source for plan in plans for condition in plan.conditions}
+    assert flown == {entry.name for entry in list_profiles()}
+    used = {one.label for plan in plans for cell in plan.cells for one in cell.profile.estimators}
+    assert used == {name for names in nees_table.TABLES for name in names}
+    assert used == set(estimator.BUILT_IN) - {"classic-22"}  # which has the answers of loose-22

@@ -1,0 +1,130 @@
+"""Write the NEES table of the guide from the campaigns of ``tests/studies``.
+
+Each is run by ``bench campaign tests/studies/nees.toml -o campaigns/nees`` and alike, with ``--runs`` for
+fewer draws and ``--resume`` to go on; then ``python -m tests.nees_table campaigns`` prints the rows. Epochs
+during faults and the minute after them do not count, as in `tests.navigation.honesty`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.special import stdtrit
+
+from bench.campaigns.groups import Group, gather
+from bench.campaigns.journal import NAME, Journal
+from bench.campaigns.plan import plan_runs
+from bench.campaigns.worker import CHANNELS
+from bench.evaluation.ensemble_consistency import TOLERATED
+from bench.specs import Profile
+from bench.units import SAME_INSTANT
+from tests.navigation.honesty import choose_instants
+
+STUDIES = Path(__file__).parent / "studies"
+TABLES = (
+    ("loose-15", "loose-22", "loose-full"),
+    ("smoother", "gnss-only", "ukf"),
+    ("loose-mems", "baro-inertial", "free-inertial"),
+    ("tight",),
+)
+"""Estimators of each table, few enough for a terminal."""
+CONFIDENCE = 0.99
+MARKS = {"consistent": "=", "overconfident": "!", "underconfident": "~", "undecided": "?"}
+"""Verdict -> its mark in a cell."""
+FEWEST = 5
+"""Draws that have an interval in the table."""
+MOST_RUNS = 1000
+"""Draws that are looked for in a journal."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Mean NEES of an estimator on a profile."""
+
+    profile: str
+    label: str
+    states: int
+    draws: int  # judged
+    lost: int  # did not converge
+    mean: float
+    half: float  # of the interval; NaN from one draw
+
+    @property
+    def word(self) -> str:
+        """The word of `bench.evaluation.ensemble_consistency`, by the interval: P is right within 25 %."""
+        least, most = (self.states * limit for limit in TOLERATED)
+        if not self.draws or np.isnan(self.half):
+            return "undecided"
+        if self.mean - self.half > most:
+            return "overconfident"
+        if self.mean + self.half < least:
+            return "underconfident"
+        inside = least <= self.mean - self.half and self.mean + self.half <= most
+        return "consistent" if inside else "undecided"
+
+
+def summarize(profile: str, label: str, states: int, lost: int, averages: np.ndarray) -> Row:
+    """Return the row of run averages (R,) of NEES."""
+    n = len(averages)
+    half = np.nan
+    if n > 1:
+        half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE) * averages.std(ddof=1) / np.sqrt(n))
+    return Row(profile, label, states, n, lost, float(averages.mean()) if n else np.nan, half)
+
+
+def measure(study: Path, folder: Path) -> Iterator[Row]:
+    """Yield a row for each profile and estimator of a study, from the journal in its folder."""
+    plan = plan_runs(str(study), MOST_RUNS)
+    with Journal(folder / NAME) as journal:
+        for group in gather(plan, journal):
+            yield judge(group, plan.cells[group.number].profile)
+
+
+def judge(group: Group, profile: Profile) -> Row:
+    """Return the row of a group of runs; instants at which any of them has no NEES do not count."""
+    chosen = choose_instants(profile, group.kept_t) & (group.kept_t >= group.evaluation_from - SAME_INSTANT)
+    nees = group.kept[group.converged][:, chosen, list(CHANNELS).index("nees")].astype(float)
+    nees = nees[:, np.isfinite(nees).all(axis=0)]
+    lost = len(group.metrics) - len(nees)
+    averages = nees.mean(axis=1) if nees.size else np.empty(0)
+    return summarize(group.condition.source, group.label, group.states, lost, averages)
+
+
+def write_cell(row: Row | None) -> str:
+    """Return mean, half of the interval and a mark, as a cell; of few draws their number instead."""
+    if row is None or not row.draws:
+        return ""
+    mean, half = (f"{x:.0f}" if row.mean >= 100 else f"{x:.1f}" for x in (row.mean, row.half))
+    lost = f", {row.lost} lost" if row.lost else ""
+    if row.draws < FEWEST:
+        return f"{mean} of {row.draws}{lost}"
+    return f"{mean} ± {half} {MARKS[row.word]}{lost}"
+
+
+def write_table(rows: Sequence[Row], labels: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of a table of some estimators, a line for each profile."""
+    by = {(row.profile, row.label): row for row in rows}
+    yield f"| profile | draws | {' | '.join(f'`{label}`' for label in labels)} |"
+    yield "|---" * (2 + len(labels)) + "|"
+    for profile in sorted({row.profile for row in rows}):
+        found = [by.get((profile, label)) for label in labels]
+        draws = sorted({row.draws + row.lost for row in found if row is not None and row.draws >= FEWEST})
+        if any(found):
+            shown = " to ".join(map(str, dict.fromkeys([draws[0], draws[-1]]))) if draws else ""
+            yield f"| `{profile}` | {shown} | {' | '.join(map(write_cell, found))} |"
+
+
+if __name__ == "__main__":
+    campaigns = Path(sys.argv[1])
+    found = [
+        row
+        for study in sorted(STUDIES.glob("nees*.toml"))
+        if (campaigns / study.stem / NAME).exists()
+        for row in measure(study, campaigns / study.stem)
+    ]
+    for labels in TABLES:
+        print("\n".join(write_table([row for row in found if row.label in labels], labels)), end="\n\n")
