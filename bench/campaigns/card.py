@@ -89,9 +89,8 @@ class Card(Table):
             parts.append(f"is {', '.join(found)} of {len(words)} flights")
         ratios = [line.value for line in by_topic.get("accuracy", ()) if line.value is not None]
         if ratios:
-            parts.append(
-                f"has {min(ratios):.2g} to {max(ratios):.2g} times the horizontal error of {self.against}"
-            )
+            least, most = (write_figure(end(ratios)) for end in (min, max))
+            parts.append(f"has {least} to {most} times the horizontal error of {self.against}")
         return f"{', '.join(parts[:-1])} and {parts[-1]}." if len(parts) > 1 else f"{parts[0]}."
 
 
@@ -255,7 +254,8 @@ def _judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Lin
 
 def _judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
     """Return the median time after which the heading stays right, of a flight that begins with it wrong."""
-    if "initial_error_sd.heading_deg" not in flight.values:
+    estimated = any(row.get("heading_rmse_deg") is not None for row in own)
+    if "initial_error_sd.heading_deg" not in flight.values or not estimated:
         return []
     by_draw = tuple(row.get(_CONVERGENCE) if row["converged"] else None for row in own)
     times = np.array([np.inf if value is None else value for value in by_draw])

@@ -109,6 +109,14 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
     assert times.value == sorted(settled)[1]
 
 
+def test_an_estimator_without_attitude_has_no_line_of_heading():
+    flight = SuiteFlight("heading", "short.toml", HEADING)
+    rows = [{"converged": True, "heading_rmse_deg": 1.0, "heading_convergence_s_all": None}] * 3
+    (line,) = card._judge_heading(flight, rows)
+    assert line.value is None
+    assert card._judge_heading(flight, [{"converged": True}] * 3) == []
+
+
 def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
     first, again, other = (bench.read_card(made / name) for name in ("a.json", "again.json", "b.json"))
     assert first.speed.value > 0.0
