@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
+import bench
 from bench.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
 from bench.fields import Rebuilt
 
@@ -50,6 +51,10 @@ class RunResult(Rebuilt):
         """Events of the flight and of the sensors, in order of time."""
         both = [record.events for record in (self.truth, self.sensed) if record is not None]
         return Events.from_rows([row for events in both for row in events.rows()])
+
+    def plot(self, tab: str, estimator: str | None = None, **look: Any) -> Any:
+        """Draw the plots of a tab, such as "position": see `bench.plot_result`."""
+        return bench.plot_result(self, tab, estimator, **look)
 
     def __repr__(self) -> str:
         """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,19 +55,6 @@ class Baseline(Table):
     def draws(self) -> int:
         """Number of draws."""
         return len(self.sensors)
-
-
-@dataclass(frozen=True, slots=True)
-class StoredBaseline:
-    """A baseline and where it was read from."""
-
-    path: Path
-    content: Baseline
-
-    @property
-    def name(self) -> str:
-        """Name of the profile, whether it is shipped or a file."""
-        return self.path.stem
 
 
 def get_name(source: str) -> str:

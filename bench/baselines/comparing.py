@@ -23,7 +23,6 @@ from bench.baselines.experiments import (
     join_draws,
 )
 from bench.baselines.verdict_rows import ERROR, SAME, Candidate, Verdict, Word, compare, decide
-from bench.campaigns.running import SUMMARY
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation import ensemble
@@ -88,7 +87,7 @@ def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]
 
 
 def _read_side(folder: Path) -> Side:
-    if (folder / SUMMARY).is_file():
+    if (folder / store.CAMPAIGN_RESULT).is_file():
         return _read_campaign(folder)
     paths = [folder] if (folder / store.RESULT).is_file() else sorted(folder.glob(f"*/{store.RESULT}"))
     if not paths:

@@ -24,10 +24,6 @@ from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
 from bench.scratch import make_scratch
 
-SUMMARY = "campaign.json"
-"""File with the figures and sentences of a campaign."""
-
-
 _WAVE = 50  # flights before their runs: all fit into the cache of truth
 
 
@@ -205,7 +201,7 @@ def run_campaign(
             if folder is None
             else store.keep_folder(
                 folder,
-                (NAME, RUNS, EPOCHS, SUMMARY, store.REPORT),
+                (NAME, RUNS, EPOCHS, store.CAMPAIGN_RESULT, store.REPORT, store.RECORDING),
                 store.CAMPAIGN,
                 force=force,
                 resume=resume,
@@ -343,7 +339,7 @@ def _finish(
         interrupted=interrupted,
         folder=folder,
     )
-    store.write_json(place / SUMMARY, describe(result))
+    store.write_json(place / store.CAMPAIGN_RESULT, describe(result))
     return result
 
 

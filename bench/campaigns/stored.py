@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench import store
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.outcome import Outcome
-from bench.campaigns.running import SUMMARY, Campaign
+from bench.campaigns.running import Campaign
 from bench.errors import ConfigError
 from bench.evaluation.consistency import MeanNis
 from bench.evaluation.ensemble import Comparison, Estimate
@@ -27,11 +27,11 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         If the folder is not that of a campaign, or is damaged.
     """
     folder = Path(folder)
-    path = folder / SUMMARY
+    path = folder / store.CAMPAIGN_RESULT
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{folder}: no campaign, there is no {SUMMARY} in it") from None
+        raise ConfigError(f"{folder}: no campaign, there is no {store.CAMPAIGN_RESULT} in it") from None
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     with store.report_damage(folder):
@@ -79,3 +79,42 @@ def _read_outcome(row: Mapping[str, Any]) -> Outcome:
         errors={name: Estimate(**values) for name, values in row["errors"].items()},
         consistency=found,
     )
+
+
+def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:
+    """Return the commands of runs of a campaign of one condition by name.
+
+    Parameters
+    ----------
+    which : sequence of str
+        "best", "median" or "worst" by the horizontal error of the first estimator, or the number of a run.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the campaign has several conditions or no such run.
+    """
+    if len(campaign.conditions) > 1:
+        raise ConfigError(
+            f"{campaign.folder}: has {len(campaign.conditions)} conditions, which have no flight in common; "
+            "the command of each run is in runs.parquet"
+        )
+    rows = campaign.runs.to_pylist()
+    first = [row for row in rows if row["estimator"] == rows[0]["estimator"]] if rows else []
+    ordered = sorted(
+        (row for row in first if row.get("pos_rmse_h_m") is not None), key=lambda row: row["pos_rmse_h_m"]
+    )
+    by_rank = {"best": 0, "median": len(ordered) // 2, "worst": -1} if ordered else {}
+    by_number = {str(row["run"]): row for row in first}
+    found = {}
+    for name in which:
+        row = ordered[by_rank[name]] if name in by_rank else by_number.get(name)
+        if row is None:
+            raise ConfigError(
+                f"{campaign.folder}: has no run {name!r}; best, median, worst, or a number up to "
+                f"{max(map(int, by_number), default=0)}"
+            )
+        found[f"run {row['run']}" if name == str(row["run"]) else f"{name}, run {row['run']}"] = row[
+            "command"
+        ]
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -230,14 +231,31 @@ def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> 
 @commands.command(epilog=STATUS)
 @click.argument("folder", type=FILE, metavar="DIR")
 @out_option("file for the recording  [default: DIR/flight.rrd]", "FILE.rrd")
-def record(folder: Path, out: Path | None) -> int:
-    """Make the recording of a results folder.
+@click.option(
+    "--runs",
+    "which",
+    default="median,worst",
+    metavar="LIST",
+    help="of a campaign: best, median, worst, numbers of runs",
+)
+@code_option("campaign")
+def record(folder: Path, out: Path | None, which: str, allow_code: bool) -> int:
+    """Make the recording of a results folder, or of some runs of a campaign.
 
     For folders written without one: by --no-rrd, by bench score -o, on a machine without a viewer.
+    The runs of a campaign are flown again, and stand side by side.
     """
-    from bench.workbench.record_verbs import write_recording
+    from bench.workbench import record_verbs
 
-    write_recording(folder, out, console=new_console())
+    chosen = record_verbs.find_runs(folder, which.split(","))
+    if chosen is None:
+        record_verbs.write_recording(folder, out, console=new_console())
+        return DONE
+    options = {}
+    for name, command in chosen.items():
+        given = run.make_context("run", shlex.split(command)[2:]).params
+        options[name] = {key: given[key] for key in ("profile", "draw", "seed", "estimators", "overrides")}
+    record_verbs.record_runs(folder, out, options, allow_code=allow_code, console=new_console())
     return DONE
 
 

@@ -120,6 +120,7 @@ def _make_row(scene: Scene, row: Sequence[Plot], *, legend: bool, label: str) ->
 
 
 def _make_time_axis(scene: Scene) -> Any:
+    """Return a time axis of the whole flight; axes linked by the viewer would open on a minute of it."""
     edge = rrb.TimeRangeBoundary.absolute
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
 

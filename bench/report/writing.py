@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench import store
-from bench.campaigns.running import SUMMARY
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.report import campaign_page, index, page, paper
@@ -40,7 +39,7 @@ def write_report(
         If a file cannot be written; an existing file is left unchanged.
     """
     folder = Path(folder)
-    of_campaign = (folder / SUMMARY).is_file()
+    of_campaign = (folder / store.CAMPAIGN_RESULT).is_file()
     folders = [] if of_campaign or (folder / store.RESULT).is_file() else index.find_folders(folder)
     path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
     if not folders:

@@ -18,6 +18,7 @@ from bench.store.folders import (
 from bench.store.parquet import read_table, write_table
 from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
+    CAMPAIGN_RESULT,
     RECORDING,
     REPORT,
     add_solution,
@@ -46,6 +47,7 @@ from bench.store.truth_cache import (
 
 __all__ = [
     "CAMPAIGN",
+    "CAMPAIGN_RESULT",
     "EXPORT",
     "LIMIT",
     "RECORDING",

@@ -42,6 +42,8 @@ from bench.store.start import START, load_start, make_start_document, read_assum
 
 RECORDING = "flight.rrd"
 REPORT = "report.html"
+CAMPAIGN_RESULT = "campaign.json"
+"""File with the figures and sentences of a campaign."""
 OBSERVATIONS = "sensors-observations.parquet"
 DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"

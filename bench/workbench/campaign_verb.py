@@ -123,7 +123,7 @@ def print_campaign(console: Console, result: Campaign) -> None:
         console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
     sentences = () if several else result.sentences
     if several:
-        console.print(f"The sentences on each condition are in {running.SUMMARY}.", style="dim")
+        console.print(f"The sentences on each condition are in {store.CAMPAIGN_RESULT}.", style="dim")
     for sentence in sentences:
         console.print(sentence, soft_wrap=True)
     for command, reason in list(result.failed.items())[:_MOST_FAILURES]:

@@ -14,7 +14,6 @@ from rich.text import Text
 from bench import api, store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.baselines.verdict_rows import Verdict
-from bench.campaigns.running import SUMMARY
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import format_number, is_key_figure
 from bench.plots.overlay import merge_results
@@ -75,7 +74,7 @@ def _make_table(title: str, rows: Sequence[Verdict]) -> Table:
 def _write_overlay(folders: Sequence[Path], out: Path, *, force: bool, console: Console) -> None:
     """Write a results folder with the estimators of all."""
     begun = time.perf_counter()
-    if any((folder / SUMMARY).is_file() for folder in folders):
+    if any((folder / store.CAMPAIGN_RESULT).is_file() for folder in folders):
         raise ConfigError(
             f"{out}: only results folders are drawn over each other, not campaigns; leave -o out"
         )

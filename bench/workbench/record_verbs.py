@@ -1,16 +1,18 @@
-"""The verbs navigate, fixes, allan, export, score and stream."""
+"""The verbs navigate, fixes, record, report, allan, export, score and stream."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from bench import api, log_pipeline, store
+from bench import api, config, log_pipeline, store
+from bench.config.checks import is_code
+from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.specs import TriadSpec
@@ -73,6 +75,49 @@ def write_recording(folder: Path, out: Path | None, *, console: Console) -> None
     console.print(f"Wrote {path}.", soft_wrap=True)
     if out is None:
         console.print(f"Next: bench view {folder}", soft_wrap=True)
+
+
+def find_runs(folder: Path, which: Sequence[str]) -> dict[str, str] | None:
+    """Return the commands of runs of a campaign by name; None if the folder is not that of a campaign."""
+    if not (folder / store.CAMPAIGN_RESULT).is_file():
+        return None
+    from bench.campaigns.stored import choose_runs, load_campaign
+
+    return choose_runs(load_campaign(folder), [name.strip() for name in which])
+
+
+def record_runs(
+    folder: Path,
+    out: Path | None,
+    runs: Mapping[str, Mapping[str, Any]],
+    *,
+    allow_code: bool,
+    console: Console,
+) -> None:
+    """Fly runs of a campaign again, and record them side by side.
+
+    Each run has ``profile``, ``draw``, and the ``seed``, ``estimators`` and ``overrides`` of
+    `bench.config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
+    """
+    from bench import recording
+    from bench.plots.overlay import merge_results
+
+    path = folder / store.RECORDING if out is None else out
+    recording.check_recording(path)
+    find_own_estimators()
+    results = {}
+    for name, options in runs.items():
+        code = [use for use in options["estimators"] or () if is_code(use)]
+        if code and not allow_code:
+            raise ConfigError(
+                f"{folder}: its runs name {code[0][:60]!r}, which runs code on this machine; "
+                "--allow-code permits it"
+            )
+        given = {key: options[key] for key in ("overrides", "seed", "estimators")}
+        profile = config.load_profile(options["profile"], **given, allow_code=allow_code)
+        results[name] = api.run(profile, run=options["draw"])
+    recording.write(path, folder.resolve().name, merge_results(results))
+    console.print(f"Wrote {path}: {'; '.join(results)}.", soft_wrap=True)
 
 
 def write_report(folder: Path, out: Path | None, *, console: Console) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.errors import ConfigError, ViewerError
-from bench.store import RECORDING, RESULT, read_summary
+from bench.store import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
 from bench.workbench.web_page import LOCAL
@@ -76,10 +76,11 @@ def find_recording(folder: Path | None) -> Path:
         if not results:
             raise ConfigError(f"{RUNS}: no recording in any folder; 'bench run figure-eight' makes one")
         folder = max(results, key=lambda path: path.stat().st_mtime).parent
-    read_summary(folder)
+    if not (folder / CAMPAIGN_RESULT).is_file():
+        read_summary(folder)
     recording = folder / RECORDING
     if not recording.is_file():
-        raise ConfigError(f"{folder}: no {RECORDING} in it; 'bench run' without --no-rrd writes one")
+        raise ConfigError(f"{folder}: no {RECORDING} in it; 'bench record' makes one")
     return recording
 
 

@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 import bench
+from bench import recording
 from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
@@ -30,6 +32,8 @@ from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.key_figures import format_number
+from bench.recording import drawing
+from bench.workbench import record_verbs
 
 PROFILE = """
 title = "Short"
@@ -224,6 +228,27 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
         (here / "damaged" / "campaign.json").write_text(content)
         with pytest.raises(ConfigError, match=r"campaign\.json"):
             bench.load_campaign("damaged")
+
+
+def test_runs_are_recorded_side_by_side(here, capsys):
+    """The recorded errors are those of the runs that the table names."""
+    assert main(["record", "two", "--runs", "worst, 0", "-o", "some.rrd"]) == 0
+    said = capsys.readouterr().out
+    rows = [row for row in pq.read_table("two/runs.parquet").to_pylist() if row["estimator"] == "loose-15"]
+    worst = max(rows, key=lambda row: row["pos_rmse_h_m"])["run"]
+    assert f"Wrote some.rrd: worst, run {worst}; run 0." in said
+    for name, run in ((f"worst, run {worst}", worst), ("run 0", 0)):
+        path = drawing.entity("estimators", f"loose-15, {name}", "position", "north", "error")
+        t, north = recording.column(Path("some.rrd"), path, "Scalars:scalars")
+        rms = float(np.sqrt(np.mean(north[t >= 5.0 - 1e-6, 0] ** 2)))
+        assert rms == pytest.approx(next(row["pos_rmse_n_m"] for row in rows if row["run"] == run))
+    assert main(["record", "two", "--runs", "7"]) == 2
+    assert "has no run '7'; best, median, worst, or a number up to 3" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="runs code on this machine; --allow-code permits it"):
+        record_verbs.record_runs(
+            Path("two"), Path("some.rrd"), {"run 0": {"estimators": ["lab:Mine"]}}, allow_code=False,
+            console=Console(),
+        )  # fmt: skip
 
 
 def test_a_folder_is_not_replaced_unasked(here):

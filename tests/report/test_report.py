@@ -210,7 +210,7 @@ def svg_of(text):
 
 def test_figures_for_a_paper_hold_the_data_and_are_the_same_twice(result, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    figure = bench.plot_result(result, "Position", "free-inertial", width_mm=60.0, serif=True)
+    figure = result.plot("Position", "free-inertial", width_mm=60.0, serif=True)
     assert figure.get_figwidth() == pytest.approx(60.0 / 25.4)
     for axes, error in zip(figure.axes, result.errors["free-inertial"].pos_n.T, strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), error)
