@@ -42,6 +42,10 @@ class Kernel:
         """Return what the function returns."""
         return self.dispatcher(*arguments)
 
+    def __reduce__(self) -> str:
+        """Return the name by which another process finds it."""
+        return self.py_func.__qualname__
+
     @cached_property
     def dispatcher(self) -> Any:
         """The function as numba knows it."""

@@ -1,6 +1,7 @@
 """Compiled code is never stale: the cache folder is named by every source that uses the compiler."""
 
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import compiled, places
+from bench import compiled, earth, places
 
 ANSWER = """
 import sys, shutil, pathlib
@@ -68,6 +69,10 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
     cli = folder / "bench" / "cli" / "flights.py"
     cli.write_text(cli.read_text() + "\n# changed\n")
     assert compiled._hash_sources() == before
+
+
+def test_another_process_finds_a_kernel_by_its_name():
+    assert pickle.loads(pickle.dumps(earth.radii_kernel)) is earth.radii_kernel
 
 
 def test_folders_unused_for_a_month_are_removed(tmp_path):
