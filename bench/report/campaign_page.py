@@ -12,6 +12,7 @@ import numpy as np
 from bench import store
 from bench.arrays import FloatArray
 from bench.campaigns.outcome import POOLED, Outcome
+from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.key_figures import format_number
@@ -20,6 +21,7 @@ from bench.plots import series
 from bench.plots.series import Colour, Plot, Series
 from bench.report import page, svg
 from bench.report.page import Figure
+from bench.units import unit_of
 
 _MOST_CONDITIONS = 6  # that have plots
 _MOST_LOST = 50  # runs that are listed
@@ -80,6 +82,7 @@ def make_page(name: str, campaign: Campaign) -> str:
         rows=[_make_row(one, errors) for one in campaign.outcomes],
         confidence=f"{100 * CONFIDENCE:.0f} %",
         legend=[(label, svg.css_colour(colour), "line") for label, colour in colours.items()],
+        sweep=[figure for plot in _plot_sweep(campaign, colours) for figure in _draw(plot)],
         sections=list(_draw_conditions(campaign, colours)),
         left_out=max(len(campaign.conditions) - _MOST_CONDITIONS, 0),
         extremes=_list_extremes(campaign, labels),
@@ -253,6 +256,35 @@ def _plot_distributions(runs: Mapping[str, Any], colours: Mapping[str, Colour]) 
             yield Plot(("campaign", metric), title, tuple(lines), across=known.unit)
 
 
+def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[Plot]:
+    """Yield a plot of each error over the value that is varied, if it is the only one, and a number."""
+    keys = {key for one in campaign.conditions for key in one["values"]}
+    if len(keys) != 1 or len({one["profile"] for one in campaign.conditions}) != 1:
+        return
+    (key,) = keys
+    values = {
+        Condition(one["profile"], one["values"]).name: one["values"].get(key) for one in campaign.conditions
+    }
+    if not all(isinstance(value, int | float) for value in values.values()) or len(set(values.values())) < 2:
+        return
+    for metric in dict.fromkeys(name for one in campaign.outcomes for name in one.errors):
+        lines = []
+        for label, colour in colours.items():
+            found = sorted(
+                (float(values[one.condition]), one.errors[metric])
+                for one in campaign.outcomes
+                if one.label == label and metric in one.errors
+            )
+            if found:
+                x = np.array([value for value, _ in found])
+                estimates = np.array([(one.value, one.low, one.high) for _, one in found])
+                lines.append(_make_line(label, x, estimates, colour, colour))
+        if lines:
+            yield Plot(
+                ("campaign", metric), f"{metric} by {key}", tuple(lines), far=_FAR, across=unit_of(key) or "1"
+            )
+
+
 def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[Figure]:
     """Yield a plot; the axis of a distribution leaves out estimators that err far more."""
     ends = np.array([line.t[-1] for line in plot.series])
@@ -260,4 +292,5 @@ def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[Figure]
         yield page.make_figure(plot, (0.0, float(ends.max())), shades)
         return
     near = ends[ends <= _FAR * np.median(ends)]
-    yield page.make_figure(plot, (0.0, 1.05 * float(near.max()) or 1.0), ())
+    first = min(0.0, *(float(line.t[0]) for line in plot.series))
+    yield page.make_figure(plot, (first, 1.05 * float(near.max()) or 1.0), ())

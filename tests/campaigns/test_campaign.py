@@ -13,6 +13,7 @@ import subprocess
 import sys
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,10 @@ from bench.campaigns.worker import MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import mean_band
+from bench.evaluation.ensemble import Estimate
 from bench.evaluation.key_figures import format_number
 from bench.recording import drawing
+from bench.report import campaign_page
 from bench.workbench import record_verbs
 
 PROFILE = """
@@ -228,6 +231,24 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
         (here / "damaged" / "campaign.json").write_text(content)
         with pytest.raises(ConfigError, match=r"campaign\.json"):
             bench.load_campaign("damaged")
+
+
+def test_a_swept_number_is_the_axis_of_a_plot(here):
+    read = bench.load_campaign("two")
+    (only,) = read.conditions
+    conditions = [{**only, "values": {"sensors.imu.gyro.noise_deg_sqrt_h": x}} for x in (2.0, 0.5)]
+    outcomes = [
+        replace(one, condition=f"short.toml, sensors.imu.gyro.noise_deg_sqrt_h = {x}", errors=errors)
+        for x, size in ((2.0, 10.0), (0.5, 3.0))
+        for one in read.outcomes[1:]
+        for errors in [{"tilt_rmse_deg": Estimate(size, size - 1.0, size + 1.0)}]
+    ]
+    swept = replace(read, conditions=tuple(conditions), outcomes=tuple(outcomes))
+    (plot,) = campaign_page._plot_sweep(swept, {"loose-22": (0, 0, 0)})
+    assert plot.title == "tilt_rmse_deg by sensors.imu.gyro.noise_deg_sqrt_h"
+    assert plot.series[0].t.tolist() == [0.5, 2.0]
+    assert plot.series[0].values.tolist() == [[3.0, 2.0, 4.0], [10.0, 9.0, 11.0]]
+    assert list(campaign_page._plot_sweep(read, {"loose-22": (0, 0, 0)})) == []
 
 
 def test_runs_are_recorded_side_by_side(here, capsys):
