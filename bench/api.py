@@ -21,6 +21,7 @@ from bench.config import load_profile
 from bench.config.library import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
+from bench.navigation import estimator
 from bench.run_result import RunResult
 from bench.specs import EstimatorChoice, Profile
 from bench.wording import suggest
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
+    from bench.navigation.pieces import PieceFilter
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
 
@@ -114,6 +116,38 @@ def navigate(
     Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if its ``run`` raises.
     """
     return pipeline.navigate(EstimatorChoice(use, use, dict(options or {})), data, initial)
+
+
+def open_filter(
+    use: str, initial: InitialState, options: Mapping[str, Any] | None = None, look_back: float = 1.0
+) -> PieceFilter:
+    """Return a filter that takes a record in pieces and answers after each.
+
+    ``feed(piece)`` takes the next piece, ``answer()`` gives state and covariance at its last IMU sample and
+    changes no bit, ``finish()`` ends. All answers wanted together are those of :func:`navigate` on the whole
+    record, bit for bit, wherever it is cut. Memory does not grow with the length.
+
+    Parameters
+    ----------
+    use : str
+        ``loose-*``, ``tight``, ``baro-inertial`` or ``free-inertial``.
+    initial : InitialState
+        Start.
+    options : mapping or None
+        Options of the filter.
+    look_back : float
+        Longest time from the validity of a measurement to its arrival [s]: so long an answer that is final
+        has to wait.
+
+    Raises
+    ------
+    bench.errors.EstimatorError
+        If there is no such filter, an option is wrong, or it cannot run in pieces.
+    """
+    from bench.navigation.pieces import PieceFilter
+
+    given = dict(options or {})
+    return PieceFilter(use, given, estimator.load(use, given), initial, look_back)
 
 
 def judge(

@@ -5,6 +5,7 @@ The arrays a compiled filter works on, by name, and the kernel that moves them i
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -68,12 +69,18 @@ class Pending(NamedTuple):
 class Work(NamedTuple):
     """Memory of the kernels."""
 
+    carried: (
+        FloatArray  # (59,) what the next step needs of the steps before: memory of the fields to ``elapsed``
+    )
     before: FloatArray  # (7,) the step before, for coning and sculling
     w_ib_b: FloatArray  # (3,) rate of the last step [rad/s]
-    vectors: FloatArray  # (8, 3)
-    C: FloatArray  # (3, 3)
+    vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
+    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
+    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
+    elapsed: FloatArray  # (1,) since the last step of the covariance [s]
+    C: FloatArray  # (3, 3)
     F: FloatArray  # (9, 15)
     G: FloatArray  # (9, 15)
     back: FloatArray  # (9, 15)
@@ -87,19 +94,27 @@ class Work(NamedTuple):
     square: FloatArray  # (3, 4)
     var: FloatArray  # (3,)
     lever: FloatArray  # (3,)
-    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
-    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
 
 
 def work_for(n: int, drives: int) -> Work:
     """Return the memory for n states."""
+    shapes = (7,), (3,), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    carried = np.zeros(ends[-1])
+    before, w_ib_b, vectors, C_mean, reference, known, lost, elapsed = (
+        part.reshape(shape) for part, shape in zip(np.split(carried, ends[:-1]), shapes, strict=True)
+    )
     return Work(
-        before=np.zeros(7),
-        w_ib_b=np.zeros(3),
-        vectors=np.zeros((8, 3)),
+        carried=carried,
+        before=before,
+        w_ib_b=w_ib_b,
+        vectors=vectors,
+        C_mean=C_mean,
+        reference=reference,
+        known=known,
+        lost=lost,
+        elapsed=elapsed,
         C=np.zeros((3, 3)),
-        C_mean=np.zeros((3, 3)),
-        reference=np.zeros(STATE_SIZE),
         F=np.zeros((9, 15)),
         G=np.zeros((9, 15)),
         back=np.zeros((9, 15)),
@@ -113,8 +128,6 @@ def work_for(n: int, drives: int) -> Work:
         square=np.zeros((3, 4)),
         var=np.zeros(3),
         lever=np.zeros(3),
-        known=np.zeros(3),
-        lost=np.zeros(2),
     )
 
 
@@ -257,10 +270,14 @@ def advance_kernel(
     work: Work,
     pending: Pending,
     keep: bool,
+    closing: bool,
+    part: float,
+    ahead: bool,
 ) -> None:
-    """Take the steps k + 1 to ``until``, the last one closed by a covariance step.
+    """Take the steps k + 1 to ``until``; with ``closing`` a step of the covariance ends there.
 
-    What the loop needs is named before it: a field of a tuple costs a reference count each time.
+    Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are. What
+    the loop needs is named before it: a field of a tuple costs a reference count each time.
     """
     state, P, Phi = now.state, now.P, work.Phi
     drives, interval = process.drives, steps.interval
@@ -278,40 +295,47 @@ def advance_kernel(
     n = P.shape[0]
     waiting = False
     for slot in range(pending.live.shape[0]):
-        waiting = waiting or pending.live[slot] > 0
-    T = 0.0
-    while k < until:
-        if T == 0.0:
-            lost[0], lost[1] = 0.0, 0.0
+        waiting = waiting or (pending.live[slot] > 0 and not ahead)
+    T = work.elapsed[0]
+    while k < until or (closing and T > 0.0):
+        while k < until:
+            if T == 0.0:
+                lost[0], lost[1] = 0.0, 0.0
+                for i in range(3):
+                    dv_sum[i], w_sum[i], f_sum[i] = 0.0, 0.0, 0.0
+                    for j in range(3):
+                        C_mean[i, j] = 0.0
+                for i in range(STATE_SIZE):
+                    reference[i] = state[i]
+            k += 1
+            row, dt, share, some = rows[k], spans[k], shares[k], 1.0
+            if k == until:
+                some = part
+            dt *= some
+            share *= some
             for i in range(3):
-                dv_sum[i], w_sum[i], f_sum[i] = 0.0, 0.0, 0.0
+                dth[i] = dtheta_b[row, i] * share
+                dv[i] = dvel_b[row, i] * share
+            increments_kernel(state, dt, drives, known, dth, dv)
+            for i in range(3):
+                w_ib_b[i] = dth[i] / dt
+            if driven > 0:
+                for i in range(3):
+                    w_sum[i] += dth[i]
+                    f_sum[i] += dv[i]
+            body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
+            step_kernel(state, dt, rotvec, dv_start, C, dv_n)
+            T += dt
+            lost[0] += unknown[k, 0] * some
+            lost[1] += unknown[k, 1] * some
+            for i in range(3):
+                dv_sum[i] += dv_n[i]
                 for j in range(3):
-                    C_mean[i, j] = 0.0
-            for i in range(STATE_SIZE):
-                reference[i] = state[i]
-        k += 1
-        row, dt, share = rows[k], spans[k], shares[k]
-        for i in range(3):
-            dth[i] = dtheta_b[row, i] * share
-            dv[i] = dvel_b[row, i] * share
-        increments_kernel(state, dt, drives, known, dth, dv)
-        for i in range(3):
-            w_ib_b[i] = dth[i] / dt
-        if driven > 0:
-            for i in range(3):
-                w_sum[i] += dth[i]
-                f_sum[i] += dv[i]
-        body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
-        step_kernel(state, dt, rotvec, dv_start, C, dv_n)
-        T += dt
-        lost[0] += unknown[k, 0]
-        lost[1] += unknown[k, 1]
-        for i in range(3):
-            dv_sum[i] += dv_n[i]
-            for j in range(3):
-                C_mean[i, j] += C[i, j] * dt
-        if k < until and interval > T:
-            continue
+                    C_mean[i, j] += C[i, j] * dt
+            if not interval > T:
+                break
+        if interval > T and not closing:
+            break
         for i in range(3):
             dv_sum[i] /= T
             for j in range(3):
@@ -346,4 +370,5 @@ def advance_kernel(
         if waiting:
             wait_kernel(T, pending, drives, clock, work)
         T = 0.0
+    work.elapsed[0] = T
     mirror_kernel(P)

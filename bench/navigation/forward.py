@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData, no_innovations
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, no_innovations
 from bench.navigation.aiding import (
     SATELLITE_ROWS,
     SENSORS,
@@ -24,7 +26,7 @@ from bench.navigation.cycle import FilterState, ImuSteps, Pending, Work, advance
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
 from bench.navigation.rough_heading import add_arm
-from bench.navigation.schedule import MEASURE, OUTPUT, USE, Schedule
+from bench.navigation.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.wide_rows import widened
 
 
@@ -32,7 +34,7 @@ class Stores(NamedTuple):
     """What a run stores."""
 
     state: FloatArray  # (M, n + 1) at each output
-    P: FloatArray  # (M, n, n)
+    P: FloatArray  # (M, n, n), `bench.wide_rows.wide`
     node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
     node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
     node_cov: FloatArray  # (N, 2, n, n)
@@ -46,13 +48,14 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
     for i in range(n + 1):
         state[i] = now.state[i]
     for i in range(n):
-        for j in range(n):
+        for j in range(P.shape[1]):  # what follows a row in memory, too, where there is room for it
             P[i, j] = now.P[i, j]
 
 
 @kernel
 def _fusion_kernel(
     schedule: IntArray,
+    ahead: FloatArray,
     now: FilterState,
     process: Process,
     index: Index,
@@ -65,19 +68,49 @@ def _fusion_kernel(
     stores: Stores,
     work: Work,
 ) -> None:
-    """Run the filter over a record.
+    """Run the filter over a piece of a record.
 
     A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
-    among its kind, and the slot it waits in. ``now`` is the state at the start and becomes the last one.
+    among its kind, and the slot it waits in. An answer is that of a filter which goes ``ahead`` (M,) of the
+    next step and ends a step of the covariance there. With the nodes of a smoother the filter itself ends a
+    step at each answer, and none is ahead. ``now`` is the state at the start and becomes the last one.
     """
     n = now.P.shape[0]
     keep = stores.node_t.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
+    carried = np.empty(work.carried.shape[0])
     while e < schedule.shape[0]:
-        until = schedule[e, 0]
-        advance_kernel(k, until, now, process, index, steps, work, pending, keep)
+        until, action = schedule[e, 0], schedule[e, 1]
+        asked = action == OUTPUT and not keep
+        peeking = asked and k == until and (ahead[output] > 0.0 or work.elapsed[0] > 0.0)
+        target, part, goes = until, 1.0, now
+        if peeking:
+            goes = FilterState(stores.state[output], stores.P[output], now.dx)
+            _keep_kernel(now, goes.state, goes.P)
+            for i in range(carried.shape[0]):
+                carried[i] = work.carried[i]
+            if ahead[output] > 0.0:
+                target, part = until + 1, ahead[output]
+        closing = peeking or not (asked or action == GO_ON)
+        if k < target or closing:
+            advance_kernel(
+                k, target, goes, process, index, steps, work, pending, keep, closing, part, peeking
+            )
         k = until
+        if peeking:
+            for i in range(carried.shape[0]):
+                work.carried[i] = carried[i]
+            output += 1
+            e += 1
+        elif asked and ahead[output] == 0.0 and work.elapsed[0] == 0.0:
+            _keep_kernel(now, stores.state[output], stores.P[output])
+            output += 1
+            e += 1
+        elif action == GO_ON:
+            e += 1
+        if asked or action == GO_ON:
+            continue
         t = steps.t[k]  # the last one serves the start, index -1
         before = work.Phi  # nobody looks there
         if keep:
@@ -88,7 +121,7 @@ def _fusion_kernel(
                 for j in range(n):
                     stores.transition[node, i, j] = work.Phi[i, j]
                     work.Phi[i, j] = 1.0 if i == j else 0.0
-        while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] != OUTPUT:
+        while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] < OUTPUT:
             action, kind, row, slot = schedule[e, 1], schedule[e, 2], schedule[e, 3], schedule[e, 4]
             first = slot * pending.width
             if action != USE:
@@ -105,10 +138,10 @@ def _fusion_kernel(
         if keep:
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
-        while e < schedule.shape[0] and schedule[e, 0] == until:
-            _keep_kernel(now, stores.state[output], stores.P[output])
-            output += 1
-            e += 1
+            while e < schedule.shape[0] and schedule[e, 0] == until:
+                _keep_kernel(now, stores.state[output], stores.P[output])
+                output += 1
+                e += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,112 +156,208 @@ class Nodes:
     output: IntArray  # (M,) node of each instant of the solution, -1 outside the record
 
 
-def forward_run(
-    sensors: SensorData,
-    initial: InitialState,
-    model: StateModel,
-    schedule: Schedule,
-    sky: Sky,
-    field: FloatArray,
-    names: list[str],
-    gate: Gate,
-    interval: float,
-    keep: bool,
-) -> tuple[NavSolution, Nodes]:
-    """Return the solution of one pass over a record and, with ``keep``, the nodes a smoother goes back over.
+class ForwardRun:
+    """A filter on its way through a record.
 
     Parameters
     ----------
-    sensors, initial : SensorData, InitialState
-        Record and start.
+    initial : InitialState
+        Start.
     model : StateModel
         Layout, covariance at the start, processes.
-    schedule : Schedule
-        Everything to measure.
-    sky : Sky
-        Satellites, none without tight coupling.
+    antenna_b : (3,) array
+        Antenna [m], b.
     field : (4, 3) array
         Magnetic field at the start and its change by metre [T], n.
-    names : list of str
-        Of the channels of the gate.
     gate : Gate
-        Tests and their memories (overwritten).
+        Tests and their memories, of the sensors.
     interval : float
         Of the covariance step [s]; 0: every sample.
     keep : bool
-        Store the nodes.
+        Store the nodes of a smoother; the record has to come as one piece.
     """
-    layout, n = model.layout, model.layout.size
-    steps, entries, slots = schedule.order()
-    values, variance = schedule.table()
-    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
-    lever = model.index.antenna_b
-    if lever >= 0:
-        state[lever + 1 : lever + 4] = sensors.antenna_b
-    visible = int(np.diff(sky.epoch_start).max(initial=0))
-    width = 2 * visible + 6
-    size = 7 * len(values) + 2 * len(sky.t)
-    log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
-    m = len(schedule.outputs)
-    at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
-    stores = Stores(
-        np.empty((m, n + 1)),
-        np.empty((m, n, n)),
-        np.empty(len(at)),
-        np.empty((len(at), 2, n + 1)),
-        np.empty((len(at), 2, n, n)),
-        np.empty((len(at), n, n)),
+
+    def __init__(
+        self,
+        initial: InitialState,
+        model: StateModel,
+        antenna_b: FloatArray,
+        field: FloatArray,
+        gate: Gate,
+        interval: float,
+        keep: bool,
+    ) -> None:
+        n = model.layout.size
+        self.initial, self.model, self.antenna_b, self.field = initial, model, antenna_b, field
+        self.gate, self.interval, self.keep = gate, interval, keep
+        state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
+        lever = model.index.antenna_b
+        if lever >= 0:
+            state[lever + 1 : lever + 4] = antenna_b
+        self.now = FilterState(state, widened(model.P), np.zeros(n))
+        self.work = work_for(n, len(model.process.drives))
+        self.work.known[:] = model.process.thermal[0], *model.process.range
+        self.pending = pending_for(n, 1, 6)
+        self.moved = False
+
+    def copy(self) -> ForwardRun:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        state, P, dx = self.now
+        other.now = FilterState(state.copy(), widened(P), dx.copy())
+        other.work = work_for(len(dx), len(self.model.process.drives))
+        other.work.carried[:] = self.work.carried
+        H, z, r, tags, live, width = self.pending
+        other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
+        gate = self.gate
+        other.gate = gate._replace(misses=gate.misses.copy(), used=gate.used.copy(), level=gate.level.copy())
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays and numbers by name."""
+        gate = self.gate
+        return {
+            "now": self.now._asdict(),
+            "carried": self.work.carried,
+            "pending": self.pending._asdict(),
+            "gate": {"misses": gate.misses, "used": gate.used, "level": gate.level},
+            "moved": self.moved,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        now = state["now"]
+        self.now = FilterState(now["state"], widened(now["P"]), now["dx"])
+        self.work.carried[:] = state["carried"]
+        self.pending, self.moved = Pending(**state["pending"]), state["moved"]
+        self.gate = self.gate._replace(**state["gate"])
+
+    def nothing(self) -> NavSolution:
+        """Return a solution without instants."""
+        none, layout = no_innovations(), self.model.layout
+        n = layout.size
+        return solution(
+            np.empty(0), layout, np.empty((0, n + 1)), np.empty((0, n, n)), none, Events.from_rows([])
+        )
+
+    def go(self, schedule: Schedule, names: list[str], look_back: float) -> tuple[NavSolution, Nodes]:
+        """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.
+
+        Parameters
+        ----------
+        schedule : Schedule
+            Everything to measure that is known; it forgets what is done.
+        names : list of str
+            Of the channels of the gate.
+        look_back : float
+            How far before the last sample to stop [s] (`Schedule.plan`).
+        """
+        model, n, keep = self.model, self.model.layout.size, self.keep
+        plan, sky = schedule.plan(look_back), schedule.sky
+        steps, entries = plan.steps, plan.entries
+        start = schedule.t
+        visible = int(np.diff(sky.epoch_start).max(initial=0))
+        self.pending = grown(self.pending, plan.slots, 2 * visible + 6)
+        self.gate = with_channels(self.gate, len(names), self.initial.t)
+        size = 7 * len(plan.values) + 2 * len(sky.t)
+        log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+        m = len(plan.outputs)
+        at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
+        stores = Stores(
+            np.empty((m, n + 1)),
+            np.empty((m, *self.now.P.shape)),
+            np.empty(len(at)),
+            np.empty((len(at), 2, n + 1)),
+            np.empty((len(at), 2, n, n)),
+            np.empty((len(at), n, n)),
+        )
+        work = self.work
+        if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
+            work.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
+            self.moved = True
+        _fusion_kernel(
+            entries,
+            plan.ahead,
+            self.now,
+            model.process,
+            model.index,
+            ImuSteps(
+                np.append(steps.t, start),  # the last one serves the start, index -1
+                steps.span,
+                steps.row,
+                steps.share,
+                steps.unknown,
+                read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type for the kernel
+                read_only(steps.dvel_b),
+                self.interval,
+            ),
+            Measurements(
+                plan.values, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
+            ),
+            sky,
+            self.pending,
+            self.gate,
+            log,
+            stores,
+            work,
+        )
+        count = int(log.filled[0])
+        numbers, marks = log.numbers[:count], log.marks[:count]
+        wanted = schedule.output_t
+        t = schedule.advance(plan)
+        out_state, out_P = stores.state, stores.P[:, :, :n]
+        if len(t) != m:
+            rows = np.searchsorted(t, wanted[plan.outputs])
+            out_state, out_P = np.full((len(t), n + 1), np.nan), np.full((len(t), n, n), np.nan)
+            out_state[rows], out_P[rows] = stores.state, stores.P[:, :, :n]
+        add_arm(out_P, self.antenna_b)
+        events = schedule.events + refusals(numbers[:, 0], marks, names)
+        schedule.events = []
+        node = np.full(len(t), -1)
+        if keep:
+            answered = entries[entries[:, 1] == OUTPUT, 0]
+            node[np.searchsorted(t, wanted[plan.outputs])] = np.searchsorted(at, answered)
+        nodes = Nodes(
+            model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
+        )
+        table = Events.from_rows(events)
+        return solution(t, model.layout, out_state, out_P, innovations(numbers, marks), table), nodes
+
+
+def pending_for(n: int, slots: int, width: int) -> Pending:
+    """Return the memory for measurements that wait."""
+    rows = slots * width
+    return Pending(
+        np.zeros((rows, n)),
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros((rows, 4), np.int64),
+        np.zeros(slots, np.int64),
+        width,
     )
-    work = work_for(n, len(model.process.drives))
-    work.known[:] = model.process.thermal[0], *model.process.range
-    if len(steps.t):  # what is measured at the start sees the rate of the first sample
-        work.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
-    _fusion_kernel(
-        entries,
-        FilterState(state, widened(model.P), np.zeros(n)),
-        model.process,
-        model.index,
-        ImuSteps(
-            np.append(steps.t, initial.t),  # the last one serves the start, index -1
-            steps.span,
-            steps.row,
-            steps.share,
-            steps.unknown,
-            read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type for the kernel
-            read_only(steps.dvel_b),
-            interval,
-        ),
-        Measurements(values, variance, sensors.antenna_b.copy(), field, initial.lla.copy()),
-        sky,
-        Pending(
-            np.zeros((slots * width, n)),
-            np.zeros(slots * width),
-            np.zeros(slots * width),
-            np.zeros((slots * width, 4), np.int64),
-            np.zeros(slots, np.int64),
-            width,
-        ),
-        gate,
-        log,
-        stores,
-        work,
+
+
+def grown(pending: Pending, slots: int, width: int) -> Pending:
+    """Return memory for at least so many slots of so many rows, with what waits."""
+    have = len(pending.live)
+    if have >= slots and pending.width >= width:
+        return pending
+    more = pending_for(pending.H.shape[1], max(slots, have), max(width, pending.width))
+    for old, new in zip(pending[:4], more[:4], strict=True):
+        shape = (-1, more.width, *new.shape[1:])
+        new.reshape(shape)[:have, : pending.width] = old.reshape((have, pending.width, *old.shape[1:]))
+    more.live[:have] = pending.live
+    return more
+
+
+def with_channels(gate: Gate, channels: int, start: float) -> Gate:
+    """Return a gate with memories of at least so many channels."""
+    new = channels - len(gate.misses)
+    if new <= 0:
+        return gate
+    return gate._replace(
+        misses=np.append(gate.misses, np.zeros(new, np.int64)), used=np.append(gate.used, np.full(new, start))
     )
-    count = int(log.filled[0])
-    numbers, marks = log.numbers[:count], log.marks[:count]
-    out_state, out_P = stores.state, stores.P
-    if not np.array_equal(schedule.outputs, np.arange(len(sensors.output_t))):
-        out_state = np.full((len(sensors.output_t), n + 1), np.nan)
-        out_P = np.full((len(sensors.output_t), n, n), np.nan)
-        out_state[schedule.outputs], out_P[schedule.outputs] = stores.state, stores.P
-    add_arm(out_P, sensors.antenna_b)
-    events = schedule.events + refusals(numbers[:, 0], marks, names)
-    node = np.full(len(sensors.output_t), -1)
-    if keep:
-        answered = entries[entries[:, 1] == OUTPUT, 0]
-        node[schedule.outputs] = np.searchsorted(at, answered)
-    nodes = Nodes(layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node)
-    table = Events.from_rows(events)
-    return solution(sensors.output_t, layout, out_state, out_P, innovations(numbers, marks), table), nodes
 
 
 def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[EventRow]:

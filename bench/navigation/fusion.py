@@ -14,6 +14,8 @@ section 10).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,7 @@ from bench.navigation import aiding, alignment, constraints, hypotheses, ranging
 from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.error_state import POS, VEL
-from bench.navigation.forward import Nodes, forward_run
+from bench.navigation.forward import ForwardRun, Nodes
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import (
     AIDING,
@@ -42,6 +44,7 @@ from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import Schedule
 from bench.navigation.states import Block
 from bench.navigation.turn_on import run_from_turn_on
+from bench.navigation.waiting import columns
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
@@ -105,58 +108,11 @@ class Fusion:
         gyro_sd: float | None = None,
     ) -> tuple[NavSolution, Nodes]:
         """Return what :meth:`forward` does, from a complete initial state."""
-        specs = sensors.specs
-        used = [sensor for sensor in self.aiding() if getattr(sensors, sensor.record) is not None]
-        if SATELLITES in used and specs.gnss is not None and specs.gnss.sky is None:
-            raise ValueError(
-                f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
-            )
-        model = state_model(initial, specs, self._blocks_for(sensors), gyro_sd)
-        schedule = Schedule(
-            sensors,
-            initial.t,
-            compensate=self.options.compensate_latency,
-            accuracy=self.options.fix_accuracy,
-            false_alarm=self.options.gate_probability if "velocity" in self.options.integrity else None,
-        )
-        schedule.events += events
-        sky, seen = ranging.empty_sky(), sensors.observations if SATELLITES in used else None
-        if seen is not None:
-            sky = schedule.add_satellites(seen, assumed(specs, "gnss"), float(initial.lla[0]))
-        for sensor in used:
-            if sensor is not SATELLITES:
-                schedule.add(sensor, sensors, initial, model.layout, self._more(sensor, specs))
-        field = np.zeros((4, 3))
-        if MAGNETOMETER in used:
-            field = magnetic_map(initial.lla, sensors.date)
-        if self.options.standstill:
-            last, rate_b = standstill.windows(sensors.imu, schedule.rows, specs.imu)
-            variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
-            schedule.add_samples(aiding.STANDSTILL_ROWS, last, rate_b, variance)
-        flying = self.options.coordinated
-        if self.options.nonholonomic or flying:
-            last, motion_b = constraints.samples(sensors.imu, schedule.rows, flying=flying)
-            white = constraints.AIR_SD if flying else constraints.SHAKING_SD
-            schedule.add_samples(aiding.VEHICLE_ROWS, last, motion_b, np.full(6, white**2))
-        names = list(SENSORS)
-        if seen is not None:
-            satellites, _ = ranging.name_satellites(seen)
-            names += [f"{satellite} {what}" for satellite in satellites for what in ("range", "rate")]
-        absent = [sensor.option for sensor in self.aiding() if sensor.on_request and sensor not in used]
-        if SATELLITES in self.aiding() and seen is None and sensors.fixes is not None:
-            absent.append("tight coupling")
-        end = float(schedule.imu_t[-1]) if len(schedule.imu_t) else initial.t
-        schedule.events += [
-            (initial.t, end, "aiding", f"{what}: asked for, but the record holds nothing for it")
-            for what in absent
-        ]
-        interval = 0.0 if self.options.covariance_hz is None else (1.0 - 1e-6) / self.options.covariance_hz
-        gate = self._gate(len(names), initial.t, model)
-        return forward_run(
-            sensors, initial, model, schedule, sky, field, names, gate=gate, interval=interval, keep=keep
-        )
+        passage = Passage(self, sensors, initial, events, keep=keep, gyro_sd=gyro_sd)
+        passage.take(sensors, last=True)
+        return passage.go()
 
-    def _blocks_for(self, sensors: SensorData) -> list[Block]:
+    def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
         records = {sensor.record for sensor in self.aiding() if getattr(sensors, sensor.record) is not None}
         return [block for block in self.blocks() if not block.records or records & set(block.records)]
@@ -167,18 +123,18 @@ class Fusion:
         Options that only choose states count by the states that the datasheets give a size.
         """
         options = self.options.model_dump(exclude={"gnss_markov", "mems", "every_error"})
-        states = moving_states(sensors.specs, self._blocks_for(sensors))
-        more = [self._more(sensor, sensors.specs) for sensor in self.aiding()]
+        states = moving_states(sensors.specs, self.blocks_for(sensors))
+        more = [self.more(sensor, sensors.specs) for sensor in self.aiding()]
         return type(self), tuple(options.items()), states, tuple(float(np.sum(one)) for one in more)
 
-    def _more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
+    def more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
         """Return the variance of what else errs in a row of a sensor, where every error is asked for."""
         spec = getattr(specs, sensor.spec)
         if not self.options.every_error or sensor.short is None or spec is None:
             return np.zeros(1)
         return sensor.short(spec)
 
-    def _gate(self, channels: int, start: float, model: StateModel) -> Gate:
+    def gate(self, channels: int, start: float, model: StateModel) -> Gate:
         """Return the tests asked for, with empty memories."""
         options, bounds = self.options, np.full(4, np.inf)
         if "nis" in options.integrity:
@@ -227,6 +183,132 @@ class Fusion:
         if not self.options.gnss and specs.imu.gyro.turn_on_bias_sd > _LINEAR_DRIFT:
             found += ("second order of a free drift by degrees of tilt",)
         return found
+
+
+class Passage:
+    """A filter on its way through a record that comes in pieces, from a complete start.
+
+    Parameters
+    ----------
+    filter_ : Fusion
+        Options.
+    first : SensorData
+        The first piece: its records say which sensors there are.
+    initial : InitialState
+        Start.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    keep : bool
+        Store the nodes of a smoother; the record has to be one piece.
+    gyro_sd : float or None
+        As in :meth:`Fusion.forward`.
+    """
+
+    def __init__(
+        self,
+        filter_: Fusion,
+        first: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        *,
+        keep: bool = False,
+        gyro_sd: float | None = None,
+    ) -> None:
+        self.filter, self.initial = filter_, initial
+        options, specs = filter_.options, first.specs
+        self.used = [sensor for sensor in filter_.aiding() if getattr(first, sensor.record) is not None]
+        if SATELLITES in self.used and specs.gnss is not None and specs.gnss.sky is None:
+            raise ValueError(
+                f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
+            )
+        model = state_model(initial, specs, filter_.blocks_for(first), gyro_sd)
+        self.schedule = Schedule(
+            initial.t,
+            specs.imu,
+            compensate=options.compensate_latency,
+            accuracy=options.fix_accuracy,
+            false_alarm=options.gate_probability if "velocity" in options.integrity else None,
+            cut=keep,
+        )
+        self.schedule.events += events
+        self.channels = ranging.Channels()
+        field = np.zeros((4, 3))
+        if MAGNETOMETER in self.used:
+            field = magnetic_map(initial.lla, first.date)
+        self.run = ForwardRun(
+            initial,
+            model,
+            first.antenna_b,
+            field,
+            filter_.gate(len(SENSORS), initial.t, model),
+            0.0 if options.covariance_hz is None else (1.0 - 1e-6) / options.covariance_hz,
+            keep,
+        )
+        self.begun = False
+
+    def take(self, piece: SensorData, *, last: bool) -> None:
+        """Take the next piece; nothing comes after the ``last``."""
+        options, specs, schedule = self.filter.options, piece.specs, self.schedule
+        schedule.take(piece, last=last)
+        if SATELLITES in self.used and piece.observations is not None:
+            seen, lat = piece.observations, float(self.initial.lla[0])
+            channel = self.channels.of_satellites(seen)
+            schedule.add_satellites(seen, assumed(specs, "gnss"), lat, channel)
+        for sensor in self.used:
+            if sensor is not SATELLITES:
+                more = self.filter.more(sensor, specs)
+                schedule.add(sensor, piece, self.initial, self.run.model.layout, more)
+        if options.standstill:
+            last_row, rate_b = standstill.windows(schedule.imu, schedule.rows, specs.imu)
+            variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
+            schedule.add_samples(aiding.STANDSTILL_ROWS, last_row, rate_b, variance)
+        flying = options.coordinated
+        if options.nonholonomic or flying:
+            last_row, motion_b = constraints.samples(schedule.imu, schedule.rows, flying=flying)
+            white = constraints.AIR_SD if flying else constraints.SHAKING_SD
+            schedule.add_samples(aiding.VEHICLE_ROWS, last_row, motion_b, np.full(6, white**2))
+        if not self.begun:
+            schedule.events += self._absent(piece)
+            self.begun = True
+
+    def go(self, look_back: float = 0.0) -> tuple[NavSolution, Nodes]:
+        """Return the answers that are final, and the nodes of a smoother.
+
+        After the last piece all are; before, what may still come up to ``look_back`` [s] late decides which.
+        """
+        return self.run.go(self.schedule, self.channels.names, look_back)
+
+    def copy(self) -> Passage:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.schedule, other.run, other.channels = self.schedule.copy(), self.run.copy(), copy(self.channels)
+        other.channels.names = list(self.channels.names)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "schedule": self.schedule.state(),
+            "run": self.run.state(),
+            "channels": self.channels.names,
+            "begun": self.begun,
+            "initial": columns(self.initial),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.schedule.restore(state["schedule"])
+        self.run.restore(state["run"])
+        self.channels.names, self.begun = list(state["channels"]), state["begun"]
+
+    def _absent(self, first: SensorData) -> list[EventRow]:
+        """Return an event for each sensor that is asked for and not there."""
+        asked, start = self.filter.aiding(), self.initial.t
+        absent = [sensor.option for sensor in asked if sensor.on_request and sensor not in self.used]
+        if SATELLITES in asked and first.observations is None and first.fixes is not None:
+            absent.append("tight coupling")
+        text = "asked for, but the record holds nothing for it"
+        return [(start, self.schedule.end, "aiding", f"{what}: {text}") for what in absent]
 
 
 class Loose(Fusion):

@@ -10,7 +10,7 @@ neglects their change with that position: 3e-4 m per metre of height at the zeni
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,7 +81,13 @@ def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[Fl
 
 
 def make_sky(
-    o: GnssObservations, spec: GnssSpec, rows: IntArray, epochs: IntArray, count: int, lat: float
+    o: GnssObservations,
+    spec: GnssSpec,
+    rows: IntArray,
+    epochs: IntArray,
+    count: int,
+    lat: float,
+    channel: IntArray,
 ) -> Sky:
     """Return the rows of a record that are used, as the kernel takes them.
 
@@ -95,11 +101,11 @@ def make_sky(
         Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
     lat : float
         Latitude of the table of vertical delays [rad]; 500 km north or south they differ by 1 mm.
+    channel : (K,) array of int
+        Channel of the gate that the range of each of the rows has; that of its rate is the next.
     """
     values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
-    satellite = name_satellites(o)[1][rows]
-    first = len(SENSORS)
     return Sky(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
         values=values[rows],
@@ -107,11 +113,37 @@ def make_sky(
         sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
         t=o.t[rows] + o.gps_t0,
         ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
-        which=np.column_stack([o.system[rows], first + 2 * satellite, first + 2 * satellite + 1]),
+        which=np.column_stack([o.system[rows], channel, channel + 1]),
         zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
         klobuchar=o.klobuchar.copy(),
         sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
     )
+
+
+def join_skies(first: Sky, second: Sky) -> Sky:
+    """Return the epochs of two skies of one receiver, in order."""
+    end = first.epoch_start[-1]
+    start = np.concatenate([first.epoch_start, end + second.epoch_start[1:]])
+    both = (np.concatenate(pair) for pair in zip(_by_row(first), _by_row(second), strict=True))
+    return _with_rows(second, start, *both)
+
+
+def take_epochs(sky: Sky, epochs: IntArray) -> Sky:
+    """Return some epochs of a sky, in order."""
+    count = np.diff(sky.epoch_start)
+    chosen = np.zeros(len(count), np.bool_)
+    chosen[epochs] = True
+    rows = np.repeat(chosen, count)
+    start = np.concatenate([[0], np.cumsum(count[epochs])]).astype(np.int64)
+    return _with_rows(sky, start, *(column[rows] for column in _by_row(sky)))
+
+
+def _by_row(sky: Sky) -> tuple[Any, ...]:
+    return sky.values, sky.variance, sky.sat, sky.t, sky.ionosphere, sky.which
+
+
+def _with_rows(sky: Sky, *columns: Any) -> Sky:
+    return Sky(*columns, *sky[len(columns) :])
 
 
 def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
@@ -119,6 +151,21 @@ def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
     letter = {GPS: "G", GLONASS: "R"}
     numbers, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
     return [f"{letter[n // 1000]}{n % 1000:02d}" for n in numbers.tolist()], which.astype(np.int64)
+
+
+class Channels:
+    """The channels of a gate: those of the sensors, then range and rate of each satellite as it appears."""
+
+    def __init__(self) -> None:
+        self.names = list(SENSORS)
+
+    def of_satellites(self, o: GnssObservations) -> IntArray:
+        """Return the channel (K,) of the range of each row of a record; new satellites get one."""
+        satellites, which = name_satellites(o)
+        for one in satellites:
+            if f"{one} range" not in self.names:
+                self.names += [f"{one} range", f"{one} rate"]
+        return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
 
 
 @inner

@@ -21,7 +21,6 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import (
     EventRow,
     Events,
-    GnssObservations,
     ImuData,
     InitialState,
     Innovations,
@@ -38,6 +37,7 @@ from bench.navigation.gnss_only import FixTrack, unknown_arm
 from bench.navigation.measurements import fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.waiting import take_observations, take_rows
 from bench.specs import AxisFigures, ImuSpec, TriadSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
@@ -315,12 +315,16 @@ def _less_turn_on(triad: TriadSpec, sd: FloatArray) -> TriadSpec:
 
 def _cut(sensors: SensorData, rows: slice, begin: float, last: float, biases: _Biases) -> SensorData:
     """Return the rows of the IMU and what arrives while they do, with an answer at the last sample."""
-    imu = biases.taken_off(_take(sensors.imu, rows))
+    imu = biases.taken_off(take_rows(sensors.imu, rows))
     inside = (sensors.output_t >= begin - timeline.TIME_TOLERANCE) & (sensors.output_t <= last)
     records = {"fixes": sensors.fixes} | sensors.instruments
-    cut = {name: _take(record, _arrived(record, begin, last)) for name, record in records.items() if record}
+    cut = {
+        name: take_rows(record, _arrived(record, begin, last)) for name, record in records.items() if record
+    }
     if sensors.observations is not None:
-        cut["observations"] = _cut_observations(sensors.observations, begin, last)
+        cut["observations"] = take_observations(
+            sensors.observations, _arrived(sensors.observations, begin, last)
+        )
     return replace(
         sensors,
         imu=imu,
@@ -333,17 +337,3 @@ def _cut(sensors: SensorData, rows: slice, begin: float, last: float, biases: _B
 def _arrived(record: Any, begin: float, last: float) -> BoolArray:
     inside: BoolArray = (record.t_arrival > begin) & (record.t_arrival <= last + timeline.TIME_TOLERANCE)
     return inside
-
-
-def _take(record: Any, rows: Any) -> Any:
-    """Return rows of a record of columns."""
-    return type(record)(*(getattr(record, f.name)[rows] for f in fields(record)))
-
-
-def _cut_observations(o: GnssObservations, begin: float, last: float) -> GnssObservations:
-    """Return the epochs with satellites that arrive in a stretch."""
-    rows = _arrived(o, begin, last)
-    counts = np.bincount(o.epoch[rows], minlength=len(o.epoch_start) - 1)
-    whole = {"epoch_start", "klobuchar", "gps_t0"}
-    columns = {f.name: getattr(o, f.name)[rows] for f in fields(o) if f.name not in whole}
-    return replace(o, epoch_start=np.concatenate([[0], np.cumsum(counts[counts > 0])]), **columns)

@@ -24,6 +24,9 @@ BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right t
 _MOST_ROWS = 4000  # before a gap that are looked at: 2 s of a unit with 2 kHz
 _BRIDGE_STEPS = 20_000  # over one gap at most, so that a wild time tag fills no memory
 
+OUTSIDE = "outside the time of the imu"
+"""Why rows are left out that arrive before the start or after the last sample."""
+
 LONGEST_BRIDGE = 0.5  # gap over which the tilt stays small enough for a linear filter [s]
 _HELD = 0.25  # time before a gap whose mean rates are held over it [s]
 _RECENT = 2.0  # time before a gap that shows how much the rates vary [s]
@@ -40,6 +43,7 @@ _BRIDGE_CORRELATION = 3.0  # [s]
 _MOST_RATE = 100.0  # [rad/s]
 _MOST_FORCE = 1000.0  # [m/s^2]
 
+_NO_ROWS = np.empty(0, np.int64)
 _IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
 _UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 
@@ -99,7 +103,13 @@ def _rates_before(imu: ImuData, rows: IntArray) -> tuple[FloatArray, FloatArray]
 
 
 def steps(
-    imu: ImuData, rows: IntArray, span: FloatArray, start: float, instants: FloatArray, in_gaps: FloatArray
+    imu: ImuData,
+    rows: IntArray,
+    span: FloatArray,
+    start: float,
+    instants: FloatArray,
+    in_gaps: FloatArray,
+    earlier: IntArray = _NO_ROWS,
 ) -> Steps:
     """Return the steps of a filter over IMU rows in use.
 
@@ -115,6 +125,8 @@ def steps(
         Where a step has to end too [s], wherever it is.
     in_gaps : (M,) array
         Where one has to end when there is a gap [s].
+    earlier : (L,) array of int
+        Rows in use before the start: what is held over a gap comes from them, too.
     """
     t, dt = imu.t[rows], imu.dt[rows]
     ends = np.concatenate([[start], t])
@@ -150,13 +162,20 @@ def steps(
         gaps, of_gap = np.unique(sample[bridged], return_inverse=True)
         held, spread = np.zeros((len(gaps), 2, 3)), np.zeros((len(gaps), 2))
         for g, k in enumerate(gaps.tolist()):
+            past = np.concatenate([earlier, rows[max(k - _MOST_ROWS, 0) : k]])[-_MOST_ROWS:]
             # before the first sample there is only the first
-            held[g], spread[g] = _rates_before(imu, rows[max(k - _MOST_ROWS, 0) : max(k, 1)])
+            held[g], spread[g] = _rates_before(imu, past if len(past) else rows[:1])
         dvel_b, dtheta_b = np.vstack([dvel_b, held[:, 0]]), np.vstack([dtheta_b, held[:, 1]])
         row[bridged], share[bridged] = len(imu) + of_gap, cut_span[bridged]
         spread = spread[of_gap]
         unknown[bridged] = bridge_variance(after, spread) - bridge_variance(np.maximum(before, 0.0), spread)
     return Steps(cut_t, cut_span, row, share, unknown, sample, dtheta_b, dvel_b)
+
+
+def needed_rows(imu: ImuData, rows: IntArray) -> IntArray:
+    """Return those of the rows in use that :func:`steps` may still need as ``earlier`` after the last."""
+    kept: IntArray = rows[imu.t[rows] > imu.t[rows[-1]] - _RECENT][-_MOST_ROWS:]
+    return kept
 
 
 def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
@@ -191,45 +210,96 @@ def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, Float
         an event says so.
     events : list of (t, t_end, kind, text)
     """
-    ranges = spec.gyro.range or _MOST_RATE, spec.accel.range or _MOST_FORCE
-    if _flawless_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *ranges):
-        rows, t = np.arange(len(imu.t)), imu.t
-        return rows, *_spans(imu, rows, t, start)
-    sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
-    sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
-    events = left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
-    for name, increment, limit in (
-        ("gyro", imu.dtheta_b, ranges[0]),
-        ("accelerometer", imu.dvel_b, ranges[1]),
-    ):
-        most = _IN_RANGE * limit * np.abs(imu.dt)
-        beyond = sound & (np.abs(increment) >= most[:, None]).any(axis=1)
-        events += left_out(
-            "imu", imu.t, beyond, f"{name} at or beyond its range of {limit:.4g} {_UNITS[name]}"
-        )
-        sound &= ~beyond
-    later = sound & (imu.t > start + TIME_TOLERANCE)
-    events += left_out("imu", imu.t, sound & ~later, "before the start")
-    rows = np.flatnonzero(later)
-    t = imu.t[rows]
-    if len(t):
-        # a row that leaps ahead of those after it, too: it alone has a wild time
-        wild = np.zeros(len(t), np.bool_)
-        wild[:-1] = t[:-1] > t[1:] + TIME_TOLERANCE
-        wild &= t > np.append(start, t[:-1]) + LONGEST_BRIDGE
-        wild[:-1] &= t[1:] > np.append(start, t[:-2])
-        out = np.zeros(len(imu.t), np.bool_)
-        out[rows[wild]] = True
-        events += left_out("imu", imu.t, out, "ahead of the rows after it")
-        rows, t = rows[~wild], t[~wild]
-        newest = np.concatenate([[start], np.maximum.accumulate(t)[:-1]])
-        ordered = t > newest + TIME_TOLERANCE
-        out = np.zeros(len(imu.t), np.bool_)
-        out[rows[~ordered]] = True
-        events += left_out("imu", imu.t, out, "repeated or going back in time")
-        rows, t = rows[ordered], t[ordered]
-    span, gaps = _spans(imu, rows, t, start)
-    return rows, span, events + gaps
+    rows, span, events, _ = ImuIntake(start).take(imu, spec, last=True)
+    return rows, span, events
+
+
+class ImuIntake:
+    """What has been taken of an IMU record that comes in pieces.
+
+    Parameters
+    ----------
+    start : float
+        As in :func:`imu_rows`.
+    """
+
+    def __init__(self, start: float) -> None:
+        self.start = start
+        self.newest = start  # of the rows in use [s]
+        self.before = start  # of the sound rows after the start, the one before the next [s]
+
+    def take(
+        self, imu: ImuData, spec: ImuSpec, *, last: bool
+    ) -> tuple[IntArray, FloatArray, list[EventRow], IntArray]:
+        """Return what :func:`imu_rows` does of the next piece, and the rows to give again with the next.
+
+        These are none, or the last one if it leaps ahead: the next row shows whether its time is wild. After
+        the ``last`` piece there is none.
+        """
+        start = self.newest
+        ranges = spec.gyro.range or _MOST_RATE, spec.accel.range or _MOST_FORCE
+        if _flawless_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *ranges):
+            rows, events = np.arange(len(imu.t)), list[EventRow]()
+            rows, again = self._hold(rows, imu.t, last)
+        else:
+            rows, again, events = self._choose(imu, ranges, last)
+        t = imu.t[rows]
+        if len(t):
+            self.newest = float(t[-1])
+        span, gaps = _spans(imu, rows, t, start)
+        return rows, span, events + gaps, again
+
+    def _hold(self, rows: IntArray, t: FloatArray, last: bool) -> tuple[IntArray, IntArray]:
+        """Return sound rows less a last one that leaps ahead, and that one."""
+        before = float(t[rows[-2]]) if len(rows) > 1 else self.before
+        count = len(rows)
+        if count and not last and t[rows[-1]] > before + LONGEST_BRIDGE:
+            count -= 1
+        if count:
+            self.before = float(t[rows[count - 1]])
+        return rows[:count], rows[count:]
+
+    def _choose(
+        self, imu: ImuData, ranges: tuple[float, float], last: bool
+    ) -> tuple[IntArray, IntArray, list[EventRow]]:
+        """Return the rows in use, those to give again, and the events that count the others."""
+        sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
+        sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
+        events = left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
+        for name, increment, limit in (
+            ("gyro", imu.dtheta_b, ranges[0]),
+            ("accelerometer", imu.dvel_b, ranges[1]),
+        ):
+            most = _IN_RANGE * limit * np.abs(imu.dt)
+            beyond = sound & (np.abs(increment) >= most[:, None]).any(axis=1)
+            events += left_out(
+                "imu", imu.t, beyond, f"{name} at or beyond its range of {limit:.4g} {_UNITS[name]}"
+            )
+            sound &= ~beyond
+        later = sound & (imu.t > self.start + TIME_TOLERANCE)
+        events += left_out("imu", imu.t, sound & ~later, "before the start")
+        rows = np.flatnonzero(later)
+        t = imu.t[rows]
+        again = rows[:0]
+        if len(t):
+            # a row that leaps ahead of those after it, too: it alone has a wild time
+            wild = np.zeros(len(t), np.bool_)
+            wild[:-1] = t[:-1] > t[1:] + TIME_TOLERANCE
+            wild &= t > np.append(self.before, t[:-1]) + LONGEST_BRIDGE
+            wild[:-1] &= t[1:] > np.append(self.before, t[:-2])
+            out = np.zeros(len(imu.t), np.bool_)
+            out[rows[wild]] = True
+            events += left_out("imu", imu.t, out, "ahead of the rows after it")
+            kept, again = self._hold(rows, imu.t, last)
+            rows = kept[~wild[: len(kept)]]
+            t = imu.t[rows]
+            newest = np.maximum.accumulate(np.concatenate([[self.newest], t]))[:-1]
+            ordered = t > newest + TIME_TOLERANCE
+            out = np.zeros(len(imu.t), np.bool_)
+            out[rows[~ordered]] = True
+            events += left_out("imu", imu.t, out, "repeated or going back in time")
+            rows = rows[ordered]
+        return rows, again, events
 
 
 def _spans(imu: ImuData, rows: IntArray, t: FloatArray, start: float) -> tuple[FloatArray, list[EventRow]]:
@@ -299,39 +369,55 @@ def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArra
     have none.
     """
     rows, sample, events = aiding_rows(fixes, fixes.lla, "gnss", imu_t, start)
+    return rows, sample, events + without_velocity(fixes, rows)
+
+
+def without_velocity(fixes: GnssFixes, rows: IntArray) -> list[EventRow]:
+    """Return the event that counts the fixes among some rows that have no velocity; none if all have."""
     finite = np.isfinite(fixes.vel_n[rows]).sum(axis=1)
-    if (finite < 3).any():
-        t = fixes.t[rows[finite < 3]]
-        text = f"gnss: {len(t)} fixes without velocity"
-        part = int(((finite > 0) & (finite < 3)).sum())
-        if part:
-            text += f", in {part} of them some components are not finite"
-        events.append((float(t.min()), float(t.max()), "timeline", text, "gnss"))
-    return rows, sample, events
+    if (finite == 3).all():
+        return []
+    t = fixes.t[rows[finite < 3]]
+    text = f"gnss: {len(t)} fixes without velocity"
+    part = int(((finite > 0) & (finite < 3)).sum())
+    if part:
+        text += f", in {part} of them some components are not finite"
+    return [(float(t.min()), float(t.max()), "timeline", text, "gnss")]
 
 
 def ordered_rows(
     t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, imu_t: FloatArray, start: float
 ) -> tuple[IntArray, IntArray, list[EventRow]]:
     """Return what :func:`aiding_rows` does, of rows by their times and whether they are ``sound`` (M,)."""
-    events = left_out(name, t, ~sound, "flagged or not finite")
-    rows = np.flatnonzero(sound)
-    rows = rows[np.argsort(t_arrival[rows], kind="stable")]
-    valid_t = t[rows]
-    if len(rows):
-        newest = np.concatenate([[-np.inf], np.maximum.accumulate(valid_t)[:-1]])
-        fresh = valid_t > newest + TIME_TOLERANCE
-        out = np.zeros(len(t), np.bool_)
-        out[rows[~fresh]] = True
-        events += left_out(name, t, out, "repeated or going back in time")
-        rows = rows[fresh]
+    rows, events = fresh_rows(t, t_arrival, sound, name, -np.inf)
     sample = np.searchsorted(imu_t, t_arrival[rows] - TIME_TOLERANCE)
     inside = (sample < len(imu_t)) & (t_arrival[rows] > start - TIME_TOLERANCE)
     sample[t_arrival[rows] < start + TIME_TOLERANCE] = -1
     out = np.zeros(len(t), np.bool_)
     out[rows[~inside]] = True
-    events += left_out(name, t, out, "outside the time of the imu")
+    events += left_out(name, t, out, OUTSIDE)
     return rows[inside], sample[inside].astype(np.int64), events
+
+
+def fresh_rows(
+    t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, newest: float
+) -> tuple[IntArray, list[EventRow]]:
+    """Return the rows that are ``sound`` (M,) and newer than all before, in the order of their arrival.
+
+    ``newest`` is the latest validity of a sound row of earlier pieces of the record [s].
+    """
+    events = left_out(name, t, ~sound, "flagged or not finite")
+    rows = np.flatnonzero(sound)
+    rows = rows[np.argsort(t_arrival[rows], kind="stable")]
+    valid_t = t[rows]
+    if len(rows):
+        before = np.maximum.accumulate(np.concatenate([[newest], valid_t]))[:-1]
+        fresh = valid_t > before + TIME_TOLERANCE
+        out = np.zeros(len(t), np.bool_)
+        out[rows[~fresh]] = True
+        events += left_out(name, t, out, "repeated or going back in time")
+        rows = rows[fresh]
+    return rows, events
 
 
 def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float) -> list[EventRow]:

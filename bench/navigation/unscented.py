@@ -86,22 +86,25 @@ class Unscented:
     def _run_from(self, sensors: SensorData, initial: InitialState, events: list[EventRow]) -> NavSolution:
         used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
         model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
-        schedule = Schedule(sensors, initial.t, compensate=False, accuracy=self.options.fix_accuracy)
+        schedule = Schedule(
+            initial.t, sensors.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
+        )
         schedule.events += events
+        schedule.take(sensors, last=True)
         for sensor in used:
             schedule.add(sensor, sensors, initial, model.layout)
-        steps, entries, _ = schedule.order()
-        values, variance = schedule.table()
+        plan = schedule.plan()
+        steps, values, variance = plan.steps, plan.values, plan.variance
         share = steps.share[:, None]
         dtheta, dvel = steps.dtheta_b[steps.row] * share, steps.dvel_b[steps.row] * share
         todo: dict[int, list[list[int]]] = {}
-        for step, *what in entries.tolist():
+        for step, *what in plan.entries.tolist():
             todo.setdefault(step, []).append(what)
 
         flight = _Flight(self.options, model, initial)
         out = np.full((len(sensors.output_t), model.layout.size + 1), np.nan)
         out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
-        waiting = iter(schedule.outputs.tolist())
+        waiting = iter(plan.outputs.tolist())
         interval = (1.0 - 1e-6) / self.options.covariance_hz
         done, covered = -1, initial.t
         for k in range(-1, len(steps.t)):

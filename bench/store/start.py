@@ -29,11 +29,6 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
     the fields of `bench.specs`. ``date``: decimal year.
     """
     lat, lon, alt = initial.lla
-    assumed = dataclasses.asdict(data.specs)
-    if assumed["gnss"] and assumed["gnss"]["sky"]:
-        for system in _ORBITS:
-            del assumed["gnss"]["sky"][system]
-        assumed["gnss"]["sky"]["day"] = assumed["gnss"]["sky"]["day"].isoformat()
     return {
         "initial": {
             "t_s": initial.t,
@@ -50,8 +45,18 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
         "date": data.date,
         "antenna_b_m": data.antenna_b,
         "ground_alt_m": data.ground_alt,
-        "assumed": assumed,
+        "assumed": assumed_document(data.specs),
     }
+
+
+def assumed_document(specs: AssumedSpecs) -> dict[str, Any]:
+    """Return assumed datasheets as a JSON object, in SI and radians, without the true orbits of a sky."""
+    assumed = dataclasses.asdict(specs)
+    if assumed["gnss"] and assumed["gnss"]["sky"]:
+        for system in _ORBITS:
+            del assumed["gnss"]["sky"][system]
+        assumed["gnss"]["sky"]["day"] = assumed["gnss"]["sky"]["day"].isoformat()
+    return assumed
 
 
 def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:

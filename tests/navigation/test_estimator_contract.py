@@ -321,7 +321,7 @@ with open(sys.argv[1], "rb") as file:
     data, initial = pickle.load(file)
 solutions = {name: load(name, {}).run(data, initial) for name in BUILT_IN}
 seen = [m for m in sys.modules if m.startswith(("bench.", "jsbsim"))]
-compiled = len(sys.modules["bench.navigation.forward"]._fusion_kernel.signatures)
+compiled = len(sys.modules["bench.navigation.forward"]._fusion_kernel.dispatcher.signatures)
 with open(sys.argv[2], "wb") as file:
     pickle.dump((solutions, seen, compiled), file)
 """

@@ -75,8 +75,11 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     """
     data, initial = sensed.data, sensed.initial
     n = 15 + 1 + 3 + 3  # baro, clock and lever arm
-    schedule = Schedule(data, initial.t, compensate=True)
-    sky = schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0])
+    schedule = Schedule(initial.t, data.specs.imu, compensate=True)
+    schedule.take(data, last=True)
+    channel = ranging.Channels().of_satellites(data.observations)
+    schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0], channel)
+    sky = schedule.sky
     aid = aiding.Measurements(
         np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
     )

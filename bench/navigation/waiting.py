@@ -1,0 +1,81 @@
+"""What waits for its step: measurements, the slots of those measured and not yet used, IMU samples."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import GnssObservations
+
+_WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column
+
+
+class Rows(NamedTuple):
+    """Measurements of one kind that wait, in the order of their arrival."""
+
+    t: FloatArray  # (M,) validity [s]
+    arrival: FloatArray  # (M,) [s]
+    values: FloatArray  # (M, 6); of satellites nothing
+    variance: FloatArray  # (M, 6)
+    slot: IntArray  # (M,) where it waits, measured but not used; 0: not yet measured
+    number: IntArray  # (M,) of satellites: the epoch in the sky
+
+    def take(self, rows: Any) -> Rows:
+        """Return some of them."""
+        return Rows(*(column[rows] for column in self))
+
+    def joined(self, other: Rows) -> Rows:
+        """Return these and others."""
+        return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+def give_slots(measure: IntArray, use: IntArray, slot: IntArray, go_to: int) -> IntArray:
+    """Return the slot of each measurement: 0 if it is used at once, else one that is free while it waits.
+
+    Those that have one keep it; those to measure after the step ``go_to`` get none.
+    """
+    slot = slot.copy()
+    busy = [-1] * int(slot.max(initial=0))  # until which step each slot is taken
+    for k in np.flatnonzero(slot > 0):
+        busy[slot[k] - 1] = int(use[k])
+    for k in np.argsort(measure, kind="stable"):
+        if slot[k] > 0 or measure[k] == use[k] or measure[k] > go_to:
+            continue
+        free = [s for s, until in enumerate(busy) if until < measure[k]]
+        if not free:
+            free = [len(busy)]
+            busy.append(0)
+        busy[free[0]] = int(use[k])
+        slot[k] = free[0] + 1
+    return slot
+
+
+def columns(record: Any) -> dict[str, Any]:
+    """Return the fields of a record by name."""
+    return {f.name: getattr(record, f.name) for f in fields(record)}
+
+
+def take_rows(record: Any, rows: Any) -> Any:
+    """Return rows of a record of columns."""
+    return type(record)(*(getattr(record, f.name)[rows] for f in fields(record)))
+
+
+def take_observations(o: GnssObservations, rows: BoolArray) -> GnssObservations:
+    """Return some rows (K,) of a record of satellites, in the epochs that have any."""
+    counts = np.bincount(o.epoch[rows], minlength=len(o.epoch_start) - 1)
+    by_row = {name: column[rows] for name, column in columns(o).items() if name not in _WHOLE}
+    return replace(o, epoch_start=np.concatenate([[0], np.cumsum(counts[counts > 0])]), **by_row)
+
+
+def join_rows(first: Any, second: Any) -> Any:
+    """Return two records of a kind as one."""
+    joined = columns(first)
+    for name, column in joined.items():
+        if name not in _WHOLE:
+            joined[name] = np.concatenate([column, getattr(second, name)])
+    if isinstance(first, GnssObservations):
+        joined["epoch_start"] = np.append(first.epoch_start, first.epoch_start[-1] + second.epoch_start[1:])
+    return type(first)(**joined)

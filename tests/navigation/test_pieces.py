@@ -1,0 +1,243 @@
+"""A filter that takes a record in pieces says of it, bit for bit, what it says of the whole."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import bench
+from bench import config, sensors
+from bench.errors import EstimatorError
+from bench.navigation import estimator
+from tests.builders import assert_same_solution, put, take
+from tests.weaving import BARO, GNSS, units, weaving
+
+END = 12.0
+LATE = 0.23  # of the fixes [s]: they arrive between samples, and between steps of the covariance
+USES = {
+    "loose-15": {},
+    "loose-22": {"covariance_hz": None},
+    "loose-mems": {"lever_arm_sd": 0.1, "adaptive_noise": 30},
+    "loose-full": {},
+    "tight": {},
+    "baro-inertial": {},
+    "free-inertial": {},
+}
+
+
+@cache
+def drawn():
+    """Fixes at 5 Hz and a barometer at 20 Hz, both late, some of them bad; a short gap in the IMU."""
+    gnss = replace(GNSS, rate=5.0, latency=LATE)
+    sensed = sensors.sense(weaving(END, 100.0), units(gnss=gnss, baro=replace(BARO, latency=0.04)), 1, 0)
+    data = sensed.data
+    fixes = put(data.fixes, 20, lla=data.fixes.lla[20] + [1e-4, 0.0, 0.0])
+    fixes = put(put(fixes, 22, vel_n=[np.nan] * 3), 25, valid=False)
+    imu = put(data.imu, 700, dvel_b=[np.nan] * 3)
+    imu = take(imu, (imu.t < 4.0) | (imu.t > 4.3))
+    output_t = np.union1d(data.output_t, [3.0004, 4.1, 4.17, 7.003, 7.0071])
+    return sensed.initial, replace(data, imu=imu, fixes=fixes, output_t=output_t)
+
+
+@cache
+def drawn_satellites():
+    gnss = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
+    sensed = sensors.sense(weaving(END, 100.0), units(gnss=replace(gnss, latency=LATE)), 1, 0)
+    return sensed.initial, sensed.data
+
+
+@cache
+def whole(use):
+    initial, data = record(use)
+    return estimator.load(use, USES[use]).run(data, initial)
+
+
+def record(use):
+    return drawn_satellites() if use == "tight" else drawn()
+
+
+def pieces(data, cuts):
+    edges = [-1.0, *sorted(cuts), np.inf]
+    return [bench.take_piece(data, begin, end) for begin, end in pairwise(edges)]
+
+
+def joined(solutions):
+    """Return the answers of all pieces as one solution, without events."""
+    found = [one for one in solutions if one.extra_names]
+    columns = {
+        f.name: np.concatenate([getattr(one, f.name) for one in found])
+        for f in fields(found[0])
+        if f.name not in ("extra_names", "innovations", "events")
+    }
+    tables = [one.innovations for one in found if len(one.innovations)]
+    if tables:
+        names = [f.name for f in fields(tables[0]) if f.name != "sensor"]
+        rows = {name: np.concatenate([getattr(one, name) for one in tables]) for name in names}
+        columns["innovations"] = replace(tables[0], **rows)
+    return replace(found[0], **columns)
+
+
+def opened(use, **more):
+    initial, data = record(use)
+    return bench.open_filter(use, initial, USES[use], look_back=0.5, **more), data
+
+
+@pytest.mark.parametrize("use", USES)
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(cuts=st.lists(st.floats(0.0, END), min_size=1, max_size=12), asked=st.sets(st.integers(0, 12)))
+def test_wherever_the_record_is_cut_and_whatever_is_asked_the_bits_are_those_of_the_whole(use, cuts, asked):
+    filter_, data = opened(use)
+    found = []
+    for k, piece in enumerate(pieces(data, cuts)):
+        found.append(filter_.feed(piece))
+        if k in asked:
+            filter_.answer()
+    last = filter_.answer()
+    found.append(filter_.finish())
+    expected = whole(use)
+    assert_same_solution(joined(found), expected)
+    assert last.t[0] == expected.t[-1]
+    for name in ("lla", "vel_n", "q_nb", "cov", "extra", "extra_sd"):
+        assert_array_equal(getattr(last, name)[0], getattr(expected, name)[-1], err_msg=name)
+
+
+def test_pieces_of_one_sample_make_the_whole():
+    filter_, data = opened("loose-15")
+    found = [filter_.feed(piece) for piece in pieces(data, data.imu.t[:-1])]
+    assert_same_solution(joined([*found, filter_.finish()]), whole("loose-15"))
+
+
+def test_an_answer_is_that_of_a_record_that_ends_there():
+    filter_, data = opened("loose-22")
+    initial = record("loose-22")[0]
+    for begin, end in ((-1.0, 3.3), (3.3, 7.13)):
+        filter_.feed(bench.take_piece(data, begin, end))
+        answer = filter_.answer()
+        ended = replace(bench.take_piece(data, -1.0, end), output_t=answer.t)
+        expected = estimator.load("loose-22", USES["loose-22"]).run(ended, initial)
+        for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
+            assert_array_equal(getattr(answer, name), getattr(expected, name), err_msg=name)
+        assert end - 0.02 < answer.t[0] <= end
+
+
+def test_asking_changes_no_bit_of_a_whole_record():
+    """An answer does not end a step of the covariance, whose rate is below that of the answers here."""
+    initial, data = drawn()
+    rare = replace(data, output_t=data.output_t[-1:])
+    often = replace(data, output_t=np.arange(0.0, data.imu.t[-1], 0.013))
+    often = replace(often, output_t=np.append(often.output_t, data.output_t[-1]))
+    a, b = (estimator.load("loose-15", {"covariance_hz": 7.0}).run(one, initial) for one in (rare, often))
+    for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
+        assert_array_equal(getattr(a, name)[-1], getattr(b, name)[-1], err_msg=name)
+
+
+def test_an_answer_between_samples_lies_on_the_way_between_them():
+    initial, data = drawn()
+    times = np.array([6.99, 6.9931, 7.0])
+    solution = estimator.load("loose-15", {}).run(replace(data, output_t=times), initial)
+    share = (times[1] - times[0]) / (times[2] - times[0])
+    for name, slack in (("lla", 1e-11), ("vel_n", 2e-2)):
+        one = getattr(solution, name)
+        assert_allclose(one[1], one[0] + share * (one[2] - one[0]), atol=slack)
+    variance = np.einsum("kii->ki", solution.cov)[:, 6:]
+    assert ((variance[1] - variance[0]) * (variance[2] - variance[1]) >= 0).all()
+
+
+def test_a_saved_filter_goes_on_as_if_it_had_not_stopped(tmp_path):
+    for use in ("loose-22", "tight"):
+        filter_, data = opened(use)
+        found = []
+        for piece in pieces(data, [0.3, 4.15, 7.3, 9.01]):
+            found.append(filter_.feed(piece))
+            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+        found.append(filter_.finish())
+        assert_same_solution(joined(found), whole(use))
+
+
+def test_a_damaged_or_foreign_file_is_refused(tmp_path):
+    filter_, data = opened("loose-15")
+    filter_.feed(bench.take_piece(data, -1.0, 3.0))
+    place = bench.save_filter(filter_, tmp_path / "filter.npz")
+    content = bytearray(place.read_bytes())
+    content[content.index(b"carried.npy") + 200] ^= 1
+    place.write_bytes(content)
+    with pytest.raises(EstimatorError, match="holds no filter that bench saved"):
+        bench.resume_filter(place)
+    with np.load(bench.save_filter(filter_, place)) as file:
+        arrays = dict(file)
+    arrays["/passage/run/now/state"] = arrays["/passage/run/now/state"] + 1e-9
+    np.savez(place, **arrays)
+    with pytest.raises(EstimatorError, match="changed or damaged"):
+        bench.resume_filter(place)
+    with pytest.raises(EstimatorError, match="nothing to save"):
+        bench.save_filter(opened("loose-15")[0], place)
+
+
+def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing():
+    filter_, data = opened("loose-15")
+    found = [filter_.feed(bench.take_piece(data, -1.0, 6.0))]
+    old = take(data.fixes, (data.fixes.t > 4.9) & (data.fixes.t < 5.1))
+    piece = bench.take_piece(data, 6.0, 9.0)
+    wrong = {
+        "longer look_back": replace(piece, output_t=np.array([2.0])),
+        "order of arrival": replace(piece, fixes=old),
+        "a record without rows": replace(piece, baro=None),
+        "datasheets": replace(piece, specs=replace(piece.specs, baro=replace(BARO, white_sd=9.0))),
+        "antenna": replace(piece, antenna_b=np.zeros(3)),
+        "gap of 1": replace(piece, imu=take(piece.imu, piece.imu.t > 7.0)),
+    }
+    for words, bad in wrong.items():
+        with pytest.raises(EstimatorError, match=words):
+            filter_.feed(bad)
+    found += [filter_.feed(piece), filter_.feed(bench.take_piece(data, 9.0, np.inf)), filter_.finish()]
+    assert_same_solution(joined(found), whole("loose-15"))
+    with pytest.raises(EstimatorError, match="is finished"):
+        filter_.feed(piece)
+
+
+def test_a_measurement_later_than_the_filter_looks_back_is_refused():
+    initial, data = drawn()
+    data = replace(data, fixes=replace(data.fixes, t_arrival=data.fixes.t + 1.9))
+    filter_ = bench.open_filter("loose-15", initial, look_back=0.5)
+    filter_.feed(bench.take_piece(data, -1.0, 2.6))
+    with pytest.raises(EstimatorError, match=r"a row of gnss for 0\.8 s comes when the filter"):
+        filter_.feed(bench.take_piece(data, 2.6, 3.0))
+    patient = bench.open_filter("loose-15", initial, look_back=2.0)
+    found = [patient.feed(piece) for piece in pieces(data, [2.6, 3.0, 7.7])]
+    expected = estimator.load("loose-15", {}).run(data, initial)
+    assert_same_solution(joined([*found, patient.finish()]), expected)
+
+
+@pytest.mark.parametrize(
+    ("use", "options", "words"),
+    [
+        ("ukf", {}, "'ukf' cannot run in pieces: the compiled filters"),
+        ("smoother", {}, "'smoother' cannot run in pieces"),
+        ("loose-15", {"standstill": True}, "'loose-15' cannot run in pieces with standstill = true"),
+        ("loose-15", {"integrity": ["velocity"]}, "with integrity = .* the whole record; leave it out"),
+        ("loose-15", {"covariance_hz": -1.0}, "covariance_hz"),
+        ("loose", {}, "no estimator 'loose'"),
+    ],
+)
+def test_what_cannot_run_in_pieces_says_so(use, options, words):
+    with pytest.raises(EstimatorError, match=words):
+        bench.open_filter(use, drawn()[0], options)
+
+
+def test_memory_does_not_grow_with_the_record():
+    """What a filter carries after six times as long is the same: samples of a few seconds."""
+    filter_, data = opened("loose-15")
+    sizes = []
+    for begin in range(12):
+        filter_.feed(bench.take_piece(data, begin - 1.0, float(begin)))
+        carried = filter_.state()["passage"]["schedule"]
+        sizes.append(len(carried["imu"]["t"]) + sum(len(rows["t"]) for rows in carried["kinds"].values()))
+    assert max(sizes[6:]) <= max(sizes[3:6]) + 5
+    assert max(sizes) < 500
