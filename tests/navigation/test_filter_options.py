@@ -339,7 +339,10 @@ def test_each_aiding_names_the_record_it_needs():
     [
         ({"adaptive_noise": 0}, "adaptive_noise = 0 must be at least 1"),
         ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1 must not be negative"),
-        ({"integrity": ["raim"]}, r"integrity\[0\] = 'raim' must be 'nis', 'trace' or 'tolerance'"),
+        (
+            {"integrity": ["raim"]},
+            r"integrity\[0\] = 'raim' must be 'nis', 'trace', 'tolerance' or 'velocity'",
+        ),
         ({"integrity": "nis"}, "integrity = 'nis' must be a list"),
         ({"max_acceleration": 0.0}, "max_acceleration = 0 must be positive"),
         ({"standstill": 1}, "standstill = 1 must be true or false"),
