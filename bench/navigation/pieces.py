@@ -84,6 +84,7 @@ class PieceFilter:
         self.initial, self.look_back = initial, look_back
         self.head: SensorData | None = None
         self.waiting: SensorData | None = None  # until the start is known
+        self.tried = -np.inf  # last sample when it was looked for last [s]
         self.passage: Passage | None = None
         self.finished = False
 
@@ -213,6 +214,7 @@ class PieceFilter:
         """Return a filter that goes on from here by itself."""
         copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
         copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
+        copy.tried = self.tried
         copy.passage = None if self.passage is None else self.passage.copy()
         return copy
 
@@ -240,9 +242,12 @@ class PieceFilter:
         """Return the filter at its start, None while the record may still change that."""
         initial, events = self.initial, list[EventRow]()
         newest = _newest(record)
-        enough = initial.t + initial.align_for + _SETTLED + self.look_back
-        if initial.alignment == "level" and not last and newest < enough:
+        enough = self.tried + _SETTLED
+        if initial.alignment == "level":
+            enough = initial.t + initial.align_for + _SETTLED + self.look_back
+        if initial.alignment != "given" and not last and newest < enough:
             return None
+        self.tried = newest
         if initial.alignment != "given":
             try:
                 initial, events = alignment.complete(record, initial)

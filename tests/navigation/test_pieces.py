@@ -16,7 +16,7 @@ import bench
 from bench import config, sensors
 from bench.errors import EstimatorError
 from bench.navigation import estimator
-from tests.builders import assert_same_solution, put, take
+from tests.builders import assert_same_solution, at_rest, put, take
 from tests.weaving import BARO, GNSS, units, weaving
 
 END = 12.0
@@ -213,6 +213,43 @@ def test_a_measurement_later_than_the_filter_looks_back_is_refused():
     found = [patient.feed(piece) for piece in pieces(data, [2.6, 3.0, 7.7])]
     expected = estimator.load("loose-15", {}).run(data, initial)
     assert_same_solution(joined([*found, patient.finish()]), expected)
+
+
+@pytest.mark.parametrize("alignment", ["level", "course"])
+def test_a_filter_that_has_to_align_itself_waits_for_its_start(alignment, tmp_path):
+    """At rest with a given heading, and on the move without anything given."""
+    initial, data = drawn()
+    unknown, wide = np.full(4, np.nan), np.diag(np.full(9, np.inf))
+    start = replace(
+        initial, lla=unknown[:3], vel_n=unknown[:3], q_nb=unknown, cov=wide, alignment=alignment,
+        align_for=3.0, drift_sd=0.05,
+    )  # fmt: skip
+    if alignment == "level":
+        standing = sensors.sense(at_rest(END, 100.0, initial.lla, heading=0.4), units(), 1, 0)
+        wide[:3, :3], wide[8, 8] = initial.cov[:3, :3], 0.1**2
+        data = standing.data
+        start = replace(start, lla=standing.initial.lla, q_nb=standing.initial.q_nb, cov=wide)
+    filter_ = bench.open_filter("loose-15", start, look_back=0.5)
+    found = []
+    for piece in pieces(data, np.arange(0.1, END, 0.37)):
+        found.append(filter_.feed(piece))
+        filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+    assert len(found[3]) == 0
+    assert_same_solution(joined([*found, filter_.finish()]), estimator.load("loose-15", {}).run(data, start))
+
+
+def test_a_start_that_cannot_be_found_is_said():
+    initial, data = drawn()
+    wide = np.diag(np.append(np.diag(initial.cov)[:3], np.full(6, np.inf)))
+    start = replace(initial, cov=wide, alignment="level", align_for=3.0)
+    filter_ = bench.open_filter("loose-15", start, look_back=0.5)
+    filter_.feed(bench.take_piece(data, -1.0, 4.0))
+    assert np.isnan(filter_.answer().lla).all()
+    with pytest.raises(EstimatorError, match="alignment level needs a standstill"):
+        filter_.feed(bench.take_piece(data, 4.0, 9.0))
+    lost = replace(initial, cov=np.diag(np.append(np.diag(initial.cov)[:8], np.pi**2)))
+    with pytest.raises(EstimatorError, match="cannot run in pieces from an unknown heading"):
+        bench.open_filter("loose-15", lost).feed(bench.take_piece(data, -1.0, 4.0))
 
 
 @pytest.mark.parametrize(
