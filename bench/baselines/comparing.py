@@ -43,6 +43,7 @@ class Side:
     name: str
     draws: Mapping[str, Baseline]  # by profile
     documents: Mapping[str, Mapping[str, Any]]  # the profiles as flown
+    digests: Mapping[str, str]  # of the truth, by profile; a campaign holds none
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,16 @@ def _read_side(folder: Path) -> Side:
     for result in results:
         by_profile.setdefault(result.name or str(result.profile["title"]), []).append(result)
     draws = {name: _collect_runs(found) for name, found in by_profile.items()}
-    return Side(str(folder), draws, {name: found[0].profile for name, found in by_profile.items()})
+    return Side(
+        str(folder),
+        draws,
+        {name: found[0].profile for name, found in by_profile.items()},
+        {
+            name: digest_record(found[0].truth)
+            for name, found in by_profile.items()
+            if found[0].truth is not None
+        },
+    )
 
 
 def _collect_runs(results: Sequence[RunResult]) -> Baseline:
@@ -118,7 +128,7 @@ def _collect_runs(results: Sequence[RunResult]) -> Baseline:
             {label: collect_draw(one, label, one.profile["evaluation"]["from_s"]) for label in one.metrics}
             for one in ordered
         ]
-        truth = digest_record(first.truth)
+        truth = _describe_flight(first.profile)
     labels = [label for label in rows[0] if all(label in row for row in rows)]
     return _make_draws(
         first.provenance.get("versions", {}),
@@ -141,10 +151,9 @@ def _read_campaign(folder: Path) -> Side:
         name = f"{source}, {varied}" if varied and len(found.conditions) > 1 else source
         labels = list(dict.fromkeys(row["estimator"] for row in here))
         keys = list(dict.fromkeys(f"seed {row['seed']}, run {row['run']}" for row in here))
-        flown = {key: value for key, value in condition["as_flown"].items() if key not in _NOT_FLOWN}
         draws[name] = _make_draws(
             found.provenance["versions"],
-            store.to_json(flown),
+            _describe_flight(condition["as_flown"]),
             keys,
             {
                 label: join_draws([_collect_row(row) for row in here if row["estimator"] == label])
@@ -152,11 +161,16 @@ def _read_campaign(folder: Path) -> Side:
             },
         )
         documents[name] = condition["as_flown"]
-    return Side(str(folder), draws, documents)
+    return Side(str(folder), draws, documents, {})
 
 
 _NOT_FLOWN = ("title", "sensors", "assumed", "estimator", "evaluation", "faults", "fault", "gnss_outage")
 """Parts of a profile that the truth does not depend on."""
+
+
+def _describe_flight(document: Mapping[str, Any]) -> str:
+    """Return the part of a profile that the truth depends on, as text."""
+    return store.to_json({key: value for key, value in document.items() if key not in _NOT_FLOWN})
 
 
 def _collect_row(row: Mapping[str, Any]) -> EstimatorDraw:
@@ -221,6 +235,8 @@ def _compare_sides(first: Side, other: Side) -> Compared:
 def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Baseline, dict[str, str]]:
     """Return the draws to compare, and how the estimators are named: the common draws, if there are any."""
     old, new = first.draws[one], other.draws[two]
+    if _is_flown_differently(first, other, one, two):
+        new = new.model_copy(update={"truth": "flown differently"})
     labels = {label: label for label in old.estimators if label in new.estimators}
     if not labels and len(old.estimators) == len(new.estimators) == 1:
         (label,), (its,) = old.estimators, new.estimators
@@ -236,6 +252,13 @@ def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Base
         old, new = (_select(side, common) for side in (old, new))
     chosen = {label: old.estimators[label] for label in labels}
     return old.model_copy(update={"estimators": chosen}), new, labels
+
+
+def _is_flown_differently(first: Side, other: Side, one: str, two: str) -> bool:
+    """Return whether two truths of the same profile are known to differ."""
+    known = first.digests.get(one), other.digests.get(two)
+    same = first.draws[one].truth == other.draws[two].truth
+    return same and None not in known and known[0] != known[1]
 
 
 def _select(side: Baseline, keys: Sequence[str]) -> Baseline:
@@ -299,16 +322,19 @@ def _get_values(side: Baseline, label: str, metric: str) -> FloatArray:
 
 def _list_differences(first: Side, other: Side, one: str, two: str) -> list[str]:
     """Return what differs between what was run, in words."""
+    old, new = first.draws[one], other.draws[two]
     found = [] if one == two else [f"profile: {one} and {two}"]
+    if _is_flown_differently(first, other, one, two):
+        found.append("truth: the same profile was flown differently")
+    elif old.truth != new.truth:
+        found.insert(0, "the flight: figures of different flights do not compare the filters")
     before, after = (dict(_flatten(side.documents[name])) for side, name in ((first, one), (other, two)))
     found += [
         f"{key}: {_show(before.get(key))} and {_show(after.get(key))}"
         for key in dict.fromkeys([*before, *after])
-        if before.get(key) != after.get(key) and not key.startswith(("title", "estimator"))
+        if (before.get(key) or None) != (after.get(key) or None)
+        and not key.startswith(("title", "estimator"))
     ]
-    old, new = first.draws[one], other.draws[two]
-    if not found and old.truth != new.truth:
-        found.append("truth: the same profile was flown differently")
     if old.sensors != new.sensors:
         shared = len(set(old.sensors) & set(new.sensors))
         found.append(f"draws: {old.draws} and {new.draws}, {shared} in both")
@@ -327,7 +353,11 @@ def _flatten(document: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(document, Mapping):
         for name, inner in document.items():
             yield from _flatten(inner, f"{key}.{name}" if key else str(name))
-    elif isinstance(document, list | tuple) and any(isinstance(item, Mapping) for item in document):
+    elif (
+        isinstance(document, list | tuple)
+        and document
+        and any(isinstance(item, Mapping) for item in document)
+    ):
         for k, item in enumerate(document, 1):
             yield from _flatten(item, f"{key}.{k}")
     else:
@@ -335,4 +365,4 @@ def _flatten(document: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _show(value: Any) -> str:
-    return "none" if value is None else str(value)[:60]
+    return "none" if value in (None, [], {}) else str(value)[:60]

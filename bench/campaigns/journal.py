@@ -49,6 +49,11 @@ class Journal:
     def __exit__(self, *error: object) -> None:
         os.close(self._descriptor)
 
+    def find_labels(self) -> tuple[str, ...]:
+        """Return the estimators of its first run that did not fail as a whole."""
+        rows = (self[key] for key in self._places)
+        return next((tuple(row["estimators"]) for row in rows if "estimators" in row), ())
+
     def __contains__(self, key: object) -> bool:
         return key in self._places
 

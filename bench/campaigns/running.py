@@ -208,6 +208,13 @@ def run_campaign(
             )
         )
         journal = stack.enter_context(Journal(place / NAME))
+        before = journal.find_labels()
+        now = {tuple(choice.label for choice in cell.profile.estimators) for cell in plan.cells}
+        if before and before not in now:
+            raise ConfigError(
+                f"{folder}: holds runs of {', '.join(before)}; name them again to continue, -o names another "
+                "folder, --force replaces it"
+            )
         try:
             with _open_pool(plan, jobs or count_processors(), executor, scheduler) as pool:
                 _work(plan, journal, pool, progress)

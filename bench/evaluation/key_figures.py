@@ -40,7 +40,7 @@ _COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
 MEANING = (
     "! outside its bounds, which stand beside or below: what this one run allows an honest filter (NEES and "
     "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. Errors of one "
-    "run last, so its bounds are wide; many runs tell more."
+    "run change slowly: it holds few independent values, so its bounds are wide; many runs tell more."
 )
 _ROWS = {
     "pos_claimed": "claimed: root mean square of the sigma that the filter gives",
@@ -52,7 +52,11 @@ _ROWS = {
     "nees": "nees_mean: squared error over covariance, nees_states is expected",
     "nees_inside_95": "nees_inside_95: share of the time with NEES in the central 95 % of its distribution",
     "coverage": "coverage: share of the time with an error within 3 sigma, 0.997 is expected",
-    "nis": "nis: squared innovation over its covariance",
+    "nis": "nis: squared innovation over its covariance; it is low where R is larger than the scatter of the "
+    "fixes, and their slow wander does not show in it",
+    "fault_": "fault_N: the N-th fault of the profile; detected: 1 if the filter refused or reported it; "
+    "delay from its start; max_h: largest horizontal error while it lasts",
+    "false_alarms": "false_alarms: sound measurements that were refused",
 }
 """Beginning of the name of a row -> what it is."""
 OUTAGES = (

@@ -16,6 +16,7 @@ FAILED, DIVERGED, NO_CLAIM = "failed", "diverged", "no claim"
 """Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy."""
 
 BLOCKS = {"pos": "position", "vel": "velocity", "phi": "attitude"}
+_ALIKE = 1e-3  # relative difference of two errors that are the same one [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
 
@@ -88,7 +89,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
     narrow = [values.get(f"coverage_3sigma_pos_{axis}") for axis in "ne"]
     inside = [value for value in narrow if value is not None]
     if inside and min(inside) < 0.99:
-        figures += f"; position inside 3 sigma {100 * min(inside):.0f} % of the time"
+        axis = ("north", "east")[inside.index(min(inside))] if len(inside) == 2 else "horizontal"
+        figures += f"; {axis} position inside 3 sigma {100 * min(inside):.0f} % of the time"
     outside = [
         name
         for name in values
@@ -113,14 +115,28 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _explain(values: Mapping[str, Any]) -> str:
-    """Return why the block with the largest error over its sigma is overconfident, as far as it is known."""
+    """Return why an estimator is overconfident, as far as it is known.
+
+    A fault comes first in which the horizontal error of the run was the largest, then what the model leaves
+    out of the block with the largest error over its sigma.
+    """
+    worst_m = {
+        name.split("_")[1]: values[name]
+        for name in values
+        if name.startswith("fault_") and name.endswith("_max_h_m") and values[name] is not None
+    }
+    largest = max(worst_m, key=lambda number: worst_m[number], default=None)
+    if largest is not None and worst_m[largest] >= (1.0 - _ALIKE) * values.get("pos_max_h_m", np.inf):
+        return f" Why: fault {largest} led it {worst_m[largest]:.3g} m astray."
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in BLOCKS}
     known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
     for block in sorted(known, key=lambda block: known[block], reverse=True):
         if known[block] > 1.0 and (why := explain(list(values.get("unmodelled") or ()), block)):
             return f" Why: {why}."
     worst = max(known, key=lambda block: known[block], default=None)
-    return f" Worst is the {BLOCKS[worst]}: {known[worst]:.3g} times what it claims." if worst else ""
+    return (
+        f" Worst is the {BLOCKS[worst]}, in 3D: {known[worst]:.3g} sigma, root mean square." if worst else ""
+    )
 
 
 def _describe_error(values: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ def _print_compared(console: Console, one: Compared) -> None:
     shown = [row for row in one.verdicts if is_key_figure(row.metric)]
     for profile, estimator in dict.fromkeys((row.profile, row.estimator) for row in shown):
         rows = [row for row in shown if (row.profile, row.estimator) == (profile, estimator)]
-        console.print(_make_table(f"{estimator} on {profile}", rows))
+        console.print(_make_table(f"{estimator}, {profile}", one, rows))
     for sentence in one.sentences:
         console.print(sentence, soft_wrap=True)
     if all(row.note == ONE_DRAW for row in one.verdicts):
@@ -54,13 +54,13 @@ def _print_compared(console: Console, one: Compared) -> None:
     )
 
 
-def _make_table(title: str, rows: Sequence[Verdict]) -> Table:
+def _make_table(title: str, one: Compared, rows: Sequence[Verdict]) -> Table:
     table = Table(
         title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
     table.add_column("", no_wrap=True)
-    for name in ("first", "other"):
-        table.add_column(name, justify="right")
+    for name in (one.first, one.other):
+        table.add_column(Text(name), justify="right", overflow="fold")
     single = all(row.note == ONE_DRAW for row in rows)
     for name in () if single else ("verdict", "change, + is worse"):
         table.add_column(name)

@@ -351,6 +351,15 @@ def test_a_full_disk_keeps_what_is_finished(here, monkeypatch, capsys):
     assert same(here / "two", here / "full")
 
 
+def test_other_estimators_do_not_replace_a_campaign_unasked(here):
+    before = (here / "two" / RUNS).read_bytes()
+    with pytest.raises(
+        ConfigError, match="two: holds runs of loose-15, loose-22; name them again to continue"
+    ):
+        campaign("two", resume=True, estimators=["loose-22"])
+    assert (here / "two" / RUNS).read_bytes() == before
+
+
 def test_only_runs_of_the_same_profile_estimator_and_versions_are_taken(here, monkeypatch):
     def count(**options: Any) -> int:
         seen: list[Any] = []

@@ -42,8 +42,8 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
     assert found["verdict"] == "overconfident"
     assert found["verdict_text"] == (
         "loose-15 is overconfident: horizontal error 13.7 m where it claims 0.7 m (NEES 1031, 9 expected, "
-        "1 to 29 possible in this run; position inside 3 sigma 5 % of the time). Why: the GNSS error wanders "
-        "over minutes and R holds it as white (time-correlated GNSS position error not modelled); loose-22 "
+        "1 to 29 possible in this run; east position inside 3 sigma 5 % of the time). Why: the GNSS error "
+        "wanders over minutes and R holds it as white (time-correlated GNSS position error not modelled); loose-22 "
         "has states for it."
     )
     assert found["outside"] == ["nees_mean", "coverage_3sigma_pos_e"]
@@ -59,7 +59,17 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
         ),
         ({"nees_mean": 0.1, "coverage_3sigma_pos_e": 1.0}, "underconfident", "covariance is too large"),
         ({"nees_mean": 9.0}, "overconfident", "NEES 9, 9 expected"),  # by its coverage
-        ({"unmodelled": []}, "overconfident", "Worst is the position: 20 times what it claims."),
+        ({"unmodelled": []}, "overconfident", "Worst is the position, in 3D: 20 sigma, root mean square."),
+        (
+            {"fault_1_max_h_m": 3.0, "fault_4_max_h_m": 50.5, "pos_max_h_m": 50.5},
+            "overconfident",
+            "Why: fault 4 led it 50.5 m astray.",
+        ),
+        (
+            {"fault_4_max_h_m": 50.5, "pos_max_h_m": 80.0},
+            "overconfident",
+            "Why: the GNSS error wanders",
+        ),
         ({"nees_mean": None}, "no claim", "claims no accuracy"),
         ({"converged": False, "failed": True, "reason": "failed: boom"}, "failed", "loose-15 failed: boom"),
         (

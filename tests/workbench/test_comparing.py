@@ -24,10 +24,10 @@ def make_side(name, values, keys, truth="a", label="mine"):
         metrics={"pos_rmse_h_m": tuple(values), "heading_rmse_deg": tuple(0.1 * np.array(values))},
     )
     draws = Baseline(
-        profile="", requested=None, seed=0, versions={}, truth=truth, sensors=tuple(keys),
+        profile="", requested=None, seed=0, versions={}, truth="flight", sensors=tuple(keys),
         estimators={label: estimator},
     )  # fmt: skip
-    return Side(name, {"flight": draws}, {"flight": {"title": name}})
+    return Side(name, {"flight": draws}, {"flight": {"title": name}}, {"flight": truth})
 
 
 @pytest.fixture
@@ -98,6 +98,7 @@ def test_folders_are_compared_and_laid_over_each_other(folder, monkeypatch, caps
     assert "sensors.imu: adis16475 and stim300" in other.differences
     assert {row.word for row in other.verdicts if row.metric.startswith("pos_rmse")} == {"undecided"}
     assert any("alt_m" in text for text in flown.differences)
+    assert flown.differences[0] == "the flight: figures of different flights do not compare the filters"
     assert main(["compare", "a", "c", "-o", "both", "--json"]) == 0
     out, err = capsys.readouterr()
     (found,) = json.loads(out)
