@@ -43,8 +43,8 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
     assert found["verdict_text"] == (
         "loose-15 is overconfident: horizontal error 13.7 m where it claims 0.7 m (NEES 1031, 9 expected, "
         "1 to 29 possible in this run; east position inside 3 sigma 5 % of the time). Why: the GNSS error "
-        "wanders over minutes and R holds it as white (time-correlated GNSS position error not modelled); loose-22 "
-        "has states for it."
+        "wanders over minutes and R holds it as white (time-correlated GNSS position error not modelled); "
+        "loose-22 has states for it."
     )
     assert found["outside"] == ["nees_mean", "coverage_3sigma_pos_e"]
 

@@ -87,12 +87,13 @@ def say(capsys, *arguments: str) -> str:
     return text
 
 
-NAME = EVIL.replace("\x00", "").replace("\x08", "")
+SAID = EVIL.replace("\x00", "")  # a file with this character is refused
+NAME = SAID.replace("\x08", "")
 
 
 def test_hostile_names_in_the_answer_of_every_verb(here, capsys, monkeypatch):
     """Names of files and folders, options, titles and messages, in results and in errors."""
-    title = "".join(f"\\u{ord(c):04x}" if BAD.match(c) or c == "\n" else c for c in EVIL + "\nerror: none")
+    title = "".join(f"\\u{ord(c):04x}" if BAD.match(c) or c == "\n" else c for c in SAID + "\nerror: none")
     (here / f"{NAME}.toml").write_text(PROFILE.replace('"Half a minute"', f'"{title}"'))
     (here / "short.toml").write_text(PROFILE.replace('"Half a minute"', f'"{title}"'))
     make_run(here / NAME)
