@@ -41,9 +41,8 @@ def give_slots(measure: IntArray, use: IntArray, slot: IntArray, go_to: int) -> 
     busy = [-1] * int(slot.max(initial=0))  # until which step each slot is taken
     for k in np.flatnonzero(slot > 0):
         busy[slot[k] - 1] = int(use[k])
-    for k in np.argsort(measure, kind="stable"):
-        if slot[k] > 0 or measure[k] == use[k] or measure[k] > go_to:
-            continue
+    late = np.flatnonzero((slot == 0) & (measure != use) & (measure <= go_to))
+    for k in late[np.argsort(measure[late], kind="stable")]:
         free = [s for s, until in enumerate(busy) if until < measure[k]]
         if not free:
             free = [len(busy)]
