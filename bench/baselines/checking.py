@@ -298,7 +298,8 @@ def _choose(
     unknown = [use for use in estimators if use not in labels and use not in by_request]
     if unknown:
         raise ConfigError(
-            *(f"{path}: no estimator {use!r}{suggest(use, labels, 'estimators')}" for use in unknown)
+            *(f"{path}: no estimator {use!r}{suggest(use, labels, 'estimators')}" for use in unknown),
+            "--record -e writes a baseline of another estimator",
         )
     wanted = [by_request.get(use, use) for use in estimators]
     chosen = {label: row for label, row in baseline.estimators.items() if label in wanted}

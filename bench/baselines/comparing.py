@@ -90,6 +90,8 @@ def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]
 def _read_side(folder: Path) -> Side:
     if (folder / store.CAMPAIGN_RESULT).is_file():
         return _read_campaign(folder)
+    if folder.is_file():
+        raise ConfigError(f"{folder}: is a file; name its folder, {folder.parent}")
     paths = [folder] if (folder / store.RESULT).is_file() else sorted(folder.glob(f"*/{store.RESULT}"))
     if not paths:
         raise ConfigError(f"{folder}: holds no results; 'bench run' and 'bench campaign' write some")

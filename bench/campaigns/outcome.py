@@ -40,9 +40,11 @@ class Outcome:
     def sentences(self) -> tuple[str, ...]:
         """What the figures mean."""
         rate, bad = self.converged, self.runs - self.converged_runs
+        least, most = (f"{100 * (1 - end):.2g}" for end in (rate.high, rate.low))
         found = [
-            f"{self.label}: {bad} of {self.runs} runs did not converge, {100 * (1 - rate.high):.2g} to "
-            f"{100 * (1 - rate.low):.2g} % of all"
+            f"{self.label}: all {self.runs} runs converged; of many, at most {most} % would not"
+            if bad == 0
+            else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all"
         ]
         if self.consistency is not None:
             found.append(f"{self.label} is {self.consistency.sentence}")

@@ -76,7 +76,7 @@ class Campaign:
     def sentences(self) -> tuple[str, ...]:
         """What the figures mean."""
         own = (text for outcome in self.outcomes for text in outcome.sentences)
-        return (*own, *(one.sentence for one in self.comparisons))
+        return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons))
 
     def __repr__(self) -> str:
         """Return the number of runs and the sentences."""

@@ -69,7 +69,7 @@ class Consistency:
             f"from {self.runs} runs"
         )
         if self.runs_to_decide is not None:
-            text += f"; about {self.runs_to_decide} runs would decide"
+            text += f"; about {self.runs_to_decide} runs would tell whether that fits"
         return text
 
 

@@ -41,6 +41,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
         missing = [name for name in SUMMARY if name not in summary]
         written_by = summary.get("provenance", {}).get("versions", {}).get("bench", "?")
     except OSError as error:
+        if folder.is_file():
+            raise ConfigError(f"{folder}: is a file; name its folder, {folder.parent}") from None
         absent = isinstance(error, FileNotFoundError | NotADirectoryError)
         what = f"there is no {RESULT} in it" if absent else f"{RESULT}: {error.strerror}"
         raise ConfigError(f"{folder}: not a results folder, {what}; 'bench run' writes one") from None

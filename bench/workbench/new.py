@@ -119,7 +119,10 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
     texts = {profile: _PROFILE.format(use=use), workflow: _WORKFLOW.format(option=option)}
     for path in (*texts, profile.with_suffix(".json")):
         if path.exists() or path.is_symlink():
-            raise ConfigError(f"{path}: exists already and is not replaced")
+            raise ConfigError(
+                f"{path}: exists already and is not replaced; 'bench check {profile} -e {use} --record' "
+                "records an estimator on it"
+            )
     for path in texts:
         path.parent.mkdir(parents=True, exist_ok=True)
     _write_all(texts, lambda: check_verb.record([str(profile)], console=console, runs=draws, allow_code=True))

@@ -70,7 +70,7 @@ def test_undecided_says_how_many_runs_would_decide():
     averages = STATES * (1.2 + 0.25 * np.where(np.arange(40) % 2, 1.0, -1.0))
     result = check_consistency(np.tile(averages[:, None], (1, 3)), STATES, {})
     assert result.word == "undecided"
-    assert "about 228 runs would decide" in result.sentence  # 40 (0.119 / 0.05)^2
+    assert "about 228 runs would tell whether that fits" in result.sentence  # 40 (0.119 / 0.05)^2
     more = STATES * (1.2 + 0.25 * np.where(np.arange(228) % 2, 1.0, -1.0))
     assert check_consistency(np.tile(more[:, None], (1, 3)), STATES, {}).word == "consistent"
 

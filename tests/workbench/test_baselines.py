@@ -197,7 +197,7 @@ def every_metric(k, worse=0.0):
 
 def test_every_metric_is_judged_or_said_not_to_be(measure, tmp_path):
     judged = [m.name.format("1") for m in METRICS if m.direction != "not judged"]
-    watched = {name for name in every_metric(0) if experiments._is_watched(name)}
+    watched = {name for name in every_metric(0) if experiments.is_watched(name)}
     assert watched == set(judged)
     measure(lambda k: {name: every_metric(k)[name] for name in judged})
     record_baselines(["survey.toml"], directory=tmp_path)
