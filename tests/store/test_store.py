@@ -398,8 +398,12 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
             store.load(saved)
         assert "\n" not in str(caught.value)
     path.unlink()
-    for folder in (saved, saved / "absent", saved / "truth.parquet"):
-        with pytest.raises(BenchError, match=r"not a results folder, .* result\.json"):
+    for folder, reason in (
+        (saved, r"not a results folder, .* result\.json"),
+        (saved / "absent", r"not a results folder, .* result\.json"),
+        (saved / "truth.parquet", "is a file; name its folder"),
+    ):
+        with pytest.raises(BenchError, match=reason):
             store.load(folder)
 
 
