@@ -22,7 +22,7 @@ RATE_LIMIT = np.deg2rad(4000.0)
 """Angular rate beyond the range of usual gyros [rad/s]."""
 _GAIN_OFF = 0.2  # allowed relative difference of heights and velocities by two instruments
 _SPEEDS = {3.6: "km/h", 1.944: "knots", 3.281: "ft/s"}
-_MOVED, _SLOWEST = 8.0, 1.0  # a velocity is compared if its rms exceeds its noise this much, and [m/s]
+_MOVED, _SLOWEST = 8.0, 0.5  # a velocity is compared if its rms exceeds its noise this much, and [m/s]
 _LEAST_CLIMB = 20.0  # standard deviation of the heights from which a barometer is compared [m]
 _WANDER = 60.0  # errors of heights further apart than this count as independent [s]
 _SEARCH = 1.0  # largest time shift that is tried, either way [s]

@@ -104,17 +104,20 @@ MISTAKES: dict[str, tuple[Callable[[Recorded], Recorded], tuple[str, ...]]] = {
 
 _FORWARD, _YAWED = "antenna 2 m forward", "accelerometers turned by 10 deg about z"
 
+_UP = "velocity up"  # level flights do not show it
 NOT_SHOWN: dict[str, set[str]] = {
     "static": set(MISTAKES),  # nothing moves: only gravity tells
     "climb-cruise-descend": {"gyro z reversed", _FORWARD},
     "gnss-faults": {_YAWED, "IMU 0.1 s late", _FORWARD},
-    "holding": {_YAWED, _FORWARD},
-    **{name: {_FORWARD} for name in ("date-line", "gnss-jammed", "gnss-denied-leg", "polar", "waypoints")},
-    "figure-eight-matched": {_FORWARD},
+    "holding": {_YAWED, _FORWARD, _UP},
+    **{name: {_FORWARD, _UP} for name in ("date-line", "gnss-denied-leg", "polar")},
+    **{name: {_FORWARD} for name in ("gnss-jammed", "waypoints", "figure-eight-matched")},
+    **{name: {_UP} for name in ("s-turns", "survey")},
     "long-cruise": {
         "gyro z reversed",
         _YAWED,
         *(f"antenna 2 m {way}" for way in ("forward", "right", "down")),
+        _UP,
     },
 }
 """Mistakes that the motion of a profile does not show."""
