@@ -93,6 +93,7 @@ _PUBLIC = {
     "to_arrow": "bench.store",
     "to_pandas": "bench.store",
     "plot_result": "bench.report.paper",
+    "write_suite": "bench.campaigns.card",
     "write_figures": "bench.report.writing",
     "write_recording": "bench.recording",
     "write_report": "bench.report.writing",

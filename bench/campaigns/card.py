@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from bench import store
+from bench import pipeline, store
 from bench.campaigns.card_suite import FULL, QUICK, VERSION, SuiteFlight, hash_suite
 from bench.campaigns.plan import plan_study
 from bench.campaigns.running import Progress, run_campaign
@@ -19,6 +19,7 @@ from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
+from bench.exchange.solution_folder import write_sensors
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -94,6 +95,44 @@ class Card(Table):
         return f"{', '.join(parts[:-1])} and {parts[-1]}." if len(parts) > 1 else f"{parts[0]}."
 
 
+def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
+    """Write the sensor data of every flight and draw of the suite, for solutions that are made elsewhere.
+
+    Each draw has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``. With a
+    ``solution.csv`` beside them in every one, ``make_card("file:FOLDER")`` judges the solutions.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new folder.
+    quick : bool
+        As for :func:`make_card`.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the folder exists.
+    OSError
+        If a file cannot be written; nothing is left behind.
+    """
+    folder = Path(folder)
+    store.check_folder(folder, force=False, kind=store.EXPORT)
+    suite = QUICK if quick else FULL
+    plan = plan_study(replace(suite, estimators=(YARDSTICK,)))
+    draws = []
+    with store.make_folder(folder, kind=store.EXPORT) as partial:
+        for one in plan.runs:
+            cell = plan.cells[one.cell]
+            sensed = pipeline.sense(cell.profile, pipeline.fly(cell.profile), one.run)
+            place = write_sensors(partial, sensed.data, sensed.initial)
+            draws.append(
+                {"folder": place.name, "flight": suite.members[cell.condition].name, "draw": one.run}
+            )
+        suite_hash = hash_suite(plan)
+        store.write_json(partial / "suite.json", {"suite": suite.name, "hash": suite_hash, "draws": draws})
+    return folder
+
+
 def make_card(
     estimator: str,
     *,
@@ -107,7 +146,8 @@ def make_card(
     Parameters
     ----------
     estimator : str
-        Built-in name, ``module:Class`` or ``command:./program {sensors} {solution}``.
+        Built-in name, ``module:Class``, ``command:./program {sensors} {solution}``, or ``file:FOLDER`` with a
+        solution for each draw that :func:`write_suite` wrote.
     against : str
         The one to compare with.
     quick : bool

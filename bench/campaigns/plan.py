@@ -161,9 +161,13 @@ def _make_cell(
     overrides: Values,
     allow_code: bool,
 ) -> Cell:
-    fixed = [choice.label for choice in profile.estimators if choice.use.startswith("file:")]
-    if fixed:
-        raise ConfigError(f"{source}: {fixed[0]!r} is a solution in a file, which belongs to one noise draw")
+    files = [choice for choice in profile.estimators if choice.use.startswith("file:")]
+    for choice in files:
+        if not (choice.beside / choice.use.removeprefix("file:")).is_dir():
+            raise ConfigError(
+                f"{source}: {choice.label!r} is a solution in a file, which belongs to one noise draw; "
+                "file:FOLDER names a folder with one for each"
+            )
     words = ["bench", "run", source]
     for use in estimators or ():
         words += ["-e", use]
@@ -196,6 +200,8 @@ def _find_sources(choice: EstimatorChoice) -> list[Path]:
             return []
         on_path = [Path(found) for found in [shutil.which(words[0]) if words else None] if found]
         return [path for path in (*on_path, *(choice.beside / word for word in words)) if path.is_file()]
+    if kind == "file":
+        return sorted(path for path in (choice.beside / rest).rglob("*") if path.is_file())
     return find_module_files(choice.use)
 
 

@@ -140,25 +140,38 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
 @click.option("--html", type=FILE, metavar="FILE", help="write it as a page")
 @click.option("--compare", "compared", type=FILE, nargs=2, metavar="A B", help="compare two cards")
+@click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
 @json_option("the card")
 @force_option("card")
-def card(as_json: bool, estimator: str | None, compared: tuple[Path, Path] | None, **options: Any) -> int:
+def card(
+    as_json: bool,
+    estimator: str | None,
+    compared: tuple[Path, Path] | None,
+    sensors: Path | None,
+    **options: Any,
+) -> int:
     """Judge a filter over a fixed suite of flights, beside a built-in one.
 
     Accuracy is a ratio to the other filter on the same noise, with its interval. Version
     and hash of the suite stand on the card: two cards with equal hashes compare.
+    Solutions made elsewhere are judged, too: --sensors writes a folder for each draw,
+    and file:DIR finds solution.csv in each of them.
 
     \b
     Examples:
       bench card -e mine:Filter --quick
+      bench card --sensors draws --quick && bench card -e file:draws --quick
       bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
       bench card --compare mine.json theirs.json
     """
     from bench.store import to_json
-    from bench.workbench.campaign_verb import print_comparison, run_card
+    from bench.workbench.campaign_verb import print_comparison, run_card, write_sensors
 
-    if (estimator is None) == (compared is None):
-        raise click.UsageError("give -e NAME to judge, or --compare A B")
+    if [estimator, compared, sensors].count(None) != 2:
+        raise click.UsageError("give one of -e NAME to judge, --compare A B and --sensors DIR")
+    if sensors is not None:
+        write_sensors(sensors, quick=options["quick"], console=new_console(stderr=as_json))
+        return DONE
     console = new_console(stderr=as_json)
     found: Any
     if compared is not None:

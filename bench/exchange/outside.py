@@ -27,13 +27,11 @@ import numpy as np
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.failures import make_failed_solution
-from bench.exchange.exports.column_files import write as write_tables
-from bench.exchange.exports.outgoing import ExportData
+from bench.exchange.solution_folder import FolderEstimator, write_tables_of
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
 from bench.scratch import make_scratch
 from bench.specs import EstimatorChoice
-from bench.store import make_start_document
 
 TIMEOUT = 600.0
 """Default time limit of a program [s]."""
@@ -54,6 +52,8 @@ _PATIENCE = 2.0  # between SIGTERM and SIGKILL [s]
 def load(choice: EstimatorChoice) -> Estimator:
     """Build an estimator from ``file:solution.csv`` or ``command:./filter {sensors} {solution}``.
 
+    ``file:`` may also name a folder of solutions (`bench.exchange.solution_folder`).
+
     Raises
     ------
     EstimatorError, ConfigError
@@ -61,6 +61,8 @@ def load(choice: EstimatorChoice) -> Estimator:
     """
     if choice.use.startswith(FILE):
         path = choice.beside / choice.use.removeprefix(FILE)
+        if path.is_dir():
+            return construct(choice.label, partial(FolderEstimator, path), choice.options)
         return construct(choice.label, partial(FileEstimator, path), choice.options)
     command = choice.use.removeprefix(COMMAND)
     return construct(choice.label, partial(CommandEstimator, command, choice.beside), choice.options)
@@ -106,16 +108,7 @@ class CommandEstimator:
             place.mkdir()
             folder = place / "sensors"
             folder.mkdir()
-            document = make_start_document(sensors, initial)
-            out = ExportData(
-                imu=sensors.imu,
-                fixes=sensors.fixes,
-                observations=sensors.observations,
-                instruments=sensors.instruments,
-                start=document,
-                output_t=sensors.output_t,
-            )
-            write_tables(folder, out, "csv")
+            write_tables_of(folder, sensors, initial)
             solution = place / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from bench import store
 from bench.campaigns import plan, running
-from bench.campaigns.card import Card, describe_suite, make_card, read_card
+from bench.campaigns.card import Card, describe_suite, make_card, read_card, write_suite
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
@@ -199,6 +199,14 @@ def run_card(
         write_card(html, card)
         console.print(f"Wrote {html}.")
     return card
+
+
+def write_sensors(folder: Path, *, quick: bool, console: Console) -> None:
+    """Write the sensor data of the suite, and print the next step."""
+    write_suite(folder, quick=quick)
+    console.print(f"Wrote {folder}: a folder for each draw, with its tables in sensors/.", soft_wrap=True)
+    extent = " --quick" if quick else ""
+    console.print(f"Next: solution.csv into each, then bench card -e file:{folder}{extent}", soft_wrap=True)
 
 
 def print_comparison(paths: tuple[Path, Path], *, console: Console) -> list[ComparedLine]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import bench
+from bench import rotation
 from bench.campaigns import card, running
 from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight
@@ -211,4 +214,36 @@ def test_the_suite_names_flights_that_load():
 @pytest.mark.parametrize("arguments", [[], ["-e", "loose-15", "--compare", "a", "b"]])
 def test_a_card_is_made_or_compared(arguments, capsys):
     assert main(["card", *arguments]) == 2
-    assert "give -e NAME to judge, or --compare A B" in capsys.readouterr().err
+    assert "give one of -e NAME to judge, --compare A B and --sensors DIR" in capsys.readouterr().err
+
+
+def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys):
+    """Those of loose-15, written by hand, have its errors; a draw without one is told."""
+    monkeypatch.chdir(made)
+    assert main(["card", "--sensors", "draws", "--quick"]) == 0
+    assert "Next: solution.csv into each, then bench card -e file:draws --quick" in capsys.readouterr().out
+    written = json.loads((made / "draws" / "suite.json").read_text())
+    flights = {one.name: one for one in card.QUICK.members}
+    assert len({row["folder"] for row in written["draws"]}) == DRAWS * len(flights)
+    for row in written["draws"]:
+        place = made / "draws" / row["folder"]
+        assert sorted(path.name for path in place.iterdir()) == ["sensors"]
+        assert not list((place / "sensors").glob("*truth*"))
+        flight = flights[row["flight"]]
+        profile = load_profile(flight.profile, flight.values)
+        sensed = bench.sense(profile, bench.fly(profile), row["draw"])
+        found = bench.navigate("loose-15", sensed.data, sensed.initial)
+        euler = np.degrees(np.column_stack(rotation.to_euler(found.q_nb)))
+        table = np.column_stack([found.t, np.degrees(found.lla[:, :2]), found.lla[:, 2], found.vel_n, euler])
+        names = "t_s,lat_deg,lon_deg,alt_m,vel_n_mps,vel_e_mps,vel_d_mps,roll_deg,pitch_deg,heading_deg"
+        np.savetxt(place / "solution.csv", table, "%.12g", ",", header=names, comments="")
+    assert main(["card", "-e", "file:draws", "--against", "loose-15", "--quick", "-o", "files.json"]) == 0
+    for flight in flights:
+        line = find(bench.read_card(Path("files.json")), flight, "accuracy")
+        assert line.value == pytest.approx(1.0, abs=1e-3)
+    (made / "draws" / written["draws"][0]["folder"] / "solution.csv").unlink()
+    assert main(["card", "-e", "file:draws", "--against", "loose-15", "--quick", "-o", "less.json"]) == 0
+    counted = find(bench.read_card(Path("less.json")), written["draws"][0]["flight"], "convergence")
+    assert sum(counted.by_draw) == DRAWS - 1
+    with pytest.raises(ConfigError, match="not replaced"):
+        bench.write_suite("draws", quick=True)

@@ -1,0 +1,100 @@
+"""Solutions of many draws in a folder: ``use = "file:FOLDER"``, a subfolder for each draw.
+
+A subfolder is named by the sensor data and the start, so that no solution is taken for another draw.
+`write_sensors` makes it, with the data as ``bench export --to csv`` writes them; ``solution.csv`` is the
+answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from bench.data import InitialState, NavSolution, SensorData
+from bench.errors import ConfigError, EstimatorError
+from bench.exchange.exports.column_files import write as write_tables
+from bench.exchange.exports.outgoing import ExportData
+from bench.exchange.solutions import FileEstimator
+from bench.store import make_start_document
+
+SOLUTION = "solution.csv"
+"""The answer, in the folder of its sensor data."""
+
+SENSORS = "sensors"
+"""Folder with the tables, beside the answer."""
+
+_DIGITS = 6  # of the figures in a name: another processor may differ in the last of sixteen
+
+
+def write_tables_of(folder: Path, sensors: SensorData, initial: InitialState) -> None:
+    """Write sensor data and start as CSV into an existing, empty folder, without the truth.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    out = ExportData(
+        imu=sensors.imu,
+        fixes=sensors.fixes,
+        observations=sensors.observations,
+        instruments=sensors.instruments,
+        start=make_start_document(sensors, initial),
+        output_t=sensors.output_t,
+    )
+    write_tables(folder, out, "csv")
+
+
+def write_sensors(root: Path, sensors: SensorData, initial: InitialState) -> Path:
+    """Write sensor data into the folder of their name below ``root``, and return it.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is there already.
+    OSError
+        If a file cannot be written.
+    """
+    folder = root / name_draw(sensors, initial)
+    try:
+        (folder / SENSORS).mkdir(parents=True)
+    except FileExistsError:
+        raise ConfigError(f"{folder}: exists; name a new folder") from None
+    write_tables_of(folder / SENSORS, sensors, initial)
+    return folder
+
+
+def name_draw(sensors: SensorData, initial: InitialState) -> str:
+    """Return the name of a set of sensor data and its start: a digest of figures of both."""
+    imu, fixes = sensors.imu, sensors.fixes
+    good = imu.valid
+    figures = [len(imu.t), *np.std(imu.dtheta_b[good], axis=0), *np.std(imu.dvel_b[good], axis=0)]
+    if fixes is not None:
+        figures += [len(fixes), *np.nanstd(fixes.lla, axis=0), np.mean(fixes.t_arrival - fixes.t)]
+    figures += [*initial.vel_n, *initial.q_nb]
+    text = " ".join(f"{float(x):.{_DIGITS}e}" for x in figures)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class FolderEstimator:
+    """An estimator that returns the solution of the sensor data it gets, out of a folder of many.
+
+    Parameters
+    ----------
+    folder : Path
+        It holds ``<name>/solution.csv`` for each set of sensor data; `name_draw` gives the name.
+    t_0_s, max_gap_s
+        As for `bench.exchange.solutions.FileEstimator`.
+    """
+
+    def __init__(self, folder: Path, *, t_0_s: float = 0.0, max_gap_s: float | None = None) -> None:
+        self._folder, self._options = folder, {"t_0_s": t_0_s, "max_gap_s": max_gap_s}
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Return the solution at ``sensors.output_t``; NaN at times that it does not cover."""
+        path = self._folder / name_draw(sensors, initial) / SOLUTION
+        if not path.is_file():
+            raise EstimatorError(f"{path}: no such file; it is to hold the solution of these sensor data")
+        return FileEstimator(path, **self._options).run(sensors, initial)  # type: ignore[arg-type]
