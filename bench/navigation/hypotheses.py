@@ -28,9 +28,10 @@ from bench.earth import EARTH_RATE, difference_n
 from bench.navigation.aiding import SENSORS
 from bench.navigation.error_state import PHI, POS, VEL
 from bench.navigation.leveling import bias_sd
-from bench.navigation.rough_heading import UNKNOWN_HEADING_SD, WIDE, may_stand
+from bench.navigation.rough_heading import UNKNOWN_HEADING_SD, may_stand
 from bench.navigation.timeline import TIME_TOLERANCE
 
+LINEAR = float(np.deg2rad(15.0))  # sd of a heading up to which one linear filter is good [rad]
 COUNT = 16  # hypotheses around the circle
 SD = np.pi / COUNT  # of the heading of each: half the distance to the next, so that their sum is flat to 2 %
 FIRST = 60.0  # length of the first trial [s]; each further one is twice as long
@@ -63,7 +64,7 @@ class Settled:
 
 def heading_is_unknown(initial: InitialState) -> bool:
     """Tell whether the heading is too uncertain for one linear filter."""
-    return bool(initial.cov[8, 8] > WIDE**2)
+    return bool(initial.cov[8, 8] > LINEAR**2)
 
 
 def settle_heading(run: Run, sensors: SensorData, initial: InitialState) -> Settled:

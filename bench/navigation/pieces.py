@@ -260,7 +260,7 @@ class PieceFilter:
         if hypotheses.heading_is_unknown(initial):
             raise EstimatorError(
                 f"{self.use!r} cannot run in pieces from an unknown heading: several filters have to find it "
-                "on the whole record; give a heading known to 30 deg"
+                "on the whole record; give a heading known to 15 deg"
             )
         options, gyro = self.estimator.options, record.specs.imu.gyro
         if options.every_error and record.fixes is not None and gyro.turn_on_bias_sd >= turn_on.LARGE:

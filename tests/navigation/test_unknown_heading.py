@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation, sensors
+from bench import pipeline, rotation, sensors
+from bench.config import load_profile
 from bench.evaluation.error_series import error_series
 from bench.navigation import hypotheses
 from bench.navigation.estimator import load
-from tests.builders import band, steered
+from tests.builders import band, first_rows, steered, student
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import DEG, GNSS, units
 
@@ -93,6 +94,36 @@ def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
     t, found = squares("loose-15", spec_of("level"), draws=6)
     late = t > REST + 20
     assert found[:, late, 2].mean() > 10 * 9
+
+
+@pytest.fixture(scope="module")
+def straight_on():
+    """The first 150 s of s-turns, matched sensors, a heading known to 30 deg: first it flies straight on."""
+    changes = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
+    changes |= {"initial_error_sd.heading_deg": 30.0, "evaluation.output_hz": 1.0}
+    profile = load_profile("s-turns", changes)
+    return profile, first_rows(pipeline.fly(profile), 30_001)
+
+
+def mean_nees(profile, truth, draws):
+    """Mean NEES of each draw from 30 s on."""
+    found = []
+    for draw in draws:
+        sensed = pipeline.sense(profile, truth, draw)
+        errors = error_series(truth, load("loose-15", {}).run(sensed.data, sensed.initial))
+        found.append(errors.nees[errors.t > 30.0].mean())
+    return np.array(found)
+
+
+def test_a_start_in_flight_with_a_rough_heading_is_honest(straight_on):
+    """The mean of 12 draws within its 99.9 % band."""
+    found = mean_nees(*straight_on, range(12))
+    assert abs(found.mean() - 9.0) < student(12) * found.std(ddof=1) / 12**0.5
+
+
+def test_one_filter_from_a_rough_heading_is_not_honest(straight_on, monkeypatch):
+    monkeypatch.setattr(hypotheses, "LINEAR", np.inf)
+    assert mean_nees(*straight_on, (2, 5, 8)).max() > 10 * 9
 
 
 def test_an_outlier_while_the_heading_is_found_decides_nothing():

@@ -86,7 +86,7 @@ def test_where_the_heading_is_hardly_known_it_beats_the_linear_filter(monkeypatc
     What makes a filter of sigma points worth its time: large errors before the first turns. One filter each,
     without the hypotheses that both start with from such a heading.
     """
-    monkeypatch.setattr(hypotheses, "WIDE", np.inf)
+    monkeypatch.setattr(hypotheses, "LINEAR", np.inf)
     truth, spec = weaving(60.0, rate=50.0), replace(units(), initial_heading_sd=60.0 * DEG)
     found = {"ukf": [], "loose-15": []}
     for run in range(24):
