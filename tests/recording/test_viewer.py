@@ -31,6 +31,7 @@ def check_views(path) -> None:
     assert min(map(len, pictures.values())) > 20_000  # an empty window has fewer bytes
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("viewer_there")
 def test_a_recording_of_five_estimators_opens(tmp_path):
     names = ["loose-15", "loose-22", "gnss-only", "baro-inertial", "free-inertial"]
