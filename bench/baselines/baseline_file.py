@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench import store
-from bench.config.tables import MOST_BYTES, NOT_NEGATIVE, ROWS, Table, check_table
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
 from bench.errors import ConfigError
-from bench.files import check_file
+from bench.files import read_json
 
 LEAST_DRAWS = 20
 """Fewest draws of a baseline."""
@@ -112,17 +112,7 @@ def read_baseline(path: Path) -> Baseline:
     ConfigError
         One message for each problem in the file.
     """
-    try:
-        check_file(path, str(path), MOST_BYTES)
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise ConfigError(f"{path}: must hold one JSON object")
+    document = read_json(path)
     baseline = check_table(Baseline, document, str(path))
     problems = [
         f"{path}: [estimators.{label}]: {name} must have {baseline.draws} values, one for each draw; "

@@ -116,7 +116,8 @@ def _collect_runs(results: Sequence[RunResult]) -> Baseline:
     """Return the draws of one profile; a single log gives a draw for each of its stretches."""
     first = results[0]
     if "log" in first.more:
-        start, end = first.profile["evaluation"]["from_s"], float(first.sensors.imu.t.max())  # type: ignore[union-attr]
+        assert first.sensors is not None  # a results folder has them
+        start, end = first.profile["evaluation"]["from_s"], float(first.sensors.imu.t.max())
         keys = [f"stretch {k}" for k in range(STRETCHES)]
         rows = [
             {label: collect_stretch(first, label, k, start, end) for label in first.errors}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +14,11 @@ from bench.campaigns.card_suite import FULL, QUICK, VERSION, SuiteFlight, hash_s
 from bench.campaigns.plan import plan_study
 from bench.campaigns.running import Progress, run_campaign
 from bench.config.tables import ROWS, Table, check_table
-from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
 from bench.exchange.solution_folder import write_sensors
+from bench.files import read_json
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -208,15 +207,7 @@ def read_card(path: Path) -> Card:
     ConfigError
         If the file is not a card.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise ConfigError(f"{path}: must hold one JSON object, as 'bench card -o' writes it")
-    return check_table(Card, document, str(path))
+    return check_table(Card, read_json(path), str(path))
 
 
 # --- lines ----------------------------------------------------------------------------------------------

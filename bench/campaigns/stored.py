@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from bench.errors import ConfigError
 from bench.evaluation.consistency import MeanNis
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import Consistency
+from bench.files import read_json
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
@@ -28,12 +28,9 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
     """
     folder = Path(folder)
     path = folder / store.CAMPAIGN_RESULT
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{folder}: no campaign, there is no {store.CAMPAIGN_RESULT} in it") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    if not path.exists():
+        raise ConfigError(f"{folder}: no campaign, there is no {store.CAMPAIGN_RESULT} in it")
+    summary = read_json(path)
     with store.report_damage(folder):
         runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
     try:

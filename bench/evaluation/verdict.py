@@ -127,7 +127,7 @@ def _explain(values: Mapping[str, Any]) -> str:
     }
     largest = max(worst_m, key=lambda number: worst_m[number], default=None)
     if largest is not None and worst_m[largest] >= (1.0 - _ALIKE) * values.get("pos_max_h_m", np.inf):
-        return f" Why: fault {largest} led it {worst_m[largest]:.3g} m astray."
+        return f" Why: its largest error, {worst_m[largest]:.3g} m, came in fault {largest}."
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in BLOCKS}
     known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
     for block in sorted(known, key=lambda block: known[block], reverse=True):

@@ -27,7 +27,7 @@ import numpy as np
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.failures import make_failed_solution
-from bench.exchange.solution_folder import FolderEstimator, write_tables_of
+from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
 from bench.scratch import make_scratch
@@ -108,7 +108,7 @@ class CommandEstimator:
             place.mkdir()
             folder = place / "sensors"
             folder.mkdir()
-            write_tables_of(folder, sensors, initial)
+            write_sensor_tables(folder, sensors, initial)
             solution = place / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]

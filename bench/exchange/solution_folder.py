@@ -28,7 +28,7 @@ SENSORS = "sensors"
 _DIGITS = 6  # of the figures in a name: another processor may differ in the last of sixteen
 
 
-def write_tables_of(folder: Path, sensors: SensorData, initial: InitialState) -> None:
+def write_sensor_tables(folder: Path, sensors: SensorData, initial: InitialState) -> None:
     """Write sensor data and start as CSV into an existing, empty folder, without the truth.
 
     Raises
@@ -62,7 +62,7 @@ def write_sensors(root: Path, sensors: SensorData, initial: InitialState) -> Pat
         (folder / SENSORS).mkdir(parents=True)
     except FileExistsError:
         raise ConfigError(f"{folder}: exists; name a new folder") from None
-    write_tables_of(folder / SENSORS, sensors, initial)
+    write_sensor_tables(folder / SENSORS, sensors, initial)
     return folder
 
 
@@ -72,9 +72,11 @@ def name_draw(sensors: SensorData, initial: InitialState) -> str:
     good = imu.valid
     figures = [len(imu.t), *np.std(imu.dtheta_b[good], axis=0), *np.std(imu.dvel_b[good], axis=0)]
     if fixes is not None:
-        figures += [len(fixes), *np.nanstd(fixes.lla, axis=0), np.mean(fixes.t_arrival - fixes.t)]
-    figures += [*initial.vel_n, *initial.q_nb]
+        figures += [len(fixes), *np.nanstd(fixes.lla, axis=0)]
     text = " ".join(f"{float(x):.{_DIGITS}e}" for x in figures)
+    latency = 0.0 if fixes is None else np.mean(fixes.t_arrival - fixes.t)
+    for x in (latency, *initial.vel_n, *initial.q_nb):  # they may be zero but for round-off
+        text += f" {round(float(x), _DIGITS) + 0.0:.{_DIGITS}f}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
 from bench.config import load_profile
 from bench.errors import ConfigError
+from bench.exchange.solution_folder import name_draw
 from bench.report.card_page import write_card
 from tests.campaigns.test_campaign import PROFILE
 
@@ -173,7 +175,7 @@ def test_the_better_filter_is_named(made):
         ("{", "x.json: not valid JSON"),
         ("[]", "x.json: must hold one JSON object"),
         ("{}", "x.json: estimator is missing"),
-        (None, "x.json: No such file"),
+        (None, "x.json: no such file"),
     ],
 )
 def test_what_is_no_card_is_refused(tmp_path, text, message):
@@ -247,3 +249,17 @@ def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys
     assert sum(counted.by_draw) == DRAWS - 1
     with pytest.raises(ConfigError, match="not replaced"):
         bench.write_suite("draws", quick=True)
+
+
+def test_the_name_of_a_draw_is_that_of_another_processor(made, monkeypatch):
+    """Round-off leaves it, another draw and another start do not."""
+    monkeypatch.chdir(made)
+    profile = load_profile("short.toml")
+    truth = bench.fly(profile)
+    one, other = (bench.sense(profile, truth, run) for run in range(2))
+    name = name_draw(one.data, one.initial)
+    moved = replace(one.initial, vel_n=one.initial.vel_n + 1e-15, q_nb=one.initial.q_nb - 1e-15)
+    imu = replace(one.data.imu, dtheta_b=one.data.imu.dtheta_b * (1 + 1e-15))
+    assert name_draw(replace(one.data, imu=imu), moved) == name
+    assert name_draw(other.data, one.initial) != name
+    assert name_draw(one.data, replace(one.initial, vel_n=one.initial.vel_n + 0.1)) != name

@@ -63,7 +63,7 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
         (
             {"fault_1_max_h_m": 3.0, "fault_4_max_h_m": 50.5, "pos_max_h_m": 50.5},
             "overconfident",
-            "Why: fault 4 led it 50.5 m astray.",
+            "Why: its largest error, 50.5 m, came in fault 4.",
         ),
         (
             {"fault_4_max_h_m": 50.5, "pos_max_h_m": 80.0},
