@@ -36,7 +36,7 @@ def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
         keep = select_rows(series)
         _send_scalars(stream, path, series.t[keep], series.values[keep])
     for shade in shades:
-        _send_shade(stream, entity(*plot.path, "shaded", shade.key), shade, plot)
+        _send_shade(stream, entity(*plot.path, "behind", shade.key), shade, plot)
 
 
 def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:
@@ -62,7 +62,7 @@ def _send_shade(stream: Any, entity: str, shade: Shade, plot: Plot) -> None:
     stream.log(
         entity,
         rr.SeriesLines(
-            colors=[[*shade.colour, 80]],
+            colors=[[*shade.colour, 50]],
             names=shade.name,
             widths=1.0,
             aggregation_policy=rr.components.AggregationPolicy.Off,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,12 @@ Plots = Mapping[str, Mapping[str, Rows]]
 
 SIDE_BY_SIDE = 3
 """Up to this many estimators are shown side by side; with more, each has a tab."""
+
+_LEGEND_WIDTH, _LEGEND_HEIGHT = 0.25, 0.5
+"""Of a plot."""
+
+SHARED_TIME_AXIS = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
+"""Where the viewer keeps the range of the time axes that are linked: a view that is never shown."""
 
 
 def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
@@ -49,7 +55,8 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
         columns = {label: rows for label, rows in plots[tab.name].items() if any(rows)}
         if columns:
             views.append(_make_tab(scene, tab, columns))
-    return rrb.Blueprint(
+    return _LinkedBlueprint(
+        scene.end,
         rrb.Tabs(*views, active_tab=0),
         rrb.TimePanel(timeline=TIMELINE, play_state="paused", playback_speed=10.0, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -59,6 +66,20 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     )
 
 
+class _LinkedBlueprint(rrb.Blueprint):
+    """A blueprint whose linked time axes begin on the whole flight, where the viewer shows a minute of it."""
+
+    def __init__(self, end: float, *parts: Any, **options: Any) -> None:
+        super().__init__(*parts, **options)
+        self.end = end  # of the flight [s]
+
+    def _log_to_stream(self, stream: Any) -> None:
+        super()._log_to_stream(stream)
+        edge = rrb.TimeRangeBoundary.absolute
+        whole = rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * self.end))
+        stream.log(SHARED_TIME_AXIS, rrb.TimeAxis(view_range=whole))
+
+
 def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
     position, attitude = (plots[tab.name].get(main, ()) for tab in (POSITION, ATTITUDE))
     others = plots[COMPARISON.name].get("", ())[:1]
@@ -66,7 +87,9 @@ def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
 
     where = rrb.Vertical(_make_space_view(scene), _make_map(scene), row_shares=[3, 2])
     errors = rrb.Vertical(
-        *[_make_plot(scene, plot, legend=k == 0) for k, plot in enumerate(key_plots)], _make_phases(scene)
+        *[_make_plot(scene, plot, legend=k == 0) for k, plot in enumerate(key_plots)],
+        _make_phases(),
+        row_shares=[5.0] + [3.0] * len(key_plots),  # the first has room for its legend
     )
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),
@@ -85,11 +108,8 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     beside = narrow and len(columns) <= SIDE_BY_SIDE
     grids = [
         rrb.Vertical(
-            *[
-                _make_row(scene, row, legend=k == 0, label="" if beside else label)
-                for k, row in enumerate(rows)
-            ],
-            *([_make_phases(scene)] if narrow else []),
+            *_make_rows(scene, rows, label="" if beside else label),
+            *([_make_phases()] if narrow else []),
             row_shares=[4.0] * len(rows) + ([2.0] if narrow else []),
             name=label or None,
         )
@@ -110,19 +130,45 @@ def _make_tab(scene: Scene, tab: Tab, columns: Mapping[str, Rows]) -> Any:
     return rrb.Tabs(*grids, name=tab.name, active_tab=0)
 
 
-def _make_row(scene: Scene, row: Sequence[Plot], *, legend: bool, label: str) -> Any:
-    """Return the views of a row; titles leave out the label that stands on the tab."""
-    views = [
-        _make_plot(scene, plot, legend=legend and k == 0, name=plot.title.removeprefix(f"{label}: "))
-        for k, plot in enumerate(row)
-    ]
-    return views[0] if len(views) == 1 else rrb.Horizontal(*views)
+def _make_rows(scene: Scene, rows: Rows, *, label: str) -> Iterator[Any]:
+    """Yield the views of each row; titles leave out the label that stands on the tab.
+
+    A plot has a legend if it names anything that no plot before it does; the title is enough for one name.
+    """
+    told: set[str] = set()
+    for row in rows:
+        views = []
+        for plot in row:
+            title = plot.title.removeprefix(f"{label}: ")
+            new = {name for one in plot.series for name in one.names} - told
+            legend = len(new) > 1 or any(name.lower() not in title.lower() for name in new)
+            views.append(_make_plot(scene, plot, legend=legend, name=title))
+            told |= new
+        yield views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
 
-def _make_time_axis(scene: Scene) -> Any:
-    """Return a time axis of the whole flight; axes linked by the viewer would open on a minute of it."""
-    edge = rrb.TimeRangeBoundary.absolute
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * scene.end)))
+def _find_free_corner(plot: Plot, end: float) -> Any:
+    """Return the corner of a plot in which a legend covers least."""
+    low, high = plot.limits()
+    covered = {}
+    for corner in (
+        rrb.Corner2D.LeftTop,
+        rrb.Corner2D.RightTop,
+        rrb.Corner2D.LeftBottom,
+        rrb.Corner2D.RightBottom,
+    ):
+        left, top = corner.name.startswith("Left"), corner.name.endswith("Top")
+        count = 0.0
+        for one in plot.series:
+            inside = one.t < _LEGEND_WIDTH * end if left else one.t > (1.0 - _LEGEND_WIDTH) * end
+            up = (one.values[inside] - low) / (high - low)
+            count += (
+                float(((up > 1.0 - _LEGEND_HEIGHT) if top else (up < _LEGEND_HEIGHT)).mean())
+                if up.size
+                else 0.0
+            )
+        covered[corner] = count
+    return min(covered, key=lambda corner: covered[corner])
 
 
 def _make_plot(scene: Scene, plot: Plot, *, legend: bool, name: str = "") -> Any:
@@ -130,14 +176,16 @@ def _make_plot(scene: Scene, plot: Plot, *, legend: bool, name: str = "") -> Any
         origin=entity(*plot.path),
         contents="$origin/**",
         name=name or plot.title,
-        axis_x=_make_time_axis(scene),
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=rrb.ScalarAxis(range=plot.limits()),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+        plot_legend=rrb.PlotLegend(_find_free_corner(plot, scene.end), visible=legend),
     )
 
 
-def _make_phases(scene: Scene) -> Any:
-    return rrb.StateTimelineView(origin="/phase", name="Legs, GNSS, faults", time_view=_make_time_axis(scene))
+def _make_phases() -> Any:
+    return rrb.StateTimelineView(
+        origin="/phase", name="Legs, GNSS, faults", time_view=rrb.TimeAxis(link="LinkToGlobal")
+    )
 
 
 def _show_past(scene: Scene, root: str) -> dict[Any, Any]:

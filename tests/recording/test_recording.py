@@ -34,7 +34,7 @@ from bench.evaluation.verdict import add_verdict
 from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
 from bench.plots import series
 from bench.plots.tabs import comparison
-from bench.recording import drawing, words
+from bench.recording import drawing, layout, words
 from bench.run_result import RunResult
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 
@@ -547,7 +547,7 @@ def test_outages_are_hatched_in_every_plot_between_their_ends(run, flight):
         entity_of(MAIN, "innovation", "baro", "value"),
         "/flight/altitude",
     ):
-        t, y = recording.column(flight, f"{path}/shaded/outage", SCALARS)
+        t, y = recording.column(flight, f"{path}/behind/outage", SCALARS)
         drawn = np.isfinite(y[:, 0])
         assert (t[drawn][0], t[drawn][-1]) == (20.0, 26.0)
         assert np.isnan(y[-1, 0])  # the line ends there
@@ -593,10 +593,13 @@ def blueprint_of(path: Path) -> dict[str, dict]:
 def test_it_opens_paused_on_the_whole_flight(flight):
     nodes = blueprint_of(flight)
     assert nodes["/time_panel"]["TimePanelBlueprint:timeline"] == "flight_time"
-    ranges = [n["TimeAxis:view_range"] for n in nodes.values() if "TimeAxis:view_range" in n]
-    plots = [n for n in nodes.values() if n.get("ViewBlueprint:class_identifier") == "TimeSeries"]
-    assert len(ranges) >= len(plots) > 0
-    assert all(r["start"] == 0 and 40e9 <= r["end"] < 42e9 for r in ranges)
+    (shared,) = (n["TimeAxis:view_range"] for n in nodes.values() if "TimeAxis:view_range" in n)
+    assert nodes[f"/{layout.SHARED_TIME_AXIS}"]["TimeAxis:view_range"] == shared
+    assert shared["start"] == 0
+    assert 40e9 <= shared["end"] < 42e9
+    kinds = [n.get("ViewBlueprint:class_identifier") for n in nodes.values()]
+    linked = [n["TimeAxis:link"] for n in nodes.values() if "TimeAxis:link" in n]
+    assert linked == [2] * (kinds.count("TimeSeries") + kinds.count("StateTimeline"))  # zoomed together
     assert nodes["/time_panel"]["TimePanelBlueprint:play_state"] == 1  # paused
     past = [n["VisibleTimeRanges:ranges"] for n in nodes.values() if "VisibleTimeRanges:ranges" in n]
     assert past == 2 * [{"timeline": "flight_time", "range": {"start": None, "end": 0}}]

@@ -126,6 +126,6 @@ def test_the_sky_plot_has_north_up_and_east_right():
 def test_faults_are_hatched_and_named(profile, truth, sensed, tmp_path):
     path = tmp_path / "flight.rrd"
     write(path, profile.name, make_result(profile, truth, sensed))
-    t, _ = column(path, "/satellites/dop/shaded/fault", "Scalars:scalars")
+    t, _ = column(path, "/satellites/dop/behind/fault", "Scalars:scalars")
     assert t.min() == pytest.approx(50.0)
     assert t.max() == pytest.approx(55.0, abs=1e-5)

@@ -30,6 +30,7 @@ _MEASURED = {
     **{row.innovation: (row.quantity, row.unit) for row in INSTRUMENTS.values()},
 }
 """Title and unit by sensor."""
+_WIDE = 3  # plots in a row
 _SILENT = 5.0  # a sensor is silent after so many of its usual intervals
 
 
@@ -38,8 +39,9 @@ def _plots(content: Content) -> Mapping[str, Rows]:
 
 
 def _rows(content: Content, label: str, colour: Colour) -> Rows:
-    """Return a row per sensor: the innovation of each component, then the NIS; and the NEES."""
+    """Return a row per sensor of several components; then those of one component, each NIS, and the NEES."""
     rows: list[list[Plot]] = []
+    others: list[Plot] = []
     error, table = content.errors[label], content.solutions[label].innovations
     for sensor, nis in nis_by_sensor(table).items():
         title, unit = _MEASURED.get(sensor, (sensor, "SI"))
@@ -57,15 +59,18 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
         squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
         place = ("estimators", label, "nis", sensor)
         dof = int(nis.dof.max())
-        rows.append([*row, _chi_square(content, place, f"{label}: NIS of {title}", squares, dof)])
+        consistency = _chi_square(content, place, f"{label}: NIS of {title}", squares, dof)
+        if len(row) > 1:
+            rows.append(row)
+            others.append(consistency)
+        else:
+            others += [*row, consistency]
     if np.isfinite(error.nees).any():
         nees = draw_line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
-        if not rows or len(rows[-1]) > 2:
-            rows.append([])
-        rows[-1].append(
+        others.append(
             _chi_square(content, ("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
         )
-    return rows
+    return rows + [others[k : k + _WIDE] for k in range(0, len(others), _WIDE)]
 
 
 def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> tuple[Series, ...]:
