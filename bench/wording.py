@@ -73,7 +73,12 @@ def _describe_wanted(kind: str, message: str, context: Mapping[str, Any]) -> str
         return f"must have {'at least' if few else 'at most'} {limit} {'entry' if limit == 1 else 'entries'}"
     if kind == "missing_positional_only_argument" or kind == "missing":
         return "has too few values"
+    limits = {"greater_than": "above", "greater_than_equal": "at least", "less_than_equal": "at most"}
+    if kind in limits:
+        return f"must be {limits[kind]} {next(iter(context.values())):g}"
     kinds = {
+        "float_parsing": "a number",
+        "int_parsing": "a whole number",
         "float_type": "a number",
         "finite_number": "a finite number",
         "int_type": "a whole number",

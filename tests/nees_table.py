@@ -1,8 +1,8 @@
-"""Write the NEES table of the guide from the campaigns of ``tests/studies``.
+"""Write the NEES table of the guide from the campaigns of ``tests/campaign_files``.
 
-Each is run by ``bench campaign tests/studies/nees.toml -o campaigns/nees`` and alike, with ``--runs`` for
-fewer draws and ``--resume`` to go on; then ``python -m tests.nees_table campaigns`` prints the rows. Epochs
-during faults and the minute after them do not count, as in `tests.navigation.honesty`.
+Each is run by ``bench campaign tests/campaign_files/nees.toml -o campaigns/nees`` and alike, with ``--runs``
+for fewer draws and ``--resume`` to go on; then ``python -m tests.nees_table campaigns`` prints the rows.
+Epochs during faults and the minute after them do not count, as in `tests.navigation.honesty`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bench.specs import Profile
 from bench.units import SAME_INSTANT
 from tests.navigation.honesty import choose_instants
 
-STUDIES = Path(__file__).parent / "studies"
+CAMPAIGN_FILES = Path(__file__).parent / "campaign_files"
 TABLES = (
     ("loose-15", "loose-22", "loose-full"),
     ("smoother", "gnss-only", "ukf"),
@@ -76,9 +76,9 @@ def summarize(profile: str, label: str, states: int, lost: int, averages: np.nda
     return Row(profile, label, states, n, lost, float(averages.mean()) if n else np.nan, half)
 
 
-def measure(study: Path, folder: Path) -> Iterator[Row]:
-    """Yield a row for each profile and estimator of a study, from the journal in its folder."""
-    plan = plan_runs(str(study), MOST_RUNS)
+def measure(file: Path, folder: Path) -> Iterator[Row]:
+    """Yield a row for each profile and estimator of a campaign file, from the journal in its folder."""
+    plan = plan_runs(str(file), MOST_RUNS)
     with Journal(folder / NAME) as journal:
         for group in gather(plan, journal):
             yield judge(group, plan.cells[group.number].profile)
@@ -122,9 +122,9 @@ if __name__ == "__main__":
     campaigns = Path(sys.argv[1])
     found = [
         row
-        for study in sorted(STUDIES.glob("nees*.toml"))
-        if (campaigns / study.stem / NAME).exists()
-        for row in measure(study, campaigns / study.stem)
+        for file in sorted(CAMPAIGN_FILES.glob("nees*.toml"))
+        if (campaigns / file.stem / NAME).exists()
+        for row in measure(file, campaigns / file.stem)
     ]
     for labels in TABLES:
         print("\n".join(write_table([row for row in found if row.label in labels], labels)), end="\n\n")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from bench import store
+from bench.campaigns.campaign_file import format_value
 from bench.campaigns.groups import PERCENTILES, Done, Group
 from bench.campaigns.plan import Condition, Plan
-from bench.campaigns.study import format_value
 from bench.campaigns.worker import CHANNELS
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import CONFIDENCE

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench import pipeline, store
 from bench.campaigns.card_suite import FULL, QUICK, VERSION, SuiteFlight, hash_suite
-from bench.campaigns.plan import plan_study
+from bench.campaigns.plan import plan_campaign
 from bench.campaigns.running import Progress, run_campaign
 from bench.config.tables import ROWS, Table, check_table
 from bench.evaluation import ensemble, regression
@@ -117,7 +117,7 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
     folder = Path(folder)
     store.check_folder(folder, force=False, kind=store.EXPORT)
     suite = QUICK if quick else FULL
-    plan = plan_study(replace(suite, estimators=(YARDSTICK,)))
+    plan = plan_campaign(replace(suite, estimators=(YARDSTICK,)))
     draws = []
     with store.make_folder(folder, kind=store.EXPORT) as partial:
         for one in plan.runs:
@@ -161,7 +161,7 @@ def make_card(
     """
     suite = QUICK if quick else FULL
     uses = tuple(dict.fromkeys((estimator, against, YARDSTICK)))
-    plan = plan_study(replace(suite, estimators=uses))
+    plan = plan_campaign(replace(suite, estimators=uses))
     result = run_campaign(plan, jobs=jobs, progress=progress)
     labels = [choice.label for choice in plan.cells[0].profile.estimators]
     own, other, yardstick = (labels[uses.index(use)] for use in (estimator, against, YARDSTICK))

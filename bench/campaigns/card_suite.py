@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from bench import store
+from bench.campaigns.campaign_file import CampaignSpec, Values
 from bench.campaigns.plan import Plan
-from bench.campaigns.study import Study, Values
 
 VERSION = 2
 """Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
@@ -26,7 +26,7 @@ class SuiteFlight:
 
 
 @dataclass(frozen=True)
-class Suite(Study):
+class Suite(CampaignSpec):
     """Flights that a card stands on."""
 
     members: tuple[SuiteFlight, ...] = ()

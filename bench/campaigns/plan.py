@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from bench import store
-from bench.campaigns.study import Study, Values, format_value, is_study, read_study
+from bench.campaigns.campaign_file import (
+    CampaignSpec,
+    Values,
+    format_value,
+    is_campaign_file,
+    read_campaign_file,
+)
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.places import PACKAGE
@@ -101,19 +107,19 @@ def plan_runs(
     overrides: Values | None = None,
     allow_code: bool = False,
 ) -> Plan:
-    """Read a profile or a study and plan its runs.
+    """Read a profile or a campaign file and plan its runs.
 
     Parameters
     ----------
     source : str
-        Shipped name or path of a profile, or path of a study.
+        Shipped name or path of a profile, or path of a campaign file.
     runs : int or None
-        Noise draws of each flight, from 0 on; None takes those of the study, or 200.
+        Noise draws of each flight, from 0 on; None takes those of the campaign file, or 200.
     flights : int or None
         Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
-        and noise are its own. None takes those of the study, or 1.
+        and noise are its own. None takes those of the campaign file, or 1.
     seed, estimators, overrides, allow_code
-        As for `bench.config.load_profile`; they win over the study.
+        As for `bench.config.load_profile`; they win over the campaign file.
 
     Raises
     ------
@@ -121,36 +127,38 @@ def plan_runs(
         As for `bench.config.load_profile`, and if an estimator is a solution in a file, which belongs to one
         draw, or if several flights would be the same.
     """
-    study = (
-        read_study(source, allow_code=allow_code) if is_study(source) else Study(Path(source).stem, (source,))
+    spec = (
+        read_campaign_file(source, allow_code=allow_code)
+        if is_campaign_file(source)
+        else CampaignSpec(Path(source).stem, (source,))
     )
-    study = replace(
-        study,
-        runs=study.runs if runs is None else runs,
-        flights=study.flights if flights is None else flights,
-        seed=study.seed if seed is None else seed,
-        estimators=tuple(estimators) if estimators else study.estimators,
+    spec = replace(
+        spec,
+        runs=spec.runs if runs is None else runs,
+        flights=spec.flights if flights is None else flights,
+        seed=spec.seed if seed is None else seed,
+        estimators=tuple(estimators) if estimators else spec.estimators,
     )
-    return plan_study(study, overrides, allow_code)
+    return plan_campaign(spec, overrides, allow_code)
 
 
-def plan_study(study: Study, overrides: Values | None = None, allow_code: bool = False) -> Plan:
-    """Plan the runs of a study; errors as for :func:`plan_runs`."""
-    uses = study.estimators
+def plan_campaign(spec: CampaignSpec, overrides: Values | None = None, allow_code: bool = False) -> Plan:
+    """Plan the runs of a campaign; errors as for :func:`plan_runs`."""
+    uses = spec.estimators
     conditions, cells = [], []
-    for number, (name, values) in enumerate(study.conditions()):
+    for number, (name, values) in enumerate(spec.conditions()):
         conditions.append(Condition(name, values))
-        given = {**study.fixed, **values, **(overrides or {})}
-        first = load_profile(name, given, study.seed, uses, allow_code)
+        given = {**spec.fixed, **values, **(overrides or {})}
+        first = load_profile(name, given, spec.seed, uses, allow_code)
         cells.append(_make_cell(number, name, first, uses, given, allow_code))
         given = {key: value for key, value in given.items() if key not in ("seed", "turbulence_seed")}
-        for j in range(1, study.flights):
+        for j in range(1, spec.flights):
             another = load_profile(name, given, first.seed + j, uses, allow_code)
             if not isinstance(first.flight, FlightSpec) or first.flight.severity == 0:
                 raise ConfigError(f"{name}: has no turbulence, so all its flights are the same")
             cells.append(_make_cell(number, name, another, uses, given, allow_code))
-    planned = tuple(PlannedRun(k, run) for k in range(len(cells)) for run in range(study.runs))
-    return Plan(study.name, tuple(conditions), tuple(cells), planned)
+    planned = tuple(PlannedRun(k, run) for k in range(len(cells)) for run in range(spec.runs))
+    return Plan(spec.name, tuple(conditions), tuple(cells), planned)
 
 
 def _make_cell(

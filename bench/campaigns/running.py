@@ -108,7 +108,7 @@ def campaign(
     Parameters
     ----------
     profile : str or Path
-        Shipped name, path of a profile, or path of a study.
+        Shipped name, path of a profile, or path of a campaign file.
     runs, flights : int or None
         Noise draws of each flight, default 200; flights with turbulence of their own, default 1.
     seed, estimators, overrides, allow_code

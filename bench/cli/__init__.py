@@ -13,12 +13,12 @@ from typing import Any
 
 import click
 
-from bench.cli import campaigning, flights, records
+from bench.cli import campaigning, flights, records, studying
 from bench.cli.group import commands
 from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 from bench.wording import replace_control
 
-__all__ = ["campaigning", "commands", "flights", "main", "records"]  # importing the modules adds their verbs
+__all__ = ["campaigning", "commands", "flights", "main", "records", "studying"]  # each module adds verbs
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

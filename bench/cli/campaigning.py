@@ -27,7 +27,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile", metavar="PROFILE|STUDY.toml")
+@click.argument("profile", metavar="PROFILE|CAMPAIGN.toml")
 @click.option(
     "--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each flight  [default: 200]"
 )
@@ -48,7 +48,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 def campaign(profile: str, as_json: bool, **options: Any) -> int:
     """Run many noise draws of a profile and say what they tell together.
 
-    PROFILE is a .toml file, or the name of a shipped profile (bench list). STUDY.toml
+    PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
     names profiles and the values to vary: every combination is a condition with its
     own statistics. Finished runs are in the journal at once: after Ctrl-C, kill -9 or
     a full disk, --resume continues.

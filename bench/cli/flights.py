@@ -104,12 +104,12 @@ def fly(profile: str, **options: Any) -> int:
 @click.argument(
     "kind",
     required=False,
-    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators", "exports"]),
+    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies"]),
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")
 def list_all(kind: str | None, as_json: bool) -> int:
-    """List the profiles, aircraft, legs, sensors, estimators and export formats there are.
+    """List the profiles, aircraft, legs, sensors, estimators, export formats and studies there are.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
     aircraft also say what is known of each, where from, and what no source states,
@@ -213,7 +213,7 @@ def view(folder: Path | None, web: bool) -> int:
 @click.option("--width-mm", type=FiniteRange(30, 500), default=88.0, metavar="MM", help="of the figures")
 @click.option("--serif", is_flag=True, help="letters with serifs in the figures")
 def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> int:
-    """Write the report of a results folder as one HTML page.
+    """Write the report of a results folder, a campaign or a study as one HTML page.
 
     The page needs no network and no other file: verdicts, figures with their bounds, plots,
     events, sensors, and where it all comes from. If DIR holds results folders, the page is their index.

@@ -43,6 +43,16 @@ HORIZONTAL = (
 _CLAIMED = 0.2  # least claimed error of an unaided estimator, over the law [1]
 
 
+def accel_bias_drift(T: float) -> float:
+    """Return the horizontal drift per accelerometer bias after a time T [s] without aiding [m per m/s^2]."""
+    return 2.0 * math.sin(0.5 * SCHULER * T) ** 2 / SCHULER**2
+
+
+def gyro_bias_drift(T: float) -> float:
+    """Return the horizontal drift per gyro bias after a time T [s] without aiding [m per rad/s]."""
+    return RADIUS * (T - math.sin(SCHULER * T) / SCHULER)
+
+
 def drift_sd(
     T: float,
     imu: ImuSpec,
@@ -71,8 +81,8 @@ def drift_sd(
     b_a, b_g = accel.bias_instability, gyro.bias_instability
     if not calibrated:
         b_a, b_g = math.hypot(b_a, accel.turn_on_bias_sd), math.hypot(b_g, gyro.turn_on_bias_sd)
-    pendulum = 2.0 * math.sin(0.5 * x) ** 2 / w**2
-    by_accel, by_gyro = pendulum, RADIUS * (T - math.sin(x) / w)
+    pendulum = accel_bias_drift(T)
+    by_accel, by_gyro = pendulum, gyro_bias_drift(T)
     if heading is not None and len(heading) > 1:
         left = x * np.linspace(1.0, 0.0, len(heading))  # phase of the pendulum that is left at each step
         turn = np.exp(1j * (heading - heading[0]))

@@ -73,6 +73,8 @@ class Plot:
     scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]
     far: float = np.inf  # nor a series that reaches so many times farther than the middle one
     across: str = "s"  # unit of the horizontal axis
+    over: str = "time"  # quantity of the horizontal axis
+    log: str = ""  # "x", "y" or "xy": axes with powers of ten at equal distances
 
     def limits(self) -> tuple[float, float]:
         """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
@@ -84,6 +86,11 @@ class Plot:
         reach = np.array([np.abs(v).max(initial=0.0) for v in shown])
         near = reach <= self.far * np.median(reach) if np.isfinite(self.far) else np.ones(len(reach), bool)
         values = np.concatenate([v for v, is_near in zip(shown, near, strict=True) if is_near])
+        if "y" in self.log:
+            values = values[values > 0.0]
+            low, high = (np.log10([values.min(), values.max()])) if len(values) else (0.0, 1.0)
+            margin = 0.04 * (high - low) or 0.3
+            return float(10.0 ** (low - margin)), float(10.0 ** (high + margin))
         low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
         if low < 0.0 < high:
             ten = 10.0 ** np.floor(np.log10(max(-low, high)))

@@ -3,9 +3,11 @@
 const areas = [...document.querySelectorAll("svg.area")].map((svg) => {
   const [t0, t1, low, high] = svg.dataset.edges.split(" ").map(Number);
   const box = svg.viewBox.baseVal;
-  return { svg, t0, t1, low, high, unit: svg.dataset.unit, width: box.width, height: box.height, lines: null };
+  const { unit, log } = svg.dataset;
+  return { svg, t0, t1, low, high, unit, log, width: box.width, height: box.height, lines: null };
 });
 const cursor = document.getElementById("cursor");
+const toValue = (area, axis, x) => area.log.includes(axis) ? 10 ** x : x;
 const short = (x) => String(Number(x.toPrecision(4))).replace("-", "−");
 
 // The points of each line, read back from its path: [[x, y], ...] in steps.
@@ -40,10 +42,10 @@ function showCursor(area, event) {
   const rect = area.svg.getBoundingClientRect(), view = area.svg.viewBox.baseVal;
   const x = view.x + (event.clientX - rect.left) / rect.width * view.width;
   const t = area.t0 + x / area.width * (area.t1 - area.t0);
-  const texts = [`${short(t)} ${area.unit}`];
+  const texts = [`${short(toValue(area, "x", t))} ${area.unit}`];
   for (const { points, name } of readLines(area)) {
     const value = area.high - findValue(points, x) / area.height * (area.high - area.low);
-    if (Number.isFinite(value)) texts.push(`${name} ${short(value)}`);
+    if (Number.isFinite(value)) texts.push(`${name} ${short(toValue(area, "y", value))}`);
   }
   cursor.textContent = texts.join(", ");
   cursor.hidden = false;
@@ -54,7 +56,7 @@ function showCursor(area, event) {
 // Plots over time are looked at together, others alone.
 function zoom(chosen, from, to) {
   for (const area of areas) {
-    if (area !== chosen && (chosen.unit !== "s" || area.unit !== "s")) continue;
+    if (area !== chosen && (chosen.unit !== "s" || area.unit !== "s" || chosen.log !== area.log)) continue;
     const scale = area.width / (area.t1 - area.t0);
     area.svg.setAttribute("viewBox", `${(from - area.t0) * scale} 0 ${(to - from) * scale} ${area.height}`);
     markTimes(area, from, to);
@@ -72,7 +74,7 @@ function markTimes(area, from, to) {
     text.setAttribute("x", left + (k * step - from) / (to - from) * wide);
     text.setAttribute("y", bottom);
     text.setAttribute("text-anchor", "middle");
-    text.textContent = short(k * step);
+    text.textContent = short(toValue(area, "x", k * step));
     group.append(text);
   }
 }

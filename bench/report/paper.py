@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,11 +79,30 @@ def write_figures(
     folder: Path, result: RunResult, form: str, *, width_mm: float = COLUMN_MM, serif: bool = False
 ) -> list[Path]:
     """Draw every tab of a result into a folder, one file for each estimator, and return the files."""
+    drawings = {
+        "-".join(part for part in (label, name.lower()) if part): plots
+        for name, label, plots in _list_drawings(result)
+    }
+    return write_drawings(
+        folder, drawings, series.shades(result.events), form, width_mm=width_mm, serif=serif
+    )
+
+
+def write_drawings(
+    folder: Path,
+    drawings: Mapping[str, Sequence[Plot]],
+    shades: Sequence[Shade],
+    form: str,
+    *,
+    width_mm: float = COLUMN_MM,
+    serif: bool = False,
+) -> list[Path]:
+    """Draw plots below each other into a file for each name, and return the files."""
     import matplotlib as mpl
 
-    shades, written = series.shades(result.events), []
-    for name, label, plots in _list_drawings(result):
-        path = folder / f"{'-'.join(part for part in (label, name.lower()) if part)}.{form}"
+    written = []
+    for name, plots in drawings.items():
+        path = folder / f"{name}.{form}"
         with mpl.rc_context({"svg.hashsalt": "bench"}):
             _draw(plots, shades, width_mm, serif).savefig(path, metadata=_METADATA[form])
         written.append(path)
@@ -122,7 +141,7 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
             if not names <= told and len(names) <= _MOST_NAMES:
                 axes.legend(fontsize=6, frameon=False, ncols=3, loc="upper right", borderaxespad=0.1)
             told |= names
-        rows[-1].set_xlabel("time [s]")
+        rows[-1].set_xlabel(f"{plots[-1].over} [{plots[-1].across}]")
     return figure
 
 
@@ -144,6 +163,8 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> set[str]:
                 line = {"ls": "", "marker": ".", "ms": 1.5} if one.marks else {"lw": 0.8}
                 axes.plot(one.t, one.values[:, k], color=_darken(colour), label=label, **line)
                 seen.add(name)
+    for axis in plot.log:
+        getattr(axes, f"set_{axis}scale")("log")
     axes.set_ylim(plot.limits())
     axes.set_title(plot.title.partition(": ")[2] or plot.title, fontsize=8, loc="left", pad=2)
     axes.tick_params(width=0.6, length=2.5)

@@ -7,7 +7,7 @@ is lost. Coordinates are tenths of a pixel, in whole numbers.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
@@ -56,21 +56,42 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     shades : sequence of Shade
         Intervals to shade behind the lines.
     """
-    frame = Frame(window, plot.limits(), WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM)
+    words = escape(replace_control(describe(plot)))
+    across, up = (
+        (float(np.log10(a)), float(np.log10(b))) if axis in plot.log else (a, b)
+        for axis, (a, b) in zip("xy", (window, plot.limits()), strict=True)
+    )
+    frame = Frame(across, up, WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM)
+    plot = _take_logarithms(plot)
     body = [_draw_shade(frame, shade) for shade in shades]
     body += [_draw_band(frame, series) for series in plot.series if series.band is not None]
     for series in plot.series:
         body += _draw_series(frame, series)
     marks = [
         f'<text x="{_LEFT - 6}" y="{_TOP + row / _GRAIN + 4:.0f}" text-anchor="end">{text}</text>'
-        for row, text in _mark_rows(frame)
+        for row, text in _mark_rows(frame, "y" in plot.log)
     ]
-    words = escape(replace_control(describe(plot)))
     return (
         f'<svg class="plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{words}">'
-        f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame))}</g>{_open_area(frame, plot)}'
-        f"{_draw_grid(frame)}{''.join(body)}</svg></svg>"
+        f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame, "x" in plot.log))}</g>'
+        f"{_open_area(frame, plot)}{_draw_grid(frame, 'y' in plot.log)}{''.join(body)}</svg></svg>"
     )
+
+
+def _take_logarithms(plot: Plot) -> Plot:
+    """Return a plot with decimal logarithms on its logarithmic axes; what is not positive is left out."""
+    series = list(plot.series)
+    if "x" in plot.log:
+        kept = [one.t > 0.0 for one in series]
+        series = [
+            replace(one, t=np.log10(one.t[rows]), values=one.values[rows])
+            for one, rows in zip(series, kept, strict=True)
+        ]
+    if "y" in plot.log:
+        series = [
+            replace(one, values=np.log10(np.where(one.values > 0.0, one.values, np.nan))) for one in series
+        ]
+    return replace(plot, series=tuple(series))
 
 
 def describe(plot: Plot) -> str:
@@ -128,7 +149,7 @@ def _open_area(frame: Frame, plot: Plot) -> str:
     return (
         f'<svg class="area" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
-        f'data-edges="{edges}" data-unit="{escape(plot.across)}">'
+        f'data-edges="{edges}" data-unit="{escape(plot.across)}" data-log="{plot.log}">'
     )
 
 
@@ -146,10 +167,24 @@ def round_steps(low: float, high: float, most: int) -> FloatArray:
     return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) + 0.0  # no -0
 
 
-def _mark_rows(frame: Frame) -> Iterable[tuple[float, str]]:
-    steps = round_steps(*frame.y, 5)
+def _round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[FloatArray, FloatArray]:
+    """Return where round numbers stand on an axis, and the numbers."""
+    if not log:
+        steps = round_steps(low, high, most)
+        return steps, steps
+    within = [round(k) for k in np.arange(np.ceil(low - 1e-9), np.floor(high + 1e-9) + 1)]
+    numbers = np.array([10.0**k for k in within[:: -(-len(within) // most) or 1]])
+    if len(within) <= 2:  # too few powers of ten
+        decades = range(int(np.floor(low)), int(np.ceil(high)) + 1)
+        numbers = np.array([part * 10.0**k for k in decades for part in (1.0, 2.0, 5.0)])
+        numbers = numbers[(numbers >= 10.0 ** (low - 1e-9)) & (numbers <= 10.0 ** (high + 1e-9))]
+    return np.log10(numbers), numbers
+
+
+def _mark_rows(frame: Frame, log: bool) -> Iterable[tuple[float, str]]:
+    steps, numbers = _round_marks(*frame.y, 5, log=log)
     _, rows = frame.place(np.full(len(steps), frame.x[0]), steps)
-    return [(float(row), _format_mark(value)) for row, value in zip(rows, steps, strict=True)]
+    return [(float(row), _format_mark(value)) for row, value in zip(rows, numbers, strict=True)]
 
 
 def _format_mark(value: float) -> str:
@@ -158,16 +193,16 @@ def _format_mark(value: float) -> str:
     return text.replace("-", "−")
 
 
-def _mark_times(frame: Frame) -> Iterable[str]:
-    steps = round_steps(*frame.x, 7)
+def _mark_times(frame: Frame, log: bool) -> Iterable[str]:
+    steps, numbers = _round_marks(*frame.x, 7, log=log)
     columns, _ = frame.place(steps, np.full(len(steps), frame.y[0]))
-    for column, value in zip(columns, steps, strict=True):
+    for column, value in zip(columns, numbers, strict=True):
         x = _LEFT + column / _GRAIN
         yield f'<text x="{x:.0f}" y="{HEIGHT - 5}" text-anchor="middle">{_format_mark(value)}</text>'
 
 
-def _draw_grid(frame: Frame) -> str:
-    rows = "".join(f"M0 {row:.0f}h{frame.width * 10}" for row, _ in _mark_rows(frame))
+def _draw_grid(frame: Frame, log: bool) -> str:
+    rows = "".join(f"M0 {row:.0f}h{frame.width * 10}" for row, _ in _mark_rows(frame, log))
     return f'<path class="rule" d="{rows}"/>'
 
 

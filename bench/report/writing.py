@@ -8,18 +8,19 @@ from pathlib import Path
 from bench import store
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
-from bench.report import campaign_page, index, page, paper
+from bench.report import campaign_page, index, page, paper, study_page
+from bench.studies.study_folder import load_study
 
 
 def write_report(
     folder: str | Path, out: str | Path | None = None, say: Callable[[str], object] = lambda text: None
 ) -> Path:
-    """Write the report of a results folder or of a campaign, or the index of a folder of results, as HTML.
+    """Write the report of a results folder, a campaign or a study as HTML, or the index of several results.
 
     Parameters
     ----------
     folder : str or Path
-        A results folder, that of a campaign, or one with results folders in it, two levels deep.
+        A results folder, that of a campaign or a study, or one with results folders in it, two levels deep.
     out : str, Path or None
         The file to write. Default ``report.html`` in the folder, or ``index.html`` in the folder of
         results, where each results folder without a report gets one.
@@ -40,7 +41,9 @@ def write_report(
     """
     folder = Path(folder)
     of_campaign = (folder / store.CAMPAIGN_RESULT).is_file()
-    folders = [] if of_campaign or (folder / store.RESULT).is_file() else index.find_folders(folder)
+    of_study = (folder / store.STUDY_RESULT).is_file()
+    single = of_campaign or of_study or (folder / store.RESULT).is_file()
+    folders = [] if single else index.find_folders(folder)
     path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
     if not folders:
         name = folder.resolve().name
@@ -48,6 +51,10 @@ def write_report(
             campaign = load_campaign(folder)
             page.check_page(path)
             campaign_page.write(path, name, campaign)
+        elif of_study:
+            study = load_study(folder)
+            page.check_page(path)
+            study_page.write(path, study)
         else:
             result = store.load(folder)
             page.check_page(path)
@@ -69,12 +76,12 @@ def write_report(
 def write_figures(
     folder: str | Path, out: str | Path, form: str = "pdf", *, width_mm: float = 88.0, serif: bool = False
 ) -> list[Path]:
-    """Draw the figures of a results folder for a paper, one file for each tab and estimator.
+    """Draw the figures of a results folder for a paper, one file for each tab and estimator, or of a study.
 
     Parameters
     ----------
     folder : str or Path
-        A results folder.
+        A results folder, or that of a study.
     out : str or Path
         A new folder for the files.
     form : {"pdf", "svg", "png"}
@@ -91,8 +98,14 @@ def write_figures(
     """
     if form not in paper.FORMATS:
         raise ConfigError(f"form = {form!r} must be one of {', '.join(paper.FORMATS)}")
-    out, result = Path(out), store.load(folder)
+    out = Path(out)
+    study = load_study(folder) if (Path(folder) / store.STUDY_RESULT).is_file() else None
+    result = store.load(folder) if study is None else None
     store.check_folder(out, force=False)
     with store.make_folder(out) as partial:
-        written = paper.write_figures(partial, result, form, width_mm=width_mm, serif=serif)
+        if study is not None:
+            drawings = {name: [plot] for name, plot in study.figures.items()}
+            written = paper.write_drawings(partial, drawings, (), form, width_mm=width_mm, serif=serif)
+        elif result is not None:
+            written = paper.write_figures(partial, result, form, width_mm=width_mm, serif=serif)
     return [out / path.name for path in written]

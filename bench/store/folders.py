@@ -17,7 +17,7 @@ from bench.store.parquet import PART
 MARK = ".bench.json"
 """File that marks a folder as written by bench: version, kind, and the names of all files written."""
 
-RESULTS, EXPORT, CAMPAIGN = "results folder", "export", "campaign"
+RESULTS, EXPORT, CAMPAIGN, STUDY = "results folder", "export", "campaign", "study"
 """Kinds of folders."""
 
 _LONGEST = "x" * 150  # no file in a folder has a longer name [characters]

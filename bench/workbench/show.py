@@ -15,6 +15,7 @@ from bench.config.library import CatalogEntry, KeyEntry
 from bench.navigation.estimator import BUILT_IN
 from bench.navigation.options import Options, described
 from bench.specs import Profile
+from bench.studies import STUDIES
 from bench.wording import one_line
 
 _DEG = 180 / math.pi
@@ -72,6 +73,11 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def list_studies() -> list[CatalogEntry]:
+    """Return every study that `bench.study` runs, with its question."""
+    return [CatalogEntry(name, entry.question, "study") for name, entry in STUDIES.items()]
+
+
 _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     "profiles": ("bench run NAME", config.list_profiles),
     "aircraft": ("aircraft = NAME", config.list_aircraft),
@@ -82,6 +88,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
         config.list_estimators,
     ),
     "exports": ("bench export RUN --to NAME", api.list_exports),
+    "studies": ("bench study NAME", list_studies),
 }
 """Kind that `bench list` shows -> how it is selected, and the function that lists its entries."""
 

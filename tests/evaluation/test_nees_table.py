@@ -51,8 +51,8 @@ def test_faults_and_runs_that_were_lost_do_not_count():
     assert whole.mean > 1e5
 
 
-def test_the_studies_hold_every_profile_and_every_estimator_of_the_table():
-    plans = [plan_runs(str(path), 1) for path in nees_table.STUDIES.glob("nees*.toml")]
+def test_the_campaign_files_hold_every_profile_and_every_estimator_of_the_table():
+    plans = [plan_runs(str(path), 1) for path in nees_table.CAMPAIGN_FILES.glob("nees*.toml")]
     flown = {condition.source for plan in plans for condition in plan.conditions}
     assert flown == {entry.name for entry in list_profiles()}
     used = {one.label for plan in plans for cell in plan.cells for one in cell.profile.estimators}

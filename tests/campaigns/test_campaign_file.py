@@ -1,4 +1,4 @@
-"""A study is every combination of what it varies, and each of its runs is that of the command in its row."""
+"""A campaign is every combination of what it varies; each run is that of the command in its row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.errors import ConfigError
 from bench.places import PACKAGE
 from tests.campaigns.test_campaign import PROFILE
 
-STUDY = """
+CAMPAIGN = """
 profiles = ["short.toml"]
 runs = 1
 flights = 2
@@ -40,15 +40,15 @@ sensors.baro = "bmp388"
 
 @pytest.fixture
 def here(tmp_path, monkeypatch) -> Path:
-    (tmp_path / "studies").mkdir()
-    (tmp_path / "studies" / "units.toml").write_text(STUDY)
-    (tmp_path / "studies" / "short.toml").write_text(PROFILE)
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "units.toml").write_text(CAMPAIGN)
+    (tmp_path / "files" / "short.toml").write_text(PROFILE)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_a_study_is_every_combination(here):
-    plan = plan_runs("studies/units.toml")
+def test_a_campaign_is_every_combination(here):
+    plan = plan_runs("files/units.toml")
     values = [tuple(one.values.values()) for one in plan.conditions]
     assert values == [
         ("adis16475", 1.5),
@@ -63,11 +63,11 @@ def test_a_study_is_every_combination(here):
     assert len({cell.truth_key for cell in plan.cells}) == 2  # turbulence of each seed, whatever the sensors
     assert len({plan.run_key(one) for one in plan.runs}) == 8
     assert all(cell.profile.document["start"]["alt_m"] == 1002.5 for cell in plan.cells)
-    assert plan_runs("studies/units.toml", 5, flights=1, seed=9).cells[-1].profile.seed == 9
+    assert plan_runs("files/units.toml", 5, flights=1, seed=9).cells[-1].profile.seed == 9
 
 
 def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
-    result = bench.campaign("studies/units.toml", executor=SerialExecutor(), out="done")
+    result = bench.campaign("files/units.toml", executor=SerialExecutor(), out="done")
     rows = pq.read_table("done/runs.parquet").to_pylist()
     assert [row["condition"] for row in rows] == [k for k in range(4) for _ in range(2)]
     row = rows[-1]
@@ -91,11 +91,16 @@ def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
 
 def test_percentiles_of_very_many_runs_come_from_bins(here, monkeypatch):
     exact = bench.campaign(
-        "studies/short.toml", 5, estimators=["loose-15"], executor=SerialExecutor(), out="five"
+        "files/short.toml", 5, estimators=["loose-15"], executor=SerialExecutor(), out="five"
     )
     monkeypatch.setattr(groups, "MOST_EXACT", 2)
     binned = bench.campaign(
-        "studies/short.toml", 5, executor=SerialExecutor(), out="five", estimators=["loose-15"], resume=True
+        "files/short.toml",
+        5,
+        executor=SerialExecutor(),
+        out="five",
+        estimators=["loose-15"],
+        resume=True,
     )
     for name in ("pos_err_n_m_mean", "nees_mean", "heading_err_deg_mean"):
         np.testing.assert_allclose(binned.epochs[name], exact.epochs[name], rtol=1e-5)
@@ -132,14 +137,14 @@ def test_binned_percentiles_are_those_of_the_values():
         (("[1.5, 3]", "[1.5, -3]"), "pos_h_white_sd_m"),
     ],
 )
-def test_a_wrong_study_is_refused(here, change, message):
-    Path("studies/units.toml").write_text(STUDY.replace(*change))
-    Path("studies/x.csv").write_text("")
+def test_a_wrong_campaign_file_is_refused(here, change, message):
+    Path("files/units.toml").write_text(CAMPAIGN.replace(*change))
+    Path("files/x.csv").write_text("")
     with pytest.raises(ConfigError, match=message):
-        plan_runs("studies/units.toml")
+        plan_runs("files/units.toml")
 
 
-def test_the_study_of_the_guide_is_planned(here):
+def test_the_campaign_file_of_the_guide_is_planned(here):
     page = (PACKAGE / "guide" / "campaigns.md").read_text()
     Path("which_unit.toml").write_text(page.split("```toml which_unit.toml\n")[1].split("```")[0])
     plan = plan_runs("which_unit.toml", overrides={"estimator.1.options.gate_probability": 1e-6})

@@ -1,4 +1,4 @@
-"""STUDY.toml: profiles, estimators and values to vary, every combination a condition of one campaign."""
+"""CAMPAIGN.toml: profiles, estimators and values to vary, every combination a condition of one campaign."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Values = Mapping[str, Any]
 """Dotted keys of a profile, as --set takes them, and their values."""
 
 MOST_CONDITIONS = 10_000
-"""Conditions of a study."""
+"""Conditions of a campaign."""
 
 
-class _StudyTable(Table):
+class _CampaignTable(Table):
     profiles: Annotated[tuple[str, ...], ROWS, Field(min_length=1)]
     runs: Annotated[int, Field(ge=1)] = 200
     flights: Annotated[int, Field(ge=1)] = 1
@@ -35,7 +35,7 @@ class _StudyTable(Table):
 
 
 @dataclass(frozen=True)
-class Study:
+class CampaignSpec:
     """What a campaign varies."""
 
     name: str
@@ -52,13 +52,13 @@ class Study:
         return itertools.product(self.profiles, self.varied)
 
 
-def is_study(source: str) -> bool:
-    """Return whether a file is a study and not a profile."""
+def is_campaign_file(source: str) -> bool:
+    """Return whether a file is a campaign file and not a profile."""
     return source.endswith(".toml") and "profiles" in read_toml(Path(source), source)
 
 
-def read_study(source: str, *, allow_code: bool = False) -> Study:
-    """Read a study; profiles in it are found beside it, or shipped.
+def read_campaign_file(source: str, *, allow_code: bool = False) -> CampaignSpec:
+    """Read a campaign file; profiles in it are found beside it, or shipped.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def read_study(source: str, *, allow_code: bool = False) -> Study:
         If the file is wrong, or names code without permission.
     """
     path = Path(source)
-    table = check_table(_StudyTable, read_toml(path, source), source)
+    table = check_table(_CampaignTable, read_toml(path, source), source)
     fixed = _flatten(table.set_)
     variants = [_flatten(row) for row in table.variant] or [{}]
     sweep = _flatten(table.sweep)
@@ -93,7 +93,7 @@ def read_study(source: str, *, allow_code: bool = False) -> Study:
     ]
     if len(combinations) * len(table.profiles) > MOST_CONDITIONS:
         raise ConfigError(f"{source}: more than {MOST_CONDITIONS} conditions")
-    return Study(
+    return CampaignSpec(
         name=path.stem,
         profiles=tuple(_locate(name, path.parent) for name in table.profiles),
         runs=table.runs,
@@ -106,7 +106,7 @@ def read_study(source: str, *, allow_code: bool = False) -> Study:
 
 
 def _locate(profile: str, beside: Path) -> str:
-    """Return a profile of a study as the command line in the present folder names it."""
+    """Return a profile of a campaign file as the command line in the present folder names it."""
     return os.path.relpath(beside / profile) if profile.endswith(".toml") else profile
 
 

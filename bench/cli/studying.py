@@ -1,0 +1,107 @@
+"""The verb study: a command for each study, with the flags that its options make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, get_args, get_origin
+
+import click
+
+from bench.cli.group import (
+    STATUS,
+    commands,
+    force_option,
+    jobs_option,
+    json_option,
+    new_console,
+    out_option,
+    report_option,
+)
+from bench.errors import DONE, NEGATIVE, ConfigError
+
+
+class _Studies(click.Group):
+    """Makes the command of a study when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all studies."""
+        from bench.studies import STUDIES
+
+        return list(STUDIES)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command:
+        """Return the command of a study; an unknown name ends with those that are known."""
+        from bench.studies.study import find_study
+
+        entry, module = find_study(name)
+        return _make_command(name, entry.question, module)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the studies with their questions in full."""
+        from bench.studies import STUDIES
+
+        with formatter.section("Studies"):
+            formatter.write_dl([(name, entry.question) for name, entry in STUDIES.items()])
+
+
+@commands.command(cls=_Studies, subcommand_metavar="NAME [OPTIONS]", epilog=STATUS)
+def study() -> None:
+    """Answer a question that comes before buying sensors: table, figures and sentences.
+
+    bench study NAME --help lists the options of one. Results state what is drawn, intervals, and the
+    command that makes them again.
+
+    \b
+    Examples:
+      bench study requirements
+      bench study requirements --error-m 10 -o requirements
+    """
+
+
+def _make_command(name: str, question: str, module: Any) -> click.Command:
+    """Return the command of a study: its arguments and flags, and those of all studies."""
+
+    def run(as_json: bool, **given: Any) -> int:
+        from bench.store import to_json
+        from bench.studies.study_folder import describe_study
+        from bench.workbench.study_verb import run_study
+
+        chosen = {key: value for key, value in given.items() if value is not None}
+        if chosen.get("report") is False and "out" not in chosen:
+            raise ConfigError(f"study {name}: --no-report is for -o DIR, which writes one")
+        console = new_console(stderr=as_json)
+        result = run_study(name, console=console, **{"out": None, "jobs": None} | chosen)
+        if as_json:
+            click.echo(to_json(describe_study(result)), nl=False)
+        return DONE if result.findings.good else NEGATIVE
+
+    command: Callable[..., Any] = run
+    for decorate in (
+        force_option("study"),
+        report_option,
+        json_option("answer and tables"),
+        out_option("folder for tables, figures, study.json and report.html"),
+        jobs_option,
+    ):
+        command = decorate(command)
+    for key, field in reversed(module.Options.model_fields.items()):
+        command = _make_parameter(key, field)(command)
+    text = f"{question}\n\n{module.__doc__.partition(chr(10))[2].strip()}"
+    return click.command(name, help=text, epilog=STATUS)(command)
+
+
+def _make_parameter(key: str, field: Any) -> Callable[[Any], Any]:
+    """Return the argument or the option for a field of the options of a study."""
+    if field.is_required():
+        return click.argument(key, metavar=key.upper())
+    flag, words = key.replace("_", "-"), " ".join((field.description or "").split())
+    if field.annotation is bool:
+        return click.option(f"--{flag}/--no-{flag}", key, default=None, help=words)
+    chosen = get_origin(field.annotation) is Literal
+    default = field.default
+    if default is not None:
+        shown = ",".join(map(str, default)) if isinstance(default, tuple) else f"{default}"
+        words = f"{words}  [default: {shown.removesuffix('.0')}]"
+    kind = click.Choice(get_args(field.annotation)) if chosen else None
+    metavar = None if chosen else "LIST" if isinstance(default, tuple) else "X"
+    return click.option(f"--{flag}", key, type=kind, metavar=metavar, help=words)

@@ -1,0 +1,76 @@
+"""The report of a study: its answer in sentences, its figures and its tables, on one HTML page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench import store
+from bench.evaluation.key_figures import format_number
+from bench.plots.series import Plot
+from bench.report import page
+from bench.report.page import Figure
+from bench.studies.study import StudyResult, StudyTable
+
+
+def write(path: Path, result: StudyResult) -> None:
+    """Write the report of a study, completely or not at all.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    store.write_text(path, make_page(result))
+
+
+def make_page(result: StudyResult) -> str:
+    """Return the report of a study as HTML."""
+    return page.render(
+        "study.html.jinja",
+        title=f"Study: {result.name}",
+        question=result.question,
+        facts=list(_list_facts(result)),
+        verdicts=result.verdicts,
+        figures=[_draw(plot) for plot in result.findings.figures],
+        tables=[_fill(table) for table in result.findings.tables],
+        command=result.command,
+        options=[(key, str(value)) for key, value in result.options.items()],
+        provenance=list(page.list_provenance(result.provenance)),
+    )
+
+
+def _list_facts(result: StudyResult) -> list[str]:
+    draws = result.findings.draws
+    return [
+        f"{draws} noise draws behind each interval" if draws else "nothing is drawn: the same each time",
+        f"{result.wall_s:.1f} s",
+    ]
+
+
+def _draw(plot: Plot) -> Figure:
+    ends = [(line.t[np.isfinite(line.t)].min(), line.t[np.isfinite(line.t)].max()) for line in plot.series]
+    first, last = float(min(low for low, _ in ends)), float(max(high for _, high in ends))
+    if first == last:
+        first, last = (0.5 * first, 2.0 * last) if "x" in plot.log else (first - 1.0, last + 1.0)
+    figure = page.make_figure(plot, (first, last), ())
+    return figure._replace(title=f"{plot.title} over {plot.over} [{plot.across}]")
+
+
+def _fill(table: StudyTable) -> dict[str, Any]:
+    """Return title, heads and rows of a table."""
+    columns = [list(values) for values in table.columns.values()]
+    return {
+        "title": table.title,
+        "heads": list(table.columns),
+        "rows": [[format_cell(value) for value in row] for row in zip(*columns, strict=True)],
+    }
+
+
+def format_cell(value: object) -> str:
+    """Return a value of a table of a study as text."""
+    if isinstance(value, float) or value is None:
+        return format_number(value)
+    return str(value)

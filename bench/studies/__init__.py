@@ -1,0 +1,26 @@
+"""Questions that a designer asks before buying sensors, each answered by a table, figures and sentences.
+
+A study is a module with ``Options``, a `StudyOptions`, and ``run(options, work) -> Findings``. Adding one is
+such a module and a row of `STUDIES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class Entry(NamedTuple):
+    """Where a study is, and what it asks."""
+
+    module: str
+    question: str
+
+
+STUDIES: Mapping[str, Entry] = {
+    "requirements": Entry(
+        "bench.studies.requirements",
+        "What gyro and accelerometer error is allowed for a position error after an outage?",
+    ),
+}
+"""Name of a study -> its module and its question, in a line."""

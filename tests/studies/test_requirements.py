@@ -1,0 +1,45 @@
+"""The requirement curves against the table of the register (section 4, figures 2.4.1 and 2.4.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+
+PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m
+    10: (10197, 631),
+    30: (1133, 23.37),
+    60: (283.4, 2.922),
+    100: (102.1, 0.6315),
+    120: (70.94, 0.3656),
+    180: (31.60, 0.1085),
+    300: (11.46, 0.02353),
+    600: (2.97, 3.003e-3),
+    900: (1.40, 9.21e-4),
+    1800: (0.49, 1.39e-4),
+    2532: (0.39, 6.39e-5),
+    3600: (0.63, 3.69e-5),
+}
+
+
+@pytest.fixture(scope="module")
+def columns():
+    table = bench.study("requirements").tables["requirements"]
+    return {name: np.array(values) for name, values in table.columns.items()}
+
+
+def test_16_the_closed_form_is_the_table_of_the_register(columns):
+    """As many digits as are printed."""
+    assert columns["outage_s"].tolist() == list(PRINTED)
+    for k, name in enumerate(("accel_ug", "gyro_deg_h")):
+        for found, row in zip(columns[name].tolist(), PRINTED.values(), strict=True):
+            digits = len(f"{row[k]:e}".split("e")[0].replace(".", "").rstrip("0"))
+            assert float(f"{found:.{max(digits, 2) - 1}e}") == pytest.approx(row[k], rel=1e-12)
+
+
+def test_16_the_strapdown_with_one_bias_agrees_within_2_percent(columns):
+    near = (columns["outage_s"] >= 60) & (columns["outage_s"] <= 600)
+    for name in ("accel_{}ug", "gyro_{}deg_h"):
+        assert_allclose(columns[name.format("simulated_")][near], columns[name.format("")][near], rtol=0.02)

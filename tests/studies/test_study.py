@@ -1,0 +1,125 @@
+"""A study by its name: options, folder, report, figures, and the words of the command line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import bench
+from bench import store
+from bench.cli.group import commands
+from bench.errors import ConfigError
+from bench.plots.series import Plot, draw_line
+from bench.report import svg
+from bench.studies import STUDIES
+from bench.studies.study import find_study, make_command, read_options
+
+SHORT = {"outages_s": (60, 300)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("study") / "asked"
+    bench.study("requirements", out=out, error_m=10.0, **SHORT)
+    return out
+
+
+def test_a_folder_is_read_back(folder):
+    made, read = bench.study("requirements", error_m=10.0, **SHORT), bench.load_study(folder)
+    assert read.command == "bench study requirements --error-m 10 --outages-s 60,300"
+    assert read.verdicts == made.verdicts
+    assert read.tables.keys() == made.tables.keys()
+    for name, table in made.tables.items():
+        assert dict(read.tables[name].columns) == dict(table.columns)
+        assert read.tables[name].units == table.units
+    for name, plot in made.figures.items():
+        again = read.figures[name]
+        assert (again.title, again.across, again.over, again.log) == (
+            plot.title, plot.across, plot.over, plot.log,
+        )  # fmt: skip
+        for one, other in zip(again.series, plot.series, strict=True):
+            np.testing.assert_array_equal(one.t, other.t)
+            np.testing.assert_array_equal(one.values, other.values)
+    assert json.loads((folder / store.STUDY_RESULT).read_text())["provenance"]["versions"]["bench"]
+
+
+def test_a_folder_is_not_replaced_unless_asked(folder):
+    with pytest.raises(ConfigError, match="--force replaces it"):
+        bench.study("requirements", out=folder, **SHORT)
+    with pytest.raises(ConfigError, match="no study"):
+        bench.load_study(folder.parent)
+
+
+def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
+    page = bench.write_report(folder).read_text(encoding="utf-8")
+    read = bench.load_study(folder)
+    for text in (read.question, read.command, *read.verdicts):
+        assert text in page
+    assert page.count('<svg class="plot"') == len(read.figures)
+    written = bench.write_figures(folder, tmp_path / "figures", "svg")
+    assert [path.stem for path in written] == list(read.figures)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"error_m": -1.0}, "error_m = -1 m must be above 0"),
+        ({"outages_s": "10,x"}, "outages_s.1 = 'x' must be a number"),
+        ({"outages": "10"}, "outages is unknown. Did you mean 'outages_s'?"),
+        ({"lat_deg": 95.0}, "lat_deg = 95 deg must be at most 80"),
+    ],
+)
+def test_a_wrong_option_is_one_clear_line(given, message):
+    with pytest.raises(ConfigError) as raised:
+        bench.study("requirements", **given)
+    assert len(raised.value.lines) == 1 or "known" in raised.value.lines[-1]
+    assert message in str(raised.value)
+
+
+def test_an_unknown_study_names_the_known():
+    with pytest.raises(ConfigError, match="Did you mean 'requirements'"):
+        bench.study("requirement")
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_has_a_command_with_its_options(name):
+    """Each option has its words; the command of the defaults is the bare one."""
+    _, module = find_study(name)
+    for key, field in module.Options.model_fields.items():
+        assert field.is_required() or field.description, key
+        assert key not in {"jobs", "out", "force", "progress", "name", "report", "as_json"}
+    shown = CliRunner().invoke(commands, ["study", name, "--help"], catch_exceptions=False).output
+    for key, field in module.Options.model_fields.items():
+        assert (key.upper() if field.is_required() else f"--{key.replace('_', '-')}") in shown
+    required = {key: "x" for key, field in module.Options.model_fields.items() if field.is_required()}
+    if not required:
+        assert list(make_command(name, read_options(name, module.Options, {}))) == ["bench", "study", name]
+
+
+def test_the_command_line_prints_writes_and_ends_as_it_should(tmp_path):
+    verb = [sys.executable, "-m", "bench", "study", "requirements", "--outages-s", "60,300"]
+    done = subprocess.run([*verb, "-o", "asked"], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "283.4" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "asked").iterdir()) == [
+        ".bench.json", "figures.json", "report.html", "study.json", "tables",
+    ]  # fmt: skip
+    again = subprocess.run([*verb, "-o", "asked"], capture_output=True, text=True, cwd=tmp_path)
+    assert again.returncode == 2
+    assert "--force replaces it" in again.stderr
+
+
+def test_a_power_law_is_a_straight_line_on_logarithmic_axes():
+    """Marks are powers of ten, and a curve of slope -2 keeps only its ends."""
+    t = np.geomspace(10.0, 1000.0, 50)
+    plot = Plot(("p",), "p", (draw_line("a", t, 1e6 / t**2, "a", (1, 2, 3)),), log="xy")
+    drawn = svg.draw(plot, (10.0, 1000.0))
+    assert ">10<" in drawn
+    assert ">100<" in drawn
+    path = drawn.split('class="line" d="')[1].split('"')[0]
+    assert path.count(" ") <= 8
