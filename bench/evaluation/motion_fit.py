@@ -59,14 +59,17 @@ def _integrate_kernel(
     U: FloatArray,
     C_sb: FloatArray,
     rate: FloatArray,
+    square: FloatArray,
+    psi: FloatArray,
+    f: FloatArray,
 ) -> None:
     """Fill u (K, 3), its derivatives U (K, 3, 11), C_sb (K, 3, 3) and the rate (K, 3) at the cuts (K,).
 
     Stretch w has the cuts begin[w] to begin[w + 1]; its first cut lies in the interval first[w]. The rates
-    (N, 3) hold over the intervals that end at t (N,).
+    (N, 3) hold over the intervals that end at t (N,). ``square`` (3, 3, 3), ``psi`` (3, 4) and ``f`` (3,) are
+    work memory.
     """
-    C, M, E = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    psi, f = np.zeros((3, 4)), np.zeros(3)
+    C, M, E = square[0], square[1], square[2]
     for w in range(len(begin) - 1):
         row, time = first[w], cuts[begin[w]]
         for a in range(3):
@@ -298,5 +301,6 @@ def _integrate(
     u, U = np.empty((len(cuts), 3)), np.empty((len(cuts), 3, _KERNEL))
     C_sb, rate = np.empty((len(cuts), 3, 3)), np.empty((len(cuts), 3))
     first = np.searchsorted(t, cuts[begin[:-1]], "right")
-    _integrate_kernel(t, w, f, first, begin, cuts, u, U, C_sb, rate)
+    work = np.empty((3, 3, 3)), np.empty((3, 4)), np.empty(3)
+    _integrate_kernel(t, w, f, first, begin, cuts, u, U, C_sb, rate, *work)
     return u[1::3], U[1::3], C_sb[1::3], rate[1::3], (u[2::3] - u[::3]) / (2.0 * half)

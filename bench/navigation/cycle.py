@@ -29,7 +29,7 @@ from bench.navigation.error_state import (
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 from bench.navigation.rough_heading import stand_kernel
 from bench.navigation.states import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.wide_rows import widened
+from bench.wide_rows import wide, widened
 
 _RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
 
@@ -72,6 +72,7 @@ class Work(NamedTuple):
     carried: (
         FloatArray  # (59,) what the next step needs of the steps before: memory of the fields to ``elapsed``
     )
+    carried_before: FloatArray  # (59,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     w_ib_b: FloatArray  # (3,) rate of the last step [rad/s]
     vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
@@ -94,6 +95,7 @@ class Work(NamedTuple):
     square: FloatArray  # (3, 4)
     var: FloatArray  # (3,)
     lever: FloatArray  # (3,)
+    ahead: FilterState  # of a filter that goes ahead for an answer
 
 
 def work_for(n: int, drives: int) -> Work:
@@ -106,6 +108,7 @@ def work_for(n: int, drives: int) -> Work:
     )
     return Work(
         carried=carried,
+        carried_before=np.zeros(ends[-1]),
         before=before,
         w_ib_b=w_ib_b,
         vectors=vectors,
@@ -128,7 +131,34 @@ def work_for(n: int, drives: int) -> Work:
         square=np.zeros((3, 4)),
         var=np.zeros(3),
         lever=np.zeros(3),
+        ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )
+
+
+def pending_for(n: int, slots: int, width: int) -> Pending:
+    """Return the memory for measurements that wait."""
+    rows = slots * width
+    return Pending(
+        np.zeros((rows, n)),
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros((rows, 4), np.int64),
+        np.zeros(slots, np.int64),
+        width,
+    )
+
+
+def grown(pending: Pending, slots: int, width: int) -> Pending:
+    """Return memory for at least so many slots of so many rows, with what waits."""
+    have = len(pending.live)
+    if have >= slots and pending.width >= width:
+        return pending
+    more = pending_for(pending.H.shape[1], max(slots, have), max(width, pending.width))
+    for old, new in zip(pending[:4], more[:4], strict=True):
+        shape = (-1, more.width, *new.shape[1:])
+        new.reshape(shape)[:have, : pending.width] = old.reshape((have, pending.width, *old.shape[1:]))
+    more.live[:have] = pending.live
+    return more
 
 
 @inner
@@ -276,8 +306,7 @@ def advance_kernel(
 ) -> None:
     """Take the steps k + 1 to ``until``; with ``closing`` a step of the covariance ends there.
 
-    Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are. What
-    the loop needs is named before it: a field of a tuple costs a reference count each time.
+    Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are.
     """
     state, P, Phi = now.state, now.P, work.Phi
     drives, interval = process.drives, steps.interval

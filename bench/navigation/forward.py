@@ -22,7 +22,16 @@ from bench.navigation.aiding import (
     use_kernel,
 )
 from bench.navigation.blocks import Index, Process, StateModel
-from bench.navigation.cycle import FilterState, ImuSteps, Pending, Work, advance_kernel, work_for
+from bench.navigation.cycle import (
+    FilterState,
+    ImuSteps,
+    Pending,
+    Work,
+    advance_kernel,
+    grown,
+    pending_for,
+    work_for,
+)
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
 from bench.navigation.rough_heading import add_arm
@@ -34,7 +43,8 @@ class Stores(NamedTuple):
     """What a run stores."""
 
     state: FloatArray  # (M, n + 1) at each output
-    P: FloatArray  # (M, n, n), `bench.wide_rows.wide`
+    cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
+    variance: FloatArray  # (M, n - 9) of the other states
     node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
     node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
     node_cov: FloatArray  # (N, 2, n, n)
@@ -50,6 +60,19 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
     for i in range(n):
         for j in range(P.shape[1]):  # what follows a row in memory, too, where there is room for it
             P[i, j] = now.P[i, j]
+
+
+@inner
+def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
+    """Store the state of the filter as an answer."""
+    state, cov, variance, P = stores.state[at], stores.cov[at], stores.variance[at], now.P
+    for i in range(state.shape[0]):
+        state[i] = now.state[i]
+    for i in range(9):
+        for j in range(9):
+            cov[i, j] = P[i, j]
+    for i in range(variance.shape[0]):
+        variance[i] = P[9 + i, 9 + i]
 
 
 @kernel
@@ -79,14 +102,14 @@ def _fusion_kernel(
     keep = stores.node_t.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
-    carried = np.empty(work.carried.shape[0])
+    carried = work.carried_before
     while e < schedule.shape[0]:
         until, action = schedule[e, 0], schedule[e, 1]
         asked = action == OUTPUT and not keep
         peeking = asked and k == until and (ahead[output] > 0.0 or work.elapsed[0] > 0.0)
         target, part, goes = until, 1.0, now
         if peeking:
-            goes = FilterState(stores.state[output], stores.P[output], now.dx)
+            goes = work.ahead
             _keep_kernel(now, goes.state, goes.P)
             for i in range(carried.shape[0]):
                 carried[i] = work.carried[i]
@@ -101,10 +124,11 @@ def _fusion_kernel(
         if peeking:
             for i in range(carried.shape[0]):
                 work.carried[i] = carried[i]
+            _answer_kernel(goes, output, stores)
             output += 1
             e += 1
         elif asked and ahead[output] == 0.0 and work.elapsed[0] == 0.0:
-            _keep_kernel(now, stores.state[output], stores.P[output])
+            _answer_kernel(now, output, stores)
             output += 1
             e += 1
         elif action == GO_ON:
@@ -139,7 +163,7 @@ def _fusion_kernel(
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
             while e < schedule.shape[0] and schedule[e, 0] == until:
-                _keep_kernel(now, stores.state[output], stores.P[output])
+                _answer_kernel(now, output, stores)
                 output += 1
                 e += 1
 
@@ -265,7 +289,8 @@ class ForwardRun:
         at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
         stores = Stores(
             np.empty((m, n + 1)),
-            np.empty((m, *self.now.P.shape)),
+            np.empty((m, 9, 9)),
+            np.empty((m, n - 9)),
             np.empty(len(at)),
             np.empty((len(at), 2, n + 1)),
             np.empty((len(at), 2, n, n)),
@@ -305,12 +330,16 @@ class ForwardRun:
         numbers, marks = log.numbers[:count], log.marks[:count]
         wanted = schedule.output_t
         t = schedule.advance(plan)
-        out_state, out_P = stores.state, stores.P[:, :, :n]
+        found = stores.state, stores.cov, stores.variance
         if len(t) != m:
             rows = np.searchsorted(t, wanted[plan.outputs])
-            out_state, out_P = np.full((len(t), n + 1), np.nan), np.full((len(t), n, n), np.nan)
-            out_state[rows], out_P[rows] = stores.state, stores.P[:, :, :n]
-        add_arm(out_P, self.antenna_b)
+            found = (
+                spread(found[0], rows, len(t)),
+                spread(found[1], rows, len(t)),
+                spread(found[2], rows, len(t)),
+            )
+        state, cov, variance = found
+        add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[:, 0], marks, names)
         schedule.events = []
         node = np.full(len(t), -1)
@@ -321,33 +350,8 @@ class ForwardRun:
             model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
         )
         table = Events.from_rows(events)
-        return solution(t, model.layout, out_state, out_P, innovations(numbers, marks), table), nodes
-
-
-def pending_for(n: int, slots: int, width: int) -> Pending:
-    """Return the memory for measurements that wait."""
-    rows = slots * width
-    return Pending(
-        np.zeros((rows, n)),
-        np.zeros(rows),
-        np.zeros(rows),
-        np.zeros((rows, 4), np.int64),
-        np.zeros(slots, np.int64),
-        width,
-    )
-
-
-def grown(pending: Pending, slots: int, width: int) -> Pending:
-    """Return memory for at least so many slots of so many rows, with what waits."""
-    have = len(pending.live)
-    if have >= slots and pending.width >= width:
-        return pending
-    more = pending_for(pending.H.shape[1], max(slots, have), max(width, pending.width))
-    for old, new in zip(pending[:4], more[:4], strict=True):
-        shape = (-1, more.width, *new.shape[1:])
-        new.reshape(shape)[:have, : pending.width] = old.reshape((have, pending.width, *old.shape[1:]))
-    more.live[:have] = pending.live
-    return more
+        marked = innovations(numbers, marks)
+        return answers(t, model.layout, state, cov, variance, marked, table), nodes
 
 
 def with_channels(gate: Gate, channels: int, start: float) -> Gate:
@@ -391,11 +395,31 @@ def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
     )
 
 
+def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
+    """Return an array of ``count`` rows, NaN but for the given ``rows`` (M,), those of values (M, ...)."""
+    whole = np.full((count, *values.shape[1:]), np.nan)
+    whole[rows] = values
+    return whole
+
+
 def solution(
     t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
 ) -> NavSolution:
     """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
     variance = np.einsum("kii->ki", P)[:, 9:]
+    return answers(t, layout, state, P[:, :9, :9], variance, table, events)
+
+
+def answers(
+    t: FloatArray,
+    layout: StateLayout,
+    state: FloatArray,
+    cov: FloatArray,
+    variance: FloatArray,
+    table: Innovations,
+    events: Events,
+) -> NavSolution:
+    """Return the same from covariances (M, 9, 9) and the variances (M, n - 9) of the further states."""
     return NavSolution(
         t=t,
         lla=state[:, :3],
@@ -403,7 +427,7 @@ def solution(
         q_nb=state[:, 6:10],
         gyro_bias_b=state[:, 10:13],
         accel_bias_b=state[:, 13:16],
-        cov=P[:, :9, :9],
+        cov=cov,
         extra_names=layout.labels(),
         extra=state[:, 10:],
         extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),

@@ -183,7 +183,8 @@ def _propagate_kernel(
     for k in range(dt.shape[0]):
         body_step_kernel(dt[k], dtheta_b[k], dvel_b[k], before, rotvec, dv_start)
         step_kernel(nav, dt[k], rotvec, dv_start, C, dv_n)
-        out[k] = nav
+        for i in range(STATE_SIZE):
+            out[k, i] = nav[i]
 
 
 def propagate(

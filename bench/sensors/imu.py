@@ -37,15 +37,16 @@ class ImuBias(NamedTuple):
 def _measure_kernel(
     t: FloatArray, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
     white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
-    out: FloatArray, valid: BoolArray,
+    rest: FloatArray, out: FloatArray, valid: BoolArray,
 ) -> None:  # fmt: skip
     """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
 
     ``random_walk`` (3,) is by axis. ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no
     such errors. The bias is linear between knots, so its value in the middle of a sample, times dt, is its
-    integral. A rate beyond ``limit`` (0: no limit) is clipped and its row of ``valid`` cleared.
+    integral. A rate beyond ``limit`` (0: no limit) is clipped and its row of ``valid`` cleared. ``rest`` (3,)
+    is what rounding to ``lsb`` has left.
     """
-    j, rest = 0, np.zeros(3)
+    j = 0
     for k in range(increment.shape[0]):
         while knots[j + 1] <= k:
             j += 1
@@ -146,7 +147,7 @@ def _measure_triad(
     out = np.empty_like(increment)
     _measure_kernel(
         t, increment, M, knots, bias, white, spec.by_axis("random_walk"), spec.quantization,
-        motion_errors, spec.range, out, valid,
+        motion_errors, spec.range, np.zeros(3), out, valid,
     )  # fmt: skip
     return out, bias[np.searchsorted(knots, slow_rows)]
 

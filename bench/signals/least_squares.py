@@ -144,21 +144,23 @@ def _position_kernel(
     one_clock: bool, rate: float, start: FloatArray, close: float, threshold: FloatArray,
     N: FloatArray, inverse: FloatArray, design: FloatArray, column: IntArray,
     pos: FloatArray, clock: FloatArray, cov: FloatArray, steps: IntArray, used: BoolArray,
-    residual: FloatArray, chi2: FloatArray, passed: BoolArray,
+    residual: FloatArray, chi2: FloatArray, passed: BoolArray, work: FloatArray,
 ) -> None:  # fmt: skip
     """Solve every epoch; ``used`` marks the rows that may be used and, on return, the rows used.
 
     ``threshold`` (dof,) limits the weighted sum of squares; if it is empty, nothing is tested or excluded. An
     epoch starts from its row of ``start``, or if that is NaN from the epoch before, or from the centre of the
     Earth. The last step updates the residuals to first order, with an error of its square over the range.
+    ``work`` (3, 5) holds zeros.
     """
-    x, g, dx = np.zeros(5), np.zeros(5), np.zeros(5)
+    x, g, dx = work[0], work[1], work[2]
     for m in range(epoch_start.shape[0] - 1):
         a, b = epoch_start[m], epoch_start[m + 1]
         steps[m] = 0
         solved = False
         if not np.isnan(start[m, 0]):
-            x[:3] = start[m]
+            for i in range(3):
+                x[i] = start[m, i]
         while True:
             count, first, second = _count_kernel(a, b, system, used, one_clock)
             n = 3 + first + second
@@ -238,9 +240,9 @@ def _position_kernel(
 def _velocity_kernel(
     epoch_start: IntArray, sat: FloatArray, sat_vel: FloatArray, measured: FloatArray, sd: FloatArray,
     used: BoolArray, rate: float, pos: FloatArray, N: FloatArray, inverse: FloatArray,
-    vel: FloatArray, drift: FloatArray, cov: FloatArray,
+    vel: FloatArray, drift: FloatArray, cov: FloatArray, work: FloatArray,
 ) -> None:  # fmt: skip
-    g, h = np.zeros(5), np.zeros(5)
+    g, h = work[0], work[1]
     for m in range(epoch_start.shape[0] - 1):
         N[:] = 0.0
         g[:] = 0.0
@@ -278,9 +280,8 @@ def _velocity_kernel(
 @kernel
 def _dop_kernel(
     epoch_start: IntArray, los_n: FloatArray, system: IntArray, used: BoolArray, N: FloatArray,
-    inverse: FloatArray, out: FloatArray,
+    inverse: FloatArray, out: FloatArray, h: FloatArray,
 ) -> None:  # fmt: skip
-    h = np.zeros(5)
     for m in range(epoch_start.shape[0] - 1):
         N[:] = 0.0
         count, first, second = _count_kernel(epoch_start[m], epoch_start[m + 1], system, used, False)
@@ -290,7 +291,8 @@ def _dop_kernel(
         for k in range(epoch_start[m], epoch_start[m + 1]):
             if not used[k]:
                 continue
-            h[:3] = -los_n[k]
+            for i in range(3):
+                h[i] = -los_n[k, i]
             h[3], h[4] = 0.0, 0.0
             h[4 if first and system[k] != 0 else 3] = 1.0
             for i in range(n):
@@ -370,7 +372,7 @@ def solve_positions(
     N, inverse, design, column = np.empty((5, 5)), np.empty((5, 5)), np.empty((K, 3)), np.empty(K, np.int64)
     _position_kernel(
         epochs, sat, measured, sds, systems, one_clock, rate, start, close, bounds,
-        N, inverse, design, column, *fixes,
+        N, inverse, design, column, *fixes, np.zeros((3, 5)),
     )  # fmt: skip
     return fixes
 
@@ -407,7 +409,8 @@ def solve_velocities(
     sat, sat_vel, measured, sds, pos = (np.ascontiguousarray(a) for a in columns)
     rate, N, inverse = GPS_EARTH_RATE if sagnac else 0.0, np.empty((5, 5)), np.empty((5, 5))
     epochs, rows = np.ascontiguousarray(epoch_start, np.int64), np.ascontiguousarray(used)
-    _velocity_kernel(epochs, sat, sat_vel, measured, sds, rows, rate, pos, N, inverse, *fixes)
+    work = np.zeros((2, 5))
+    _velocity_kernel(epochs, sat, sat_vel, measured, sds, rows, rate, pos, N, inverse, *fixes, work)
     return fixes
 
 
@@ -431,7 +434,7 @@ def compute_dop(
     used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
     epochs, systems = (np.ascontiguousarray(a, np.int64) for a in (epoch_start, system))
     N, inverse = np.empty((5, 5)), np.empty((5, 5))
-    _dop_kernel(epochs, np.ascontiguousarray(los_n), systems, used, N, inverse, out)
+    _dop_kernel(epochs, np.ascontiguousarray(los_n), systems, used, N, inverse, out, np.zeros(5))
     return Dop(*out.T)
 
 

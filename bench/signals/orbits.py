@@ -182,6 +182,13 @@ def _acceleration_kernel(s: FloatArray, sun_moon: FloatArray, out: FloatArray) -
 
 
 @kernel
+def _move_kernel(s: FloatArray, h: float, rate: FloatArray, out: FloatArray) -> None:
+    """Fill out (6,) with s (6,) moved by a rate (6,) for h [s]."""
+    for i in range(6):
+        out[i] = s[i] + h * rate[i]
+
+
+@kernel
 def _glonass_kernel(
     state: FloatArray, rows: IntArray, t: FloatArray, longest: float, work: FloatArray,
     pos: FloatArray, vel: FloatArray, clock: FloatArray, clock_rate: FloatArray,
@@ -191,19 +198,22 @@ def _glonass_kernel(
     for k in range(t.shape[0]):
         q = state[rows[k]]
         span = t[k] - q[0]
-        s[:] = q[1:7]
+        for i in range(6):
+            s[i] = q[1 + i]
         steps = int(np.ceil(abs(span) / longest))
         h = span / steps if steps > 0 else 0.0
         for _ in range(steps):
             _acceleration_kernel(s, q[7:10], work[2])
-            probe[:] = s + 0.5 * h * work[2]
+            _move_kernel(s, 0.5 * h, work[2], probe)
             _acceleration_kernel(probe, q[7:10], work[3])
-            probe[:] = s + 0.5 * h * work[3]
+            _move_kernel(s, 0.5 * h, work[3], probe)
             _acceleration_kernel(probe, q[7:10], work[4])
-            probe[:] = s + h * work[4]
+            _move_kernel(s, h, work[4], probe)
             _acceleration_kernel(probe, q[7:10], work[5])
-            s += h / 6.0 * (work[2] + 2.0 * work[3] + 2.0 * work[4] + work[5])
-        pos[k], vel[k] = s[:3], s[3:]
+            for i in range(6):
+                s[i] += h / 6.0 * (work[2, i] + 2.0 * work[3, i] + 2.0 * work[4, i] + work[5, i])
+        for i in range(3):
+            pos[k, i], vel[k, i] = s[i], s[3 + i]
         clock[k] = q[10] + q[11] * span
         clock_rate[k] = q[11]
 

@@ -321,8 +321,8 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     )
     compiled, plain = np.empty((n, 3)), np.empty((n, 3))
     flags = np.ones((2, n), bool)
-    imu._measure_kernel(*arguments, compiled, flags[0])
-    imu._measure_kernel.py_func(*arguments, plain, flags[1])
+    imu._measure_kernel(*arguments, np.zeros(3), compiled, flags[0])
+    imu._measure_kernel.py_func(*arguments, np.zeros(3), plain, flags[1])
     assert_allclose(compiled, plain, rtol=0, atol=1e-13)
     assert_array_equal(flags[0], flags[1])
 
