@@ -1,0 +1,212 @@
+"""The actual covariance of a filter's errors, by source, under its own recorded gains.
+
+The errors of the filter's n states (position, velocity and attitude; its estimates of the others) and the
+true errors of the sensors make one linear system, driven by what the truth model has (`terms`) and corrected
+by the gains of the filter, whose model may be another (P. S. Maybeck, Stochastic Models, Estimation, and
+Control, vol. 1, 1979, ch. 6). It is linear, so that the sources add. Each is carried alone, all in one pass:
+a constant as its sensitivity (n,), a process as a covariance (n + 3, n + 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.evaluation.linear.gains import Gains
+from bench.evaluation.linear.path import FACTORS, Path
+from bench.evaluation.linear.terms import IMU, Constant, Process, TruthModel
+from bench.navigation.aiding import BARO
+from bench.navigation.blocks import StateModel
+from bench.navigation.cycle import warmth_kernel
+from bench.navigation.states import WARMTH
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Variances of the errors of position [m^2], velocity [m^2/s^2] and attitude [rad^2], n, by source."""
+
+    t: FloatArray  # (M,) [s]
+    sources: tuple[str, ...]
+    variance: FloatArray  # (M, 9, S)
+    claimed: FloatArray  # (M, 9) by the filter
+
+    @property
+    def total(self) -> FloatArray:
+        """Actual variance (M, 9)."""
+        return np.asarray(self.variance.sum(axis=2))
+
+
+def split_errors(gains: Gains, truth_model: TruthModel) -> Budget:
+    """Return the variances of the errors of a recorded filter by source."""
+    path, updates = gains.path, gains.updates
+    walk = _Walk(path, truth_model, gains.model)
+    count = np.bincount(updates.step, minlength=len(path.t))
+    first = np.concatenate([[0], np.cumsum(count)])
+    names = [source.name for source in truth_model.sources]
+    of_constant = _one_hot([one.source for one in truth_model.constants], names)
+    of_process = _one_hot([one.source for one in truth_model.processes], names)
+    out = np.zeros((len(gains.output), 9, len(names)))
+    wanted = {int(step): row for row, step in enumerate(gains.output)}
+    filter_factors = motion_factors(path, gains.model)
+    for k in range(len(path.t)):
+        if k > 0:
+            walk.move(k - 1, filter_factors[k - 1])
+        for u in range(first[k], first[k + 1]):
+            h, K = updates.h[u], updates.K[u]
+            walk.correct(h, K, int(updates.code[u]), int(updates.component[u]), int(updates.number[u]), k)
+        if k in wanted:
+            own = np.einsum("irj,ij->ir", walk.Pxx[:9, :, :9], np.eye(9))
+            out[wanted[k]] = np.square(walk.X[:9]) @ of_constant + own @ of_process
+    return Budget(path.t[gains.output], tuple(names), out, np.einsum("mii->mi", gains.P))
+
+
+def motion_factors(path: Path, model: StateModel) -> FloatArray:
+    """Return the factors (K, `FACTORS`) that a filter works with, its temperature by its own model."""
+    if not (model.process.drives[:, 2] == WARMTH).any():
+        return path.factors
+    factors = path.factors.copy()
+    known = np.array([model.process.thermal[0], 0.0, 0.0])
+    for k, T in enumerate(path.span):
+        factors[k, WARMTH] = known[0]
+        warmth_kernel(T, model.process.thermal, path.lla[k, 2], known)
+    return factors
+
+
+def signals(path: Path, constants: tuple[Constant, ...]) -> FloatArray:
+    """Return the errors (K, 6, C) of gyros [rad/s] and accelerometers [m/s^2] by constants, step means."""
+    shape = np.zeros((FACTORS, 6, len(constants)))
+    sampled = []
+    for c, one in enumerate(constants):
+        for error, factor, size in one.factors:
+            shape[factor, error, c] += size
+        if one.signal is not None:
+            sampled.append((c, one.signal))
+    out = np.tensordot(path.factors, shape, 1)
+    for c, signal in sampled:
+        whole = np.vstack([np.zeros(6), np.cumsum(signal, axis=0)])
+        out[:, :, c] += np.diff(whole[path.rows], axis=0) / np.diff(path.rows)[:, None]
+    return out
+
+
+def _one_hot(sources: list[str], names: list[str]) -> FloatArray:
+    table = np.zeros((len(sources), len(names)))
+    for row, name in enumerate(sources):
+        table[row, names.index(name)] = 1.0
+    return table
+
+
+class _Walk:
+    """The sensitivities and covariances of all sources, at one instant.
+
+    ``X`` (n, C) by constant; ``Pxx`` (n, R, n), ``Pxs`` (n, R, 3) and ``Pss`` (R, 3) by process.
+    """
+
+    def __init__(self, path: Path, truth_model: TruthModel, model: StateModel) -> None:
+        self.path, self.model = path, model
+        constants, processes = truth_model.constants, truth_model.processes
+        n, R = model.layout.size, len(processes)
+        self.D = signals(path, constants)
+        self.X = np.zeros((n, len(constants)))
+        for c, one in enumerate(constants):
+            if one.start is not None:
+                self.X[:9, c] = one.start
+        self.heights = {c: one.height for c, one in enumerate(constants) if one.height is not None}
+        self.Pxx, self.Pxs = np.zeros((n, R, n)), np.zeros((n, R, 3))
+        self.processes = processes
+        self.drift = ProcessSteps(processes)
+        self.Pss = self.drift.variance.copy()
+        self.on_imu = np.array([one.acts == IMU for one in processes], bool)
+        self.imu_column = np.array([9 + one.first for one in processes])
+        self.white = np.array([one.white for one in processes]).reshape(R, 3)
+        drives = model.process.drives
+        self.drives = [(int(state), int(error), int(by)) for state, error, by in drives]
+
+    def move(self, k: int, factors: FloatArray) -> None:
+        """Go over step k."""
+        path, process = self.path, self.model.process
+        G, T = path.G[k], float(path.span[k])
+        n = len(self.X)
+        W = np.zeros((9, n))
+        W[:, :15] = G
+        W[:, :9] += np.eye(9)
+        for state, error, by in self.drives:
+            W[:, state] += G[:, error] * factors[by]
+        own = np.exp(-(process.decay_time[9:] + process.decay_distance[9:] * path.speed[k]) * T)
+        self.X[:9] = W @ self.X - G[:, 9:15] @ self.D[k]
+        self.X[9:] *= own[:, None]
+        decay, noise = self.drift.step(T, path.speed[k])
+        R = len(decay)
+        U = G[:, self.imu_column[:, None] + np.arange(3)].swapaxes(0, 1) * self.on_imu[:, None, None]
+        Pxs = np.einsum("in,nra->ira", W, self.Pxs) - np.einsum("ria,ra->ira", U, self.Pss)
+        B = (W @ self.Pxx.reshape(n, R * n)).reshape(9, R, n) - np.einsum("ria,jra->irj", U, self.Pxs)
+        top = (B.reshape(9 * R, n) @ W.T).reshape(9, R, 9) - np.einsum("ira,rja->irj", Pxs, U)
+        low = B[:, :, 9:] * own
+        self.Pxx[9:, :, 9:] *= own[:, None, None] * own
+        self.Pxx[:9, :, 9:], self.Pxx[9:, :, :9] = low, low.transpose(2, 1, 0)
+        self.Pxs[9:] *= own[:, None, None]
+        self.Pxs[:9] = Pxs
+        self.Pxs *= decay[:, None]
+        C = path.C_mean[k]
+        for r in np.flatnonzero(self.on_imu & self.white.any(axis=1)).tolist():
+            at = 6 - self.processes[r].first
+            top[at : at + 3, r, at : at + 3] += C * (self.white[r] * T) @ C.T
+        self.Pxx[:9, :, :9] = 0.5 * (top + top.transpose(2, 1, 0))
+        self.Pss = self.Pss * decay[:, None] ** 2 + noise
+        for r, one in enumerate(self.processes):
+            if one.at is not None and np.any(np.abs(one.at - path.t[k + 1]) < 1e-6):
+                self.Pss[r] += one.kick
+
+    def correct(self, h: FloatArray, K: FloatArray, code: int, component: int, number: int, k: int) -> None:
+        """Use a scalar measurement h dx of a sensor with the gain K (n,)."""
+        z = h @ self.X
+        if code == BARO:
+            for c, height in self.heights.items():
+                z[c] -= height[number]
+        self.X -= K[:, None] * z
+        n, R = len(h), self.Pss.shape[0]
+        m, white = self.drift.rows(code, component, float(self.path.t[k]))
+        zx = (h @ self.Pxx.reshape(n, R * n)).reshape(R, n) - (self.Pxs[:, :, component] * m).T
+        zs = np.tensordot(h, self.Pxs, 1)
+        zs[:, component] -= m * self.Pss[:, component]
+        zz = zx @ h - m * zs[:, component] + white
+        y = zx - 0.5 * zz[:, None] * K
+        half = K[:, None, None] * y
+        self.Pxx -= half + half.transpose(2, 1, 0)
+        self.Pxs -= K[:, None, None] * zs
+
+
+class ProcessSteps:
+    """How R processes move over a step, and how they enter a measurement."""
+
+    def __init__(self, processes: tuple[Process, ...]) -> None:
+        def stack(name: str) -> FloatArray:
+            return np.array([getattr(one, name) for one in processes], float)
+
+        self.variance = stack("variance").reshape(-1, 3)
+        self._density, self._white = stack("density").reshape(-1, 3), stack("white").reshape(-1, 3)
+        self._time, self._distance = stack("decay_time"), stack("decay_distance")
+        self._processes = processes
+        self._acts: IntArray = np.array([one.acts for one in processes], np.int64)
+        self._cache: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = {}
+        self._at = [(r, one.at) for r, one in enumerate(processes) if one.at is not None]
+
+    def step(self, T: float, speed: float) -> tuple[FloatArray, FloatArray]:
+        """Return the decay (R,) of the states over T [s] at a speed [m/s], and the variance (R, 3) added."""
+        decay = np.exp(-(self._time + self._distance * speed) * T)
+        added = self._density * T + self.variance * (1.0 - decay**2)[:, None]
+        return decay, np.where((decay < 1.0)[:, None], self.variance * (1.0 - decay**2)[:, None], added)
+
+    def rows(self, code: int, component: int, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return for a measurement which processes (R,) act on it, 1 or 0, and their white variance (R,)."""
+        if (code, component) not in self._cache:
+            acts = (self._acts == code).astype(float)
+            self._cache[code, component] = acts, acts * self._white[:, component]
+        acts, white = self._cache[code, component]
+        if self._at:
+            white = white.copy()
+            for r, at in self._at:
+                if not np.any(np.abs(at - t) < 1e-6):
+                    white[r] = 0.0
+        return acts, white
