@@ -17,7 +17,7 @@ from bench.evaluation.failures import check_starts, describe_error, make_failed_
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.run_result import RunResult
-from bench.specs import AssumedSpecs, EstimatorChoice, Profile, TableSpec
+from bench.specs import AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 
 
 def fly(
@@ -213,10 +213,17 @@ def run(
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:
-    """Return what pictures need besides the records: the shape of the aircraft, and what its antenna sees."""
-    gnss = profile.sensors.gnss
+    """Return what pictures need besides the records: the aircraft, what its antenna sees, the runway."""
+    gnss, flight = profile.sensors.gnss, profile.flight
+    runway = flight.runway if isinstance(flight, FlightSpec) else None
     mask = None if gnss is None or gnss.sky is None else degrees(gnss.sky.antenna_mask)
-    return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask}
+    place = runway and {
+        "lat_deg": degrees(runway.lat),
+        "lon_deg": degrees(runway.lon),
+        "alt_m": runway.alt,
+        "heading_deg": degrees(runway.heading),
+    }
+    return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask, "runway": place}
 
 
 def _read_cpu_clock() -> float:

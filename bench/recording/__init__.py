@@ -60,7 +60,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
         stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(result.solutions), "")))
         known = result.truth is not None
         stream.send_recording_name(f"{name}, seed {result.seed}, run {result.run}" if known else name)
-        space.send(stream, result.more.get("scene", {}).get("mesh"), content)
+        space.send(stream, result.more.get("scene", {}), content)
         words.send(stream, result, content)
         for by_label in plots.values():
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,8 @@ from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
 
 _CALM = 0.1  # less wind has no arrow [m/s]
+_OBSTACLE = 15.0  # take-off and landing distances count to this height [m]
+_RUNWAY_WIDTH = 30.0  # as drawn: a profile has none [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +72,13 @@ def make_scene(content: Content) -> Scene:
     )
 
 
-def send(stream: Any, mesh: str | None, content: Content) -> None:
+def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map.
 
-    Without a truth the vehicle is where the first estimator has it. Without a mesh of `MESHES` it is a set
-    of body axes.
+    Without a truth the vehicle is where the first estimator has it. Without a mesh of `MESHES` in the scene
+    of the result it is a set of body axes.
     """
+    mesh = scene.get("mesh")
     truth, solutions, colours = content.motion, content.solutions, content.colours
     origin = truth.lla[0]
     keep = thin(truth.t, limit_rate(truth.t, MOST_ROWS))
@@ -95,6 +99,8 @@ def send(stream: Any, mesh: str | None, content: Content) -> None:
     )
     if isinstance(truth, Trajectory):
         _send_path(stream, "/truth", lla, origin, TRUTH)
+        if scene.get("runway"):
+            _send_runway(stream, scene["runway"], lla, origin)
     for label, solution in solutions.items():
         sound = solution.lla[np.isfinite(solution.lla).all(axis=1)]
         if len(sound):
@@ -221,6 +227,44 @@ def _send_vehicle(
             vertex_colors=np.repeat(paint, 3, axis=0)
             if colour is None
             else np.tile(colour, (corners.size // 3, 1)),
+        ),
+        static=True,
+    )
+
+
+def _send_runway(stream: Any, runway: Mapping[str, float], lla: FloatArray, origin: FloatArray) -> None:
+    """Send the runway from its threshold on, as far as the flight is low over it; nothing at rest."""
+    threshold = np.array([np.deg2rad(runway["lat_deg"]), np.deg2rad(runway["lon_deg"]), runway["alt_m"]])
+    heading = np.deg2rad(runway["heading_deg"])
+    along, across = (
+        np.array([np.cos(heading), np.sin(heading)]),
+        np.array([-np.sin(heading), np.cos(heading)]),
+    )
+    pos = earth.local_ned(lla, threshold)
+    over = (-pos[:, 2] < _OBSTACLE) & (np.abs(pos[:, :2] @ across) < _RUNWAY_WIDTH)
+    used = pos[over, :2] @ along
+    if not len(used) or np.ptp(used) < _RUNWAY_WIDTH:
+        return
+    length = 100.0 * np.ceil(float(used.max()) / 100.0)
+    edges = ((0.0, -0.5), (length, -0.5), (length, 0.5), (0.0, 0.5), (0.0, -0.5))
+    outline = np.array([x * along + y * _RUNWAY_WIDTH * across for x, y in edges])
+    lines = [outline, np.array([0.0 * along, length * along])]
+    on_ground = [earth.displace(threshold, np.column_stack([line, np.zeros(len(line))])) for line in lines]
+    stream.log(
+        "/world/runway",
+        rr.LineStrips3D(
+            [earth.local_ned(line, origin) for line in on_ground],
+            colors=[BAND],
+            radii=[-1.5, -0.5],
+            labels=["runway", ""],
+            show_labels=True,
+        ),
+        static=True,
+    )
+    stream.log(
+        "/map/runway",
+        rr.GeoLineStrings(
+            lat_lon=[np.rad2deg(line[:, :2]) for line in on_ground], colors=[BAND], radii=[-1.0, -1.0]
         ),
         static=True,
     )
