@@ -18,9 +18,13 @@ from bench.navigation import integrity, square_root
 from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
 from bench.navigation.classic.navigator import R3, Nav
 from bench.navigation.estimator import load
-from tests.register import course, equations
-from tests.register.course import DEG, G0, GRADES
+from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
+from bench.units import DEG
+from bench.units import STANDARD_GRAVITY as G0
+from tests.register import equations
 from tests.weaving import IMU, units, weaving
+
+FLIGHT, GRADE = LinearFlight(), GRADES["grade-3"]
 
 # --- error model: #18 to #20 ------------------------------------------------------------------------------
 
@@ -175,11 +179,11 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
 
     First order at 1 s is 2.3 % late in position, the second integral of the walks; van Loan is not.
     """
-    sig = replace(GRADES["3"], eps_walk=1e-9, da_walk=1e-6)
-    nav, a, _ = course.place(0.0)
+    sig = replace(GRADE.sigmas, eps_walk=1e-9, da_walk=1e-6)
+    nav, a = FLIGHT.place(0.0)
     sd = {}
     for dt in (1.0, 0.1, 0.01):
-        first, second = discretize(nav, course.EARTH, a, sig, dt)
+        first, second = discretize(nav, FLIGHT.earth, a, sig, dt)
         Q = second if discretize is process_model.model_van_loan else second @ second.T
         P, Phi = np.zeros((22, 22)), first
         for _ in range(round(100 / dt)):
@@ -199,19 +203,19 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
 def check_consistency(runs=200, seconds=900, seed=5, believed=None):
     """Mean NIS over all epochs and mean NEES over runs and epochs of a linear flight, grade 3."""
     rng = np.random.default_rng(seed)
-    sig = GRADES["3"]
-    P = course.start(sig)
+    sig = GRADE.sigmas
+    P = FLIGHT.start(GRADE)
     x = np.sqrt(np.diag(P))[:, None] * rng.standard_normal((22, runs))
     estimate = np.zeros((22, runs))
     nis, nees = [], []
     for k in range(1, seconds + 1):
-        for Phi, G in course.second(sig, k):
-            x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
-            estimate = Phi @ estimate
-            P = Phi @ P @ Phi.T + G @ G.T
-        H, R = course.rows_and_noise(sig, k)
+        Phi, G = FLIGHT.move(sig, k)
+        x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
+        estimate = Phi @ estimate
+        P = Phi @ P @ Phi.T + G @ G.T
+        H, R = FLIGHT.measure(sig, k)
         z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((7, runs))
-        K, S, P = course.update(P, H, course.rows_and_noise(believed or sig, k)[1])
+        K, S, P = update(P, H, FLIGHT.measure(believed or sig, k)[1])
         innovation = z - H @ estimate
         nis.append(np.sum(innovation * np.linalg.solve(S, innovation), axis=0).mean())
         estimate = estimate + K @ innovation
@@ -229,7 +233,7 @@ def test_34_a_linear_flight_is_consistent():
     nis, nees = check_consistency()
     assert abs(nis - 7) < 0.1
     assert abs(nees - 22) < 1.5
-    nis, nees = check_consistency(runs=20, believed=replace(GRADES["3"], white=(2.0, 2.75, 0.015)))
+    nis, nees = check_consistency(runs=20, believed=replace(GRADE.sigmas, white=(2.0, 2.75, 0.015)))
     assert nis > 7.1
     assert nees > 23.5
 
@@ -237,13 +241,14 @@ def test_34_a_linear_flight_is_consistent():
 def eight(seed=3):
     """A prior P, the eight rows with their noise, and a measurement that obeys row 8 = row 4 - row 1."""
     rng = np.random.default_rng(seed)
-    sig = GRADES["3"]
-    P = course.start(sig)
+    sig = GRADE.sigmas
+    jumping = replace(sig, jump_white=(2.5, 3.75, 0.11))
+    P = FLIGHT.start(GRADE)
     for k in range(1, 30):
-        for Phi, G in course.second(sig, k):
-            P = Phi @ P @ Phi.T + G @ G.T
+        Phi, G = FLIGHT.move(sig, k)
+        P = Phi @ P @ Phi.T + G @ G.T
     H = observation_model.measurement_matrix()
-    Q = observation_model.measurement_noise(sig, *navigator.reduced(course.place(0.0)[0], course.EARTH), True)
+    Q = observation_model.measurement_noise(jumping, *FLIGHT.reduced, True)
     x = np.sqrt(np.diag(P)) * rng.standard_normal(22)
     return P, H, Q, H @ x + Q @ rng.standard_normal(13)
 
@@ -280,8 +285,8 @@ def test_35_the_pseudo_inverse_of_eight_rows_gives_the_answer_of_seven():
     assert_allclose(found[1][1] / scale, found[0][1] / scale, atol=1e-12)
     independent = R.copy()
     independent[7, :7] = independent[:7, 7] = 0.0
-    claimed = course.update(P, H, independent)[2][2, 2]
-    K = course.update(P, H, independent)[0]
+    claimed = update(P, H, independent)[2][2, 2]
+    K = update(P, H, independent)[0]
     J = np.eye(22) - K @ H
     actual = (J @ P @ J.T + K @ R @ K.T)[2, 2]
     assert actual / claimed > 1.01
@@ -289,9 +294,9 @@ def test_35_the_pseudo_inverse_of_eight_rows_gives_the_answer_of_seven():
 
 def test_35_g_s_with_12_columns_and_with_6_give_one_q():
     """A-5.4.2: Markov and jump noise apart (34 noises) or merged (28)."""
-    decay = process_model.gnss_decay(GRADES["3"], 200.0, 1.0)
+    decay = process_model.gnss_decay(GRADE.sigmas, 200.0, 1.0)
     merged, apart = (
-        g(GRADES["3"], decay, 1.5, 1.0, True) for g in (process_model.gnss_noise, equations.gnss_noise_12)
+        g(GRADE.sigmas, decay, 1.5, 1.0, True) for g in (process_model.gnss_noise, equations.gnss_noise_12)
     )
     assert (merged.shape, apart.shape) == ((6, 6), (6, 12))
     assert_allclose(merged @ merged.T, apart @ apart.T, rtol=1e-14)
@@ -302,11 +307,11 @@ def test_36_josephs_form_stays_positive_over_1e5_updates():
     """P after 1e5 predictions and updates of seven rows: symmetric to rounding, eigenvalues > 0."""
     from filterpy.kalman import KalmanFilter
 
-    sig = GRADES["3"]
+    sig = GRADE.sigmas
     kf = KalmanFilter(22, 7)
-    kf.P = course.start(sig)
-    Phi, G = course.second(sig, 1)[0]
-    H, R = course.rows_and_noise(sig, 1)
+    kf.P = FLIGHT.start(GRADE)
+    Phi, G = FLIGHT.move(sig, 1)
+    H, R = FLIGHT.measure(sig, 1)
     Q, z = G @ G.T, np.zeros((7, 1))
     for _ in range(100_000):
         kf.predict(F=Phi, Q=Q)
@@ -323,7 +328,7 @@ def test_37_square_root_forms_are_josephs(form):
     P, H, Q, Y = eight()
     P, H, Q, Y = P, H[:7], Q[:7], Y[:7]
     R = Q @ Q.T
-    K, _, joseph = course.update(P, H, R)
+    K, _, joseph = update(P, H, R)
     x, S = np.zeros(22), square_root.upper_root(P)
     assert_allclose(S @ S.T, P, rtol=1e-9, atol=1e-12)
     for k in range(7):
@@ -378,30 +383,29 @@ def other_methods(runs=20, seconds=900, seed=9):
     (batch least squares); a complementary filter, differences smoothed over 20 s.
     """
     rng = np.random.default_rng(seed)
-    sig = GRADES["3"]
-    P = course.start(sig)
+    sig = GRADE.sigmas
+    P = FLIGHT.start(GRADE)
     metres = np.ones(6)
-    metres[:2] = navigator.reduced(course.place(0.0)[0], course.EARTH)
+    metres[:2] = FLIGHT.reduced
     gains, steps = [], []
     for k in range(1, seconds + 1):
-        moves = course.second(sig, k)
-        for Phi, G in moves:
-            P = Phi @ P @ Phi.T + G @ G.T
-        H, R = course.rows_and_noise(sig, k)
-        K, _, P = course.update(P, H, R)
+        moves = Phi, G = FLIGHT.move(sig, k)
+        P = Phi @ P @ Phi.T + G @ G.T
+        H, R = FLIGHT.measure(sig, k)
+        K, _, P = update(P, H, R)
         gains.append(K)
         steps.append((moves, H, R))
     last = gains[-1]
-    x = np.sqrt(np.diag(course.start(sig)))[:, None] * rng.standard_normal((22, runs))
+    x = np.sqrt(np.diag(FLIGHT.start(GRADE)))[:, None] * rng.standard_normal((22, runs))
     best, fixed, slow = np.zeros((3, 22, runs))
     window = []
     basis = np.vander(np.arange(-59.0, 1.0) / 60.0, 3, increasing=True)
     to_end = np.linalg.pinv(basis)[0]
     squares = dict.fromkeys(("kalman", "fixed gain", "least squares", "complementary"), 0.0)
     for k, (moves, H, R) in enumerate(steps, 1):
-        for Phi, G in moves:
-            x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
-            best, fixed = Phi @ best, Phi @ fixed
+        Phi, G = moves
+        x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
+        best, fixed = Phi @ best, Phi @ fixed
         z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((7, runs))
         best = best + gains[k - 1] @ (z - H @ best)
         fixed = fixed + last @ (z - H @ fixed)
@@ -647,8 +651,8 @@ def test_43_the_attitude_error_never_exceeds_the_admissible_one():
     rng = np.random.default_rng(4)
     limit, start, gyro, accel = 1.0 * DEG, 0.5 * DEG, 10 * DEG / 3600, 5e-3 * G0
     period = integrity.correction_period(limit, start, gyro, accel)
-    nav, a, _ = course.place(0.0)
-    F = error_dynamics.dynamics_matrix(nav, a, course.EARTH)
+    nav, a = FLIGHT.place(0.0)
+    F = error_dynamics.dynamics_matrix(nav, a, FLIGHT.earth)
     Phi = np.eye(15) + F * 0.1 + F @ F * 0.005
     x = np.zeros((15, 100))
     for rows, size in ((slice(6, 9), start), (slice(9, 12), gyro), (slice(12, 15), accel)):
@@ -715,7 +719,7 @@ def test_45_the_calibration_is_kept_and_applied(minutes, sound):
         ]
     )
     assert (np.abs(error) < 3 * solution.extra_sd[-1, :6]).all()
-    mems = course.covariance(GRADES["MEMS"], course.LOST, tilt=1 * DEG, heading=3 * DEG)
+    mems = FLIGHT.predict_sd(GRADES["MEMS"], LOST)
     assert (mems[-1, 9:12] < 0.1 * mems[0, 9:12]).all()
     gone = replace(sensed.data, imu=replace(sensed.data.imu, dtheta_b=sensed.data.imu.dtheta_b + 2e-6))
     assert_allclose(  # what is added to every increment of 20 ms comes back as a bias of 1e-4 rad/s
@@ -723,72 +727,3 @@ def test_45_the_calibration_is_kept_and_applied(minutes, sound):
         1e-4,
         rtol=0.3,
     )
-
-
-# --- section 7.1 ------------------------------------------------------------------------------------------
-
-TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h, accelerometer ug; E at
-    # +60, +120, +300 and +600 s; growth of E at +60 and +300 s; growth of 5 m reached after s
-    "1": (6.00, 3.41, 0.019, 0.0005, 0.0038, 0.0017, 8.4, (6.5, 7.3, 11.0, 20.7), (2.6, 9.2), 155),
-    "2": (6.00, 3.43, 0.021, 0.0011, 0.0043, 0.0024, 15.1, (6.6, 7.5, 12.2, 25.4), (2.7, 10.6), 141),
-    "3": (6.01, 3.44, 0.035, 0.0026, 0.0084, 0.017, 22.9, (7.0, 9.6, 28.1, 73.5), (3.7, 27.5), 85),
-    "MEMS": (6.01, 3.45, 0.063, 0.024, 0.094, 0.51, 206, (12.7, 44.0, 227.0, 686.0), (11.2, 227.0), 38),
-}
-
-
-@pytest.mark.parametrize("grade", TABLE)
-def test_71_the_covariance_table(grade):
-    """Within 15 %; "5 m" as growth of the INS error is reached after 155, 141, 85 and 38 s +- 10 %.
-
-    Tilt is the RMS of both axes, gyro and accelerometer are the forward ones: the register says neither. The
-    accelerometer of the MEMS grade is left to the next test.
-    """
-    east, height, speed, tilt, heading, gyro, accel, outage, growth, reached = TABLE[grade]
-    spread = {"tilt": 1 * DEG, "heading": 3 * DEG} if grade == "MEMS" else {}
-    sd = course.covariance(GRADES[grade], 2400, **spread)
-    before = sd[course.LOST]
-    level = math.hypot(before[6], before[7]) / math.sqrt(2.0)
-    found = [before[0], before[2], before[3], level / DEG, before[8] / DEG, before[9] / DEG * 3600]
-    assert_allclose(found, [east, height, speed, tilt, heading, gyro], rtol=0.15)
-    assert grade == "MEMS" or before[12] / G0 * 1e6 == pytest.approx(accel, rel=0.15)
-    assert_allclose([sd[course.LOST + dt, 0] for dt in (60, 120, 300, 600)], outage, rtol=0.15)
-    grown = np.sqrt(np.maximum(sd[course.LOST :, 0] ** 2 - before[0] ** 2, 0.0))
-    assert_allclose(grown[[60, 300]], growth, rtol=0.15)
-    assert np.argmax(grown > 5.0) == pytest.approx(reached, rel=0.10)
-
-
-@pytest.mark.parametrize("heading", [0.0, 40.0, 90.0])
-def test_71_the_mems_row_is_of_two_models(heading, monkeypatch):
-    """Its accelerometer, 206 ug, and its outage, 227 m after 300 s, exclude each other on three courses.
-
-    Biases that stay, as section 7.1 lists them, leave less than 0.85 of that accelerometer; the outage fits
-    on one course. Biases that walk by 1e-3 of their sd per root second give its gyro and its accelerometer
-    within 5 %, and then the outage is more than 1.15 of what it says.
-    """
-    monkeypatch.setattr(course, "COURSE", heading * DEG)
-    _, _, _, _, _, gyro, accel, outage, _, _ = TABLE["MEMS"]
-    stays = GRADES["MEMS"]
-    walks = replace(stays, eps_walk=1e-3 * stays.eps, da_walk=1e-3 * stays.da)
-    spread = {"tilt": 1 * DEG, "heading": 3 * DEG}
-    stay, walk = (course.covariance(sigma, course.LOST + 300, **spread) for sigma in (stays, walks))
-    assert stay[course.LOST, 12] / G0 * 1e6 < 0.85 * accel
-    assert walk[course.LOST, 12] / G0 * 1e6 == pytest.approx(accel, rel=0.05)
-    assert walk[course.LOST, 9] / DEG * 3600 == pytest.approx(gyro, rel=0.05)
-    assert walk[-1, 0] > 1.15 * outage[2]
-
-
-def test_49_71_tilt_converges_and_heading_needs_turns():
-    """#49, attitude without a second antenna: tilt by fixes alone, a tenth of 0.1 deg in a minute.
-
-    Heading by horizontal acceleration only. Grade 3: 0.5 deg to 0.0075 after one S-turn, without turns no
-    better than 0.31; MEMS diverges.
-    """
-    turned = course.covariance(GRADES["3"], 360)
-    assert (turned[60, 6:8] < 0.1 * turned[0, 6:8]).all()
-    assert turned[200, 8] > 0.8 * turned[0, 8]
-    assert turned[360, 8] / DEG == pytest.approx(0.0075, rel=0.15)
-    straight = course.covariance(GRADES["3"], 1800, turns=False)
-    assert straight[1800, 8] / DEG == pytest.approx(0.31, rel=0.15)
-    mems = course.covariance(GRADES["MEMS"], 1800, turns=False, tilt=1 * DEG, heading=3 * DEG)
-    assert mems[1800, 8] / DEG == pytest.approx(4.9, rel=0.15)
-    assert mems[1800, 8] > mems[900, 8] > mems[1, 8]
