@@ -261,7 +261,7 @@ def record(folder: Path, out: Path | None, which: str, allow_code: bool) -> int:
 
 @commands.command(epilog=STATUS)
 @click.argument("folders", nargs=-1, required=True, type=FILE, metavar="DIR DIR...")
-@out_option("draw the results over each other: a folder for a report and a recording")
+@out_option("draw the results over each other: a folder for a report and, of runs, a recording")
 @json_option("the comparison")
 @force_option()
 def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: bool) -> int:

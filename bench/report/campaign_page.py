@@ -66,15 +66,26 @@ class Section(NamedTuple):
     distributions: list[Figure]
 
 
-def make_page(name: str, campaign: Campaign) -> str:
-    """Return the report of a campaign as HTML; ``name`` is that of its folder."""
+def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return the report of a campaign as HTML.
+
+    Parameters
+    ----------
+    name : str
+        Of its folder.
+    campaign : Campaign
+        What to show.
+    comparisons : sequence of mapping
+        Tables of a comparison, if the campaign is several in one.
+    """
     labels = list(dict.fromkeys(one.label for one in campaign.outcomes))
     colours = series.estimator_colours(labels)
     errors = list(dict.fromkeys(name for one in campaign.outcomes for name in one.errors))
     several = len(campaign.conditions) > 1
     return page.render(
         "campaign.html.jinja",
-        title=_find_title(name, campaign),
+        title=name if comparisons else _find_title(name, campaign),
+        comparisons=comparisons,
         facts=list(_list_facts(campaign)),
         cards=[] if several else [_make_card(one) for one in campaign.outcomes],
         sentences=[] if several else [one.sentence for one in campaign.comparisons],
@@ -93,15 +104,15 @@ def make_page(name: str, campaign: Campaign) -> str:
     )
 
 
-def write(path: Path, name: str, campaign: Campaign) -> None:
-    """Write the report of a campaign, completely or not at all.
+def write(path: Path, name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Write the report of a campaign, completely or not at all; parameters as for :func:`make_page`.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    store.write_text(path, make_page(name, campaign))
+    store.write_text(path, make_page(name, campaign, comparisons))
 
 
 # --- words and tables ---------------------------------------------------------------------------------

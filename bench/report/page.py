@@ -122,6 +122,7 @@ def make_page(name: str, result: RunResult) -> str:
         drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
         drift_meaning=DRIFT_MEANING,
         checks=result.more.get("validity", ()),
+        comparisons=result.more.get("comparisons", ()),
         track=_draw_track(content) if content else "",
         track_legend=_list_track_legend(content) if content else (),
         phases=_list_phases(content, window) if content else (),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -14,11 +16,17 @@ from rich.text import Text
 from bench import api, store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.baselines.verdict_rows import Verdict
+from bench.campaigns.merging import merge_campaigns
+from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import format_number, is_key_figure
 from bench.plots.overlay import merge_results
+from bench.report import campaign_page
 from bench.workbench.check_verb import STYLES
 from bench.workbench.flight_verbs import print_end
+
+KINDS = {"worse": "bad", "better": "good", "undecided": "wide", "same": "none"}
+"""Word of a verdict -> class of its cell in a report."""
 
 
 def compare(folders: Sequence[Path], *, console: Console, out: Path | None, force: bool) -> list[Compared]:
@@ -29,7 +37,7 @@ def compare(folders: Sequence[Path], *, console: Console, out: Path | None, forc
     for one in compared:
         _print_compared(console, one)
     if out is not None:
-        _write_overlay(folders, out, force=force, console=console)
+        _write_overlay(folders, compared, out, force=force, console=console)
     return compared
 
 
@@ -71,16 +79,53 @@ def _make_table(title: str, one: Compared, rows: Sequence[Verdict]) -> Table:
     return table
 
 
-def _write_overlay(folders: Sequence[Path], out: Path, *, force: bool, console: Console) -> None:
-    """Write a results folder with the estimators of all."""
+def _write_overlay(
+    folders: Sequence[Path], compared: Sequence[Compared], out: Path, *, force: bool, console: Console
+) -> None:
+    """Write a results folder with the estimators of all; of campaigns, a folder with the report alone."""
     begun = time.perf_counter()
-    if any((folder / store.CAMPAIGN_RESULT).is_file() for folder in folders):
-        raise ConfigError(
-            f"{out}: only results folders are drawn over each other, not campaigns; leave -o out"
-        )
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
         names = [str(folder) for folder in folders]
-    merged = merge_results({name: store.load(folder) for name, folder in zip(names, folders, strict=True)})
-    api.save(merged, out, force=force, say=console.print)
+    by_name = dict(zip(names, folders, strict=True))
+    tables = [_describe_comparison(one) for one in compared]
+    of_campaigns = {(folder / store.CAMPAIGN_RESULT).is_file() for folder in folders}
+    if of_campaigns == {True}:
+        merged = merge_campaigns({name: load_campaign(folder) for name, folder in by_name.items()})
+        with store.make_folder(out, force=force) as partial:
+            campaign_page.write(partial / store.REPORT, " and ".join(names), merged, tables)
+    elif of_campaigns == {False}:
+        result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
+        result = replace(result, more={**result.more, "comparisons": tables})
+        api.save(result, out, force=force, say=console.print)
+    else:
+        raise ConfigError(f"{out}: a campaign and a single run are not drawn over each other; leave -o out")
     print_end(console, out, begun)
+
+
+def _describe_comparison(one: Compared) -> dict[str, Any]:
+    """Return a comparison as the report shows it: sentences, and the rows of a table."""
+    single = all(row.note == ONE_DRAW for row in one.verdicts)
+    return {
+        "first": one.first,
+        "other": one.other,
+        "sentences": list(one.sentences),
+        "differences": list(one.differences),
+        "meaning": "One draw each: no interval, and chance is not told from a difference"
+        if single
+        else "Pooled over the draws. Change: of the second from the first, with its interval; above 0 is "
+        "worse. 99 % confidence over all rows",
+        "rows": [
+            {
+                "estimator": row.estimator,
+                "metric": row.metric,
+                "old": format_number(row.old),
+                "new": format_number(row.new),
+                "word": row.word,
+                "kind": KINDS[row.word],
+                "change": row.format_change() or row.note,
+            }
+            for row in one.verdicts
+            if is_key_figure(row.metric)
+        ],
+    }

@@ -27,6 +27,7 @@ from bench import recording
 from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
+from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import MOST_INSTANTS, choose_step
 from bench.cli import main
@@ -249,6 +250,63 @@ def test_a_swept_number_is_the_axis_of_a_plot(here):
     assert plot.series[0].t.tolist() == [0.5, 2.0]
     assert plot.series[0].values.tolist() == [[3.0, 2.0, 4.0], [10.0, 9.0, 11.0]]
     assert list(campaign_page._plot_sweep(read, {"loose-22": (0, 0, 0)})) == []
+
+
+def test_two_campaigns_are_drawn_over_each_other(here, capsys):
+    campaign("better", overrides={**OPTIONS["overrides"], "sensors.imu": "stim300"})
+    assert main(["compare", "two", "better", "-o", "both"]) == 0
+    words = html.unescape((here / "both" / "report.html").read_text())
+    (found,) = bench.compare_results(["two", "better"])
+    assert "sensors.imu: adis16475 and stim300" in found.differences
+    assert all(text in words for text in (*found.sentences, *found.differences))
+    row = next(row for row in found.verdicts if row.metric == "tilt_rmse_deg")
+    cells = (row.estimator, row.metric, format_number(row.old), format_number(row.new), row.word)
+    assert all(f">{cell}</td>" in words for cell in (*cells, row.format_change()))
+    plots = re.findall(r'aria-label="([^"]+)"', words)
+    tilt = next(text for text in plots if text.startswith("tilt error [deg]: loose-15, two"))
+    for name in ("two", "better"):
+        rows = bench.load_campaign(name).epochs.to_pylist()
+        mine = [row for row in rows if row["estimator"] == "loose-15" and row["t_s"] >= 5.0]
+        values = [row["tilt_deg_p50"] for row in mine]
+        assert f"loose-15, {name} {min(values):.3g} to {max(values):.3g}" in tilt
+    assert len(found.verdicts) > 10
+    (here / "run").mkdir()
+    (here / "run" / "result.json").write_text("{}")
+    capsys.readouterr()
+    assert main(["compare", "two", "run", "-o", "none"]) == 2
+    assert not (here / "none").exists()
+
+
+def test_campaigns_are_merged_by_their_conditions(here):
+    read = bench.load_campaign("two")
+    (only,) = read.conditions
+
+    def sweep(*values: float) -> Any:
+        conditions = tuple({**only, "values": {"seed_value": x}} for x in values)
+        names = [f"short.toml, seed_value = {x}" for x in values]
+        outcomes = tuple(replace(one, condition=name) for name in names for one in read.outcomes)
+        tables = {
+            name: table.from_pydict(
+                {
+                    **{key: column * len(values) for key, column in rows.items()},
+                    "condition": [k for k in range(len(values)) for _ in rows["condition"]],
+                }
+            )
+            for name, table in (("runs", read.runs), ("epochs", read.epochs))
+            for rows in [table.to_pydict()]
+        }
+        return replace(read, conditions=conditions, outcomes=outcomes, **tables)
+
+    merged = merge_campaigns({"a": sweep(1.0, 2.0), "b": sweep(3.0, 2.0)})
+    assert [one["values"] for one in merged.conditions] == [{"seed_value": 2.0}]
+    assert [one.label for one in merged.outcomes] == [
+        f"{label}, {name}" for label in ("loose-15", "loose-22") for name in "ab"
+    ]
+    assert {one.condition for one in merged.outcomes} == {"short.toml, seed_value = 2.0"}
+    assert set(merged.epochs.to_pydict()["condition"]) == {0}
+    assert merged.runs.num_rows == 2 * read.runs.num_rows
+    with pytest.raises(ConfigError, match="no condition is in all"):
+        merge_campaigns({"a": sweep(1.0, 2.0), "b": sweep(3.0, 4.0)})
 
 
 def test_runs_are_recorded_side_by_side(here, capsys):

@@ -108,6 +108,8 @@ def test_folders_are_compared_and_laid_over_each_other(folder, monkeypatch, caps
     assert list(merged.metrics) == ["loose-15, a", "gnss-only, a", "loose-15, c"]
     assert np.array_equal(merged.solutions["loose-15, c"].lla, bench.load("c").solutions["loose-15"].lla)
     assert (folder / "both" / "flight.rrd").is_file()
+    page = (folder / "both" / "report.html").read_text(encoding="utf-8")
+    assert all(f"<li>{text}</li>" in page for text in (*other.sentences, *other.differences))
     assert main(["compare", "a", "d", "-o", "no"]) == 2
     assert "d: not drawn over a, it is of another flight or log" in capsys.readouterr().err
     assert not (folder / "no").exists()
