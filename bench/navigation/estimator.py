@@ -18,8 +18,10 @@ from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
 from bench.navigation.options import (
     ClassicOptions,
+    ComplementaryOptions,
     FusionOptions,
     GnssOnlyOptions,
+    LeastSquaresOptions,
     Options,
     SmootherOptions,
     TightOptions,
@@ -83,6 +85,8 @@ class BuiltIn:
 
 
 _LOOSE = "bench.navigation.fusion:Loose"
+_GIVEN_GAINS = "bench.navigation.classic.given_gains"
+_NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
@@ -141,6 +145,24 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         "bench.navigation.classic:Classic22",
         ClassicOptions,
         {},
+    ),
+    "fixed-gain": BuiltIn(
+        "classic-22 with the gain of a settled filter throughout, slow",
+        f"{_GIVEN_GAINS}:FixedGain",
+        ClassicOptions,
+        _NO_FORM,
+    ),
+    "complementary": BuiltIn(
+        "complementary filter: differences of INS and aid, smoothed and taken off, slow",
+        f"{_GIVEN_GAINS}:Complementary",
+        ComplementaryOptions,
+        _NO_FORM,
+    ),
+    "least-squares": BuiltIn(
+        "least squares over the past, old measurements with less weight, slow",
+        f"{_GIVEN_GAINS}:LeastSquares",
+        LeastSquaresOptions,
+        _NO_FORM,
     ),
 }
 

@@ -242,9 +242,11 @@ class ClassicOptions(IntegrityOptions):
     rows: Literal[7, 8] = 7
     """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its pseudo-
     inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the 7."""
-    form: Literal["joseph", "potter", "carlson"] = "joseph"
-    """Form of (5.4.5): Joseph's with all rows at once, or a square root of P a row at a time; the answer is
-    the same."""
+    form: Literal["joseph", "conventional", "potter", "carlson", "ud"] = "joseph"
+    """Form of (5.4.4) and (5.4.5): Joseph's, or P - K H P as printed for the generic filter, with all rows at
+    once; a square root of P or its factors U and D, a row at a time. The answer is the same."""
+    covariance_precision: Literal["double", "single"] = "double"
+    """Precision of estimate, covariance and gains; the navigator is in double."""
     floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "must be at least 0 and below 1")] = 0.0
     """No standard deviation falls below this part of its value at the start (A-5.4.F); 0: no floor."""
     trace_limit: Positive = 10.0
@@ -270,11 +272,25 @@ class ClassicOptions(IntegrityOptions):
         wrong = []
         if "velocity" in self.integrity:
             wrong.append("integrity = 'velocity' is a test of the compiled filters")
-        if self.form != "joseph" and self.rows == 8:
+        if self.form not in ("joseph", "conventional") and self.rows == 8:
             wrong.append(f"form = {self.form!r} needs rows = 7: the noise of eight rows is not independent")
         if not self.feedback and self.correction_period != 0:
             wrong.append("correction_period needs feedback = true: without it there is no correction")
         return _whole(self, wrong)
+
+
+class ComplementaryOptions(ClassicOptions):
+    """Options of the complementary filter."""
+
+    time_constant: Positive = 10.0
+    """Below 1 / time_constant GNSS and barometer are believed, above it the INS [s]."""
+
+
+class LeastSquaresOptions(ClassicOptions):
+    """Options of least squares over the past."""
+
+    memory: Positive = 60.0
+    """Age at which a measurement weighs 1/e of a new one [s]."""
 
 
 _O = TypeVar("_O", bound=Options)

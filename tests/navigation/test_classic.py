@@ -300,7 +300,7 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ({"discretization": "exact"}, "discretization = 'exact' must be 'van-loan' or 'euler'"),
         ({"rows": 6}, "rows = 6 must be 7 or 8"),
-        ({"form": "qr"}, "form = 'qr' must be 'joseph', 'potter' or 'carlson'"),
+        ({"form": "qr"}, "form = 'qr' must be 'joseph', 'conventional', 'potter', 'carlson' or 'ud'"),
         (
             {"form": "potter", "rows": 8},
             "form = 'potter' needs rows = 7: the noise of eight rows is not indep",

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from bench import rotation, sensors
 from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import error_series
-from bench.navigation import integrity, square_root
+from bench.navigation import integrity
 from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
 from bench.navigation.classic.navigator import R3, Nav
 from bench.navigation.estimator import load
@@ -320,114 +320,6 @@ def test_36_josephs_form_stays_positive_over_1e5_updates():
     correlation = kf.P / np.outer(sd, sd)
     assert np.abs(correlation - correlation.T).max() < 1e-9
     assert np.linalg.eigvalsh(correlation).min() > 0
-
-
-@pytest.mark.parametrize("form", [square_root.potter, square_root.carlson])
-def test_37_square_root_forms_are_josephs(form):
-    """#37: seven rows of a linear flight a row at a time; x and P of Joseph's form to 1e-9 of sigma."""
-    P, H, Q, Y = eight()
-    P, H, Q, Y = P, H[:7], Q[:7], Y[:7]
-    R = Q @ Q.T
-    K, _, joseph = update(P, H, R)
-    x, S = np.zeros(22), square_root.upper_root(P)
-    assert_allclose(S @ S.T, P, rtol=1e-9, atol=1e-12)
-    for k in range(7):
-        x, S = form(x, S, H[k], Y[k], R[k, k])
-        if form is square_root.carlson:
-            assert not np.tril(S, -1).any()
-    sd = np.sqrt(np.diag(P))
-    assert_allclose(x / sd, K @ Y / sd, rtol=0, atol=1e-9)
-    assert_allclose(S @ S.T / np.outer(sd, sd), joseph / np.outer(sd, sd), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("form", [square_root.potter, square_root.carlson])
-def test_37_half_the_digits_are_enough_for_a_square_root_and_not_for_p(form):
-    """#37: two nearly equal rows in float32 (Bierman's example): P - K h P turns singular, S S' does not.
-
-    Its smaller variance is that of float64 to 1 %; without a root both are lost, the larger by a half.
-    """
-    one, eps, r = np.float32(1.0), np.float32(1e-3), np.float32(1e-8)
-    P, exact = np.eye(2, dtype=np.float32), np.eye(2)
-    x, S = np.zeros(2, np.float32), np.eye(2, dtype=np.float32)
-    for h in np.array([[one, one], [one, one + eps]], np.float32):
-        Ph = P @ h
-        P = P - np.outer(Ph, Ph) / (h @ Ph + r)
-        x, S = form(x, S, h, 0.5, float(r))
-        wide = h.astype(float)
-        exact = exact - np.outer(exact @ wide, exact @ wide) / (wide @ exact @ wide + float(r))
-    assert S.dtype == x.dtype == P.dtype == np.float32
-    kept = S.astype(float) @ S.astype(float).T
-    true = np.linalg.eigvalsh(exact)
-    assert_allclose(np.linalg.eigvalsh(kept), true, rtol=0.01)
-    lost = np.linalg.eigvalsh(P.astype(float))
-    assert lost[0] <= 0
-    assert lost[1] < 0.6 * true[1]
-
-
-@pytest.mark.parametrize("form", ["potter", "carlson"])
-def test_37_the_filter_flies_with_either(minutes, sound, form):
-    """#37: two minutes of classic-22, to 1e-6 m and 1e-8 rad of Joseph's form."""
-    _, sensed = minutes
-    found = Classic22(form=form).run(sensed.data, sensed.initial)
-    assert np.abs(found.lla - sound.lla)[:, :2].max() * 6.4e6 < 1e-6
-    assert np.abs(found.vel_n - sound.vel_n).max() < 1e-8
-    assert np.abs(found.q_nb - sound.q_nb).max() < 1e-8
-    assert (found.lla != sound.lla).any()
-
-
-def other_methods(runs=20, seconds=900, seed=9):
-    """RMS of the corrected INS after 300 s, position [m] and velocity [m/s], by method (A 4, #38).
-
-    Each of them corrects the same INS errors by the same measurements: the Kalman filter; one with the gain
-    of the end of a flight throughout; a parabola through the last minute of differences INS less GNSS
-    (batch least squares); a complementary filter, differences smoothed over 20 s.
-    """
-    rng = np.random.default_rng(seed)
-    sig = GRADE.sigmas
-    P = FLIGHT.start(GRADE)
-    metres = np.ones(6)
-    metres[:2] = FLIGHT.reduced
-    gains, steps = [], []
-    for k in range(1, seconds + 1):
-        moves = Phi, G = FLIGHT.move(sig, k)
-        P = Phi @ P @ Phi.T + G @ G.T
-        H, R = FLIGHT.measure(sig, k)
-        K, _, P = update(P, H, R)
-        gains.append(K)
-        steps.append((moves, H, R))
-    last = gains[-1]
-    x = np.sqrt(np.diag(FLIGHT.start(GRADE)))[:, None] * rng.standard_normal((22, runs))
-    best, fixed, slow = np.zeros((3, 22, runs))
-    window = []
-    basis = np.vander(np.arange(-59.0, 1.0) / 60.0, 3, increasing=True)
-    to_end = np.linalg.pinv(basis)[0]
-    squares = dict.fromkeys(("kalman", "fixed gain", "least squares", "complementary"), 0.0)
-    for k, (moves, H, R) in enumerate(steps, 1):
-        Phi, G = moves
-        x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
-        best, fixed = Phi @ best, Phi @ fixed
-        z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((7, runs))
-        best = best + gains[k - 1] @ (z - H @ best)
-        fixed = fixed + last @ (z - H @ fixed)
-        window = [*window[-59:], z[1:7]]
-        slow[:6] += (z[1:7] - slow[:6]) / 20.0
-        if k > 300:
-            fitted = np.tensordot(to_end, np.array(window), 1)
-            for name, found in zip(squares, (best[:6], fixed[:6], fitted, slow[:6]), strict=True):
-                squares[name] = squares[name] + np.mean(((found - x[:6]) / metres[:, None]) ** 2, axis=1)
-    return {
-        name: [math.sqrt(v[:3].sum() / (seconds - 300)), math.sqrt(v[3:].sum() / (seconds - 300))]
-        for name, v in squares.items()
-    }
-
-
-def test_38_the_kalman_filter_is_no_worse_than_the_other_methods():
-    """#38: 20 seeds of 900 s, position and velocity; in velocity the others lose by a fifth or more."""
-    found = other_methods()
-    best = found.pop("kalman")
-    for name, (position, velocity) in found.items():
-        assert best[0] <= position, (name, best, position)
-        assert 1.2 * best[1] <= velocity, (name, best, velocity)
 
 
 # --- what the estimator does with it: #39 to #45 ----------------------------------------------------------

@@ -15,7 +15,7 @@ In one respect each the filter goes beyond the source, as the register decides: 
 Somigliana's gravity in place of a sphere (A-5.1.10, A-5.1.4g), seven measurements in place of eight
 (A-5.4.8R), coning and sculling of the previous interval, and the lever arm of the GNSS antenna (section 10).
 
-It shares with the compiled filters the datasheets, the Earth and the choice of rows of a record; the
+It shares with the compiled filters the datasheets, the Earth and the choice of rows of a record; Joseph's
 covariance is `filterpy`'s, and everything else is its own, so that one can be held against the other.
 """
 
@@ -51,9 +51,10 @@ class Classic22:
     """
 
     needs = ("fixes",)
+    model: type[ClassicOptions] = ClassicOptions
 
     def __init__(self, **options: Any) -> None:
-        self.options = read_options(ClassicOptions, options)
+        self.options: ClassicOptions = read_options(self.model, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, sensor errors and their covariance."""
@@ -99,7 +100,7 @@ class Classic22:
         for k in output_at.tolist():
             outputs[k] = outputs.get(k, 0) + 1
 
-        flight = FilterLoop(self.options, sensors, initial)
+        flight = self.make_loop(sensors, initial)
         if len(t):  # what is measured at the start sees the rate of the first sample
             flight.w_b = np.array(dtheta[0]) / steps.span[0]
         for fix_row, baro_row in arrived.get(-1, ()):
@@ -114,6 +115,10 @@ class Classic22:
             if k in outputs:
                 answers += [flight.answer()] * outputs[k]
         return _solution(sensors, served, answers, flight, events)
+
+    def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
+        """Return navigator and filter at the start of a record."""
+        return FilterLoop(self.options, sensors, initial)
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, SensorData
-from bench.navigation import square_root, timeline
+from bench.navigation import timeline
+from bench.navigation.classic.covariance_forms import Form, make_form
 from bench.navigation.classic.navigator import (
     FRD_OF_FUR,
     NED_OF_ENU,
@@ -31,7 +33,6 @@ from bench.navigation.classic.observation_model import (
     measurement_matrix,
     measurement_noise,
     ned_matrix,
-    pseudo_inverse,
 )
 from bench.navigation.classic.process_model import SIZE, gnss_decay, model, model_van_loan, per_axis, sigmas
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
@@ -42,18 +43,10 @@ _ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
 
-def covariance_floor(P: FloatArray, floor: FloatArray) -> None:
-    """Raise the diagonal of P to at least floor (22,) (A-5.4.F)."""
-    index = np.arange(len(floor))
-    P[index, index] = np.maximum(P[index, index], floor)
-
-
 class FilterLoop:
     """The navigator, its filter and their book-keeping over one record."""
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
-        from filterpy.kalman import KalmanFilter
-
         self.options, self.sensors = options, sensors
         self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
         self.sig = replace(
@@ -76,8 +69,7 @@ class FilterLoop:
         P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
         P[9:15, :9] = P[:9, 9:15].T
         self.floor = options.floor**2 * np.diag(P)
-        self.kf: Any = KalmanFilter(dim_x=SIZE, dim_z=7)
-        self.kf.P = P
+        self.form: Form = make_form(options, P)
         self.scale = (east, north)  # of the reduced Markov states
 
         self.elapsed, self.lost = 0.0, np.zeros(2)  # time and what a gap adds since the last prediction
@@ -130,13 +122,25 @@ class FilterLoop:
         scale = reduced(self.nav, ellipsoid(self.nav.lat, self.nav.h))
         Phi[16, 16] *= scale[0] / self.scale[0]
         Phi[17, 17] *= scale[1] / self.scale[1]
-        self.kf.predict(F=Phi, Q=Q)
-        self.kf.P[range(3, 9), range(3, 9)] += np.repeat(self.lost, 3)
+        self.form.predict(Phi, Q, T)
+        if self.lost.any():
+            self._grow(range(3, 9), np.repeat(self.lost, 3))
         self.scale = scale
-        covariance_floor(self.kf.P, self.floor)
+        self._keep_floor()
         self.elapsed = 0.0
         self.B_sum, self.dv_sum, self.start = np.zeros((3, 3)), np.zeros(3), self.nav
         self.lost = np.zeros(2)
+
+    def _grow(self, states: Iterable[int], variance: ArrayLike) -> None:
+        """Add a variance to each of some states."""
+        added = np.zeros(SIZE)
+        added[list(states)] = variance
+        self.form.add(np.diag(np.sqrt(added)))
+
+    def _keep_floor(self) -> None:
+        """Raise the diagonal of P to at least the floor (A-5.4.F)."""
+        if self.options.floor > 0:
+            self._grow(range(SIZE), np.maximum(self.floor - np.diag(self.form.covariance), 0.0))
 
     # -- the measurements
 
@@ -146,17 +150,15 @@ class FilterLoop:
         east, north = reduced(self.nav, earth)
         jump = fix_row is not None and self._satellites_changed(fix_row)
         if jump:
-            self.kf.P[16:, 16:] += np.diag(
-                np.square(per_axis(self.sig.jump_markov) * [east, north, 1, 1, 1, 1])
-            )
+            self._grow(range(16, SIZE), np.square(per_axis(self.sig.jump_markov) * [east, north, 1, 1, 1, 1]))
         H, Q = measurement_matrix(), measurement_noise(self.sig, east, north, jump)
         antenna_matrix(H, self.nav, earth, self.antenna, self.w_b)
         R = Q @ Q.T
         Y = self._measurements(earth, fix_row, baro_row)
-        y = Y - H @ self.kf.x[:, 0]  # A-5.4.6
-        PH, S = self.kf.P @ H.T, H @ self.kf.P @ H.T + R
+        x, PH = self.form.x.astype(float), self.form.covariance @ H.T
+        y, S = Y - H @ x, H @ PH + R  # A-5.4.6
         metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
-        error = H[:, :15] @ self.kf.x[:15, 0]  # of the INS, as far as it is known
+        error = H[:, :15] @ x[:15]  # of the INS, as far as it is known
         apart = (Y - error) * metres  # corrected INS less measured
         use = []
         vel_row = fix_row
@@ -178,18 +180,9 @@ class FilterLoop:
             return
         if self.options.rows == 8 and len(use) == 7:
             use = list(range(8))
-            self.kf.inv = pseudo_inverse
-        if self.options.form == "joseph":
-            self.kf.update(Y[use, None], R=R[np.ix_(use, use)], H=H[use])  # A-5.4.5
-        else:
-            step = square_root.potter if self.options.form == "potter" else square_root.carlson
-            x, root = self.kf.x[:, 0], square_root.upper_root(self.kf.P)
-            for k in use:
-                x, root = step(x, root, H[k], float(Y[k]), float(R[k, k]))
-            self.kf.x, self.kf.P = x[:, None], root @ root.T
-        self.kf.inv = np.linalg.inv
-        covariance_floor(self.kf.P, self.floor)
-        found = H[:, :15] @ self.kf.x[:15, 0] - error
+        self.form.update(Y[use], H[use], R[np.ix_(use, use)], use, self.nav)
+        self._keep_floor()
+        found = H[:, :15] @ self.form.x[:15].astype(float) - error
         for name, (at, offset) in self.accepted.items():  # the correction moves the INS, not the last fix
             self.accepted[name] = (at, offset - (found * metres)[_ROWS[name]])
         for name in ("gnss_position", "gnss_velocity"):
@@ -243,8 +236,8 @@ class FilterLoop:
             unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
             states = _STATES[name]
             x = PH[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
-            self.kf.P += np.outer(x, x)
-            self.kf.P[states, states] += np.square(y * unit)
+            self.form.add(x[:, None])
+            self._grow(states, np.square(y * unit))
         if failed and not readmitted:
             self.misses[name] += 1
             start = self.refused.get(name, (now, now, failed[0]))[0]
@@ -296,15 +289,15 @@ class FilterLoop:
         options = self.options
         if not options.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
             return
-        x = self.kf.x[:, 0]
+        x = self.form.x.astype(float)
         self.nav = corrected(self.nav, x)
         self.start = self.nav
         self.eps = self.eps + x[9:12]
         self.da = self.da + x[12:15]
-        self.kf.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 and P are kept
+        self.form.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 and P are kept
         period = options.correction_period
         if isinstance(period, str):
-            spread = 3.0 * np.sqrt(np.diag(self.kf.P))
+            spread = 3.0 * np.sqrt(np.diag(self.form.covariance))
             attitude, gyro, accel = (spread[first : first + 3].max() for first in (6, 9, 12))
             period = correction_period(math.radians(options.admissible_deg), attitude, gyro, accel)
         self.next_correction = now + period
@@ -313,7 +306,7 @@ class FilterLoop:
 
     def answer(self) -> tuple[FloatArray, ...]:
         """Return lla, vel_n, q_nb, states, their sd and the covariance of the corrected output."""
-        x, P = self.kf.x[:, 0], self.kf.P
+        x, P = self.form.x.astype(float), self.form.covariance
         nav = corrected(self.nav, x)
         earth = ellipsoid(nav.lat, nav.h)
         J = ned_matrix(nav, earth)
