@@ -7,76 +7,17 @@ the Earth, Schuler's pendulum, the classical coning motion. Gates G2 and G5.
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 
 from bench import earth, rotation
 from bench.navigation import mechanization
+from tests.inertial_motion import inertial_solution, integrate_rates
 
 START = ([0.8, 0.2, 1000.0], [40.0, 20.0, -2.0], rotation.from_euler(0.1, -0.05, 0.5))
 
 
-def body_rates(t):
-    """A smooth, rich motion: w_ib_b [rad/s] and f_b [m/s^2]."""
-    w = np.stack([0.5 * np.sin(0.9 * t), 0.2 * np.sin(0.5 * t + 1), 0.15 * np.cos(0.3 * t)])
-    f = np.stack([1.0 * np.sin(0.4 * t), 2.0 * np.sin(0.7 * t + 0.3), -9.8 + 1.5 * np.cos(0.6 * t)])
-    return w, f
-
-
-def increments(t):
-    """Exact integrals of :func:`body_rates` between the instants t."""
-    w = np.stack(
-        [-0.5 / 0.9 * np.cos(0.9 * t), -0.2 / 0.5 * np.cos(0.5 * t + 1), 0.15 / 0.3 * np.sin(0.3 * t)], axis=1
-    )
-    f = np.stack(
-        [
-            -1.0 / 0.4 * np.cos(0.4 * t),
-            -2.0 / 0.7 * np.cos(0.7 * t + 0.3),
-            -9.8 * t + 1.5 / 0.6 * np.sin(0.6 * t),
-        ],
-        axis=1,
-    )
-    return np.diff(w, axis=0), np.diff(f, axis=0)
-
-
-def inertial_solution(duration):
-    """The same motion integrated in the inertial frame by DOP853: position, velocity, attitude at the end."""
-    lla, vel_n, q_nb = (np.array(x) for x in START)
-    C_en = earth.matrix_en(lla[0], lla[1])
-    r = earth.to_ecef(lla)
-    rate = np.array([0.0, 0.0, earth.EARTH_RATE])
-    v = C_en @ vel_n + np.cross(rate, r)
-    q = rotation.multiply(rotation.from_matrix(C_en), q_nb)  # the frames e and i agree at t = 0
-
-    def slope(t, x):
-        turn = rotation.from_rotvec(-rate * t)  # i to e
-        lla = earth.to_geodetic(rotation.rotate(turn, x[:3]))
-        g_e = earth.matrix_en(lla[0], lla[1]) @ earth.gravity_n(lla[0], lla[2])
-        gravity = rotation.rotate(rotation.conjugate(turn), g_e)
-        gravitation = gravity + np.cross(rate, np.cross(rate, x[:3]))
-        w, f = body_rates(t)
-        return np.concatenate(
-            [
-                x[3:6],
-                rotation.rotate(x[6:], f) + gravitation,
-                0.5 * rotation.multiply(x[6:], np.concatenate([[0], w])),
-            ]
-        )
-
-    end = solve_ivp(
-        slope, (0, duration), np.concatenate([r, v, q]), method="DOP853", rtol=1e-13, atol=1e-9
-    ).y[:, -1]
-    turn = rotation.from_rotvec(-rate * duration)
-    pos_e = rotation.rotate(turn, end[:3])
-    lla = earth.to_geodetic(pos_e)
-    C_en = earth.matrix_en(lla[0], lla[1])
-    vel_n = C_en.T @ (rotation.rotate(turn, end[3:6]) - np.cross(rate, pos_e))
-    q_eb = rotation.multiply(turn, end[6:] / np.linalg.norm(end[6:]))
-    return lla, vel_n, rotation.multiply(rotation.conjugate(rotation.from_matrix(C_en)), q_eb)
-
-
 def errors_at(rate, duration, reference):
     t = np.arange(round(duration * rate) + 1) / rate
-    state = mechanization.propagate(*START, np.diff(t), *increments(t))[-1]
+    state = mechanization.propagate(*START, np.diff(t), *integrate_rates(t))[-1]
     lla, vel_n, q_nb = reference
     turn = rotation.to_rotvec(rotation.multiply(state[6:], rotation.conjugate(q_nb)))
     return (
@@ -92,7 +33,7 @@ def test_solves_the_equations_of_motion_and_its_error_falls_with_the_step():
     The bounds at 200 Hz are a tenth of what 600 s of flight may lose (1 mm, 1 microradian).
     """
     duration = 60.0
-    reference = inertial_solution(duration)
+    reference = inertial_solution(START, duration)
     assert (np.array(errors_at(200, duration, reference)) < [1e-4, 1e-5, 1e-7]).all()
     coarse, fine = (errors_at(rate, duration, reference) for rate in (25, 100))
     assert coarse[0] / fine[0] > 4**2
@@ -103,10 +44,10 @@ def test_solves_the_equations_of_motion_and_its_error_falls_with_the_step():
 def test_both_corrections_are_needed(missing):
     """Without the previous interval's cross product the error is far above the one above."""
     duration, rate = 60.0, 50
-    reference = inertial_solution(duration)
+    reference = inertial_solution(START, duration)
     with_both = errors_at(rate, duration, reference)
     t = np.arange(duration * rate + 1) / rate
-    dtheta, dvel = increments(t)
+    dtheta, dvel = integrate_rates(t)
     # handing in every other interval of near zero length takes the memory of the step away
     f = 1 / 12
     a, b = dtheta[:-1], dtheta[1:]
@@ -161,9 +102,9 @@ def test_velocity_kick_swings_with_the_schuler_period():
 def test_unequal_intervals_are_corrected_by_their_own_lengths():
     """Intervals of 14 and 6 ms are worth 50 Hz; with the correction of equal lengths they are not."""
     duration = 60.0
-    reference = inertial_solution(duration)
+    reference = inertial_solution(START, duration)
     t = np.concatenate([[0.0], np.cumsum(np.tile([0.014, 0.006], int(duration / 0.02)))])
-    dtheta, dvel = increments(t)
+    dtheta, dvel = integrate_rates(t)
     turns = []
     for lengths in (np.diff(t), np.full(len(t) - 1, 0.01)):
         rotvec, dv, before = np.empty(3), np.empty(3), np.zeros(7)
