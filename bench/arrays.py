@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bench import disk_arrays
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -45,9 +47,8 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
     if np.ndim(value) == 0:
         array = array.reshape(())  # ascontiguousarray makes a row of a scalar
     _check_shape(name, array.shape, shape)
-    if finite and not np.isfinite(array).all():
-        row = int(np.argwhere(~np.isfinite(np.atleast_1d(array)))[0][0])
-        raise ValueError(f"{name} must be finite; the first bad value is in row {row}")
+    if finite:
+        _check_finite(name, np.atleast_1d(array))
     return array
 
 
@@ -62,7 +63,7 @@ def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[n
     given = np.asarray(value)
     array: NDArray[np.generic] = np.ascontiguousarray(given, dtype=dtype)
     _check_shape(name, array.shape, shape)
-    if given.size and not (array == given).all():
+    if given.dtype != dtype and given.size and not (array == given).all():
         raise ValueError(f"{name} must hold values of type {dtype.__name__}")
     return array
 
@@ -72,6 +73,14 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _check_finite(name: str, array: FloatArray) -> None:
+    for rows in disk_arrays.blocks(len(array)):
+        sound = np.isfinite(array[rows])
+        if not sound.all():
+            row = rows.start + int(np.argwhere(~sound)[0][0])
+            raise ValueError(f"{name} must be finite; the first bad value is in row {row}")
 
 
 def _check_shape(name: str, got: tuple[int, ...], shape: Shape) -> None:

@@ -10,7 +10,7 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-from bench import store
+from bench import disk_arrays, store
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
@@ -156,6 +156,7 @@ def run(
     check_times(profile, float(truth.t[-1]))
     clock["sense"] = time.process_time()
     sensed = sense(profile, truth, run)
+    disk_arrays.release()
     clock["navigate"] = time.process_time()
     solutions, unmodelled, used = {}, dict[str, list[str] | None](), dict[str, float]()
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
@@ -168,13 +169,17 @@ def run(
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
             solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
+        disk_arrays.release()
         solutions[label] = solution
         used[label] = _read_cpu_clock() - begun
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.evaluation.verdict import add_verdict
 
-    judged = {label: judge(profile, truth, solution, sensed.truth) for label, solution in solutions.items()}
+    judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
+    for label, solution in solutions.items():
+        judged[label] = judge(profile, truth, solution, sensed.truth)
+        disk_arrays.release()
     metrics = {
         label: {
             **judged[label][1],

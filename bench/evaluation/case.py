@@ -10,7 +10,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
 from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
-from bench.evaluation.error_series import as_slice, heading_sd, select_epochs
+from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
 from bench.specs import AssumedSpecs, Fault
@@ -151,7 +151,7 @@ def build_case(
     kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
     inside = select_epochs(solution, rows)
     with np.errstate(invalid="ignore"):
-        sd = np.sqrt(np.einsum("kii->ki", inside.cov))
+        sd = np.sqrt(variances(inside))
     return Case(
         t=errors.t[taken],
         pos_n=errors.pos_n[taken],

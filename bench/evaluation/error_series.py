@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray, read_only
 from bench.compiled import kernel
 from bench.data import ErrorSeries, NavSolution, Trajectory
@@ -52,32 +52,42 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
     ValueError
         If a time of the solution lies outside the truth.
     """
-    lla, vel_n, q_nb = interpolate_truth(truth, solution.t)
-    with np.errstate(over="ignore", invalid="ignore"):  # a diverged solution is a result, not a warning
-        pos_n = earth.difference_n(solution.lla, lla)
-        vel_error_n = solution.vel_n - vel_n
-        phi_n = rotation.to_rotvec(rotation.multiply(solution.q_nb, rotation.conjugate(q_nb)))
-        difference = rotation.to_euler(solution.q_nb)[2] - rotation.to_euler(q_nb)[2]
-        heading = np.pi - np.mod(np.pi - difference, 2 * np.pi)
-        error = np.hstack([pos_n, vel_error_n, phi_n])
-        present = claimed_blocks(solution)
-        counted = np.repeat([name in present for name in BLOCKS], 3)
-        cov = solution.cov if counted.all() else solution.cov[:, counted][:, :, counted]
-        nees = normalized_squares(error[:, counted], cov)
+    present = claimed_blocks(solution)
+    counted = np.repeat([name in present for name in BLOCKS], 3)
+    error, heading, nees = np.empty((len(solution), 9)), np.empty(len(solution)), np.empty(len(solution))
+    for rows in disk_arrays.blocks(len(solution)):
+        lla, vel_n, q_nb = interpolate_truth(truth, solution.t[rows])
+        estimate, cov = solution.q_nb[rows], solution.cov[rows]
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverged solution is a result, not a warning
+            error[rows, 0:3] = earth.difference_n(solution.lla[rows], lla)
+            error[rows, 3:6] = solution.vel_n[rows] - vel_n
+            error[rows, 6:9] = rotation.to_rotvec(rotation.multiply(estimate, rotation.conjugate(q_nb)))
+            difference = rotation.to_euler(estimate)[2] - rotation.to_euler(q_nb)[2]
+            heading[rows] = np.pi - np.mod(np.pi - difference, 2 * np.pi)
+            claimed = cov if counted.all() else cov[:, counted][:, :, counted]
+            nees[rows] = normalized_squares(error[rows][:, counted], claimed)
     return ErrorSeries(
         t=solution.t,
-        pos_n=pos_n,
-        vel_n=vel_error_n,
-        phi_n=phi_n,
+        pos_n=error[:, 0:3],
+        vel_n=error[:, 3:6],
+        phi_n=error[:, 6:9],
         heading=heading,
         nees=nees,
         states=int(counted.sum()),
     )
 
 
+def variances(solution: NavSolution) -> FloatArray:
+    """Return the variances (M, 9) of a solution, the diagonal of its covariance."""
+    found = np.empty((len(solution), 9))
+    for rows in disk_arrays.blocks(len(solution)):
+        found[rows] = np.einsum("kii->ki", solution.cov[rows])
+    return found
+
+
 def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
     """Return the names of the blocks that have any number, as values or on the diagonal of cov."""
-    variance = np.einsum("kii->ki", solution.cov)
+    variance = variances(solution)
     return tuple(
         name
         for name, rows in BLOCKS.items()
@@ -87,7 +97,7 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
 
 def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
     """Return the estimated blocks whose accuracy is claimed: any number on the diagonal of cov."""
-    variance = np.einsum("kii->ki", solution.cov)
+    variance = variances(solution)
     return tuple(name for name in estimated_blocks(solution) if not np.isnan(variance[:, BLOCKS[name]]).all())
 
 
@@ -198,12 +208,14 @@ def heading_sd(solution: NavSolution) -> FloatArray:
     ``d heading = phi_D + tan(pitch) (phi_N cos(heading) + phi_E sin(heading))`` to first order: the rotation
     of the horizontal part of the forward axis ``C_nb e_1``.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        _, pitch, heading = rotation.to_euler(solution.q_nb)
-        slope = np.tan(pitch)
-        h = np.stack([slope * np.cos(heading), slope * np.sin(heading), np.ones_like(slope)], axis=-1)
-        P = solution.cov[:, BLOCKS["phi"], BLOCKS["phi"]]
-        sd: FloatArray = np.sqrt(np.einsum("ki,kij,kj->k", h, P, h))
+    sd = np.empty(len(solution))
+    for rows in disk_arrays.blocks(len(solution)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            _, pitch, heading = rotation.to_euler(solution.q_nb[rows])
+            slope = np.tan(pitch)
+            h = np.stack([slope * np.cos(heading), slope * np.sin(heading), np.ones_like(slope)], axis=-1)
+            P = solution.cov[rows, BLOCKS["phi"], BLOCKS["phi"]]
+            sd[rows] = np.sqrt(np.einsum("ki,kij,kj->k", h, P, h))
     return sd
 
 
@@ -245,7 +257,7 @@ def check_convergence(
             return False, f"covariance is not positive definite at {_describe_epochs(solution, bad)}"
     if "pos" in blocks:
         distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
-        sigma = np.sqrt(solution.cov[:, 0, 0] + solution.cov[:, 1, 1])
+        sigma = np.sqrt(variances(solution)[:, :2].sum(axis=1))
         bad = (distance > DIVERGED_DISTANCE) & (distance > DIVERGED_SIGMAS * sigma)
         if bad.any():
             k = int(np.argmax(bad))
@@ -258,10 +270,13 @@ def check_convergence(
 
 def count_aligning_epochs(solution: NavSolution, until: float) -> int:
     """Count the epochs at the start of a solution, before ``until`` [s], that are NaN throughout."""
-    started = solution.t >= until
-    for column in (*(getattr(solution, name) for name in _VALUES.values()), solution.cov):
-        started |= ~np.isnan(column.reshape(len(column), -1)).all(axis=1)
-    return int(np.argmax(started)) if started.any() else 0
+    for rows in disk_arrays.blocks(len(solution)):
+        started = solution.t[rows] >= until
+        for column in (*(getattr(solution, name) for name in _VALUES.values()), solution.cov):
+            started |= ~np.isnan(column[rows].reshape(len(started), -1)).all(axis=1)
+        if started.any():
+            return int(rows.start + np.argmax(started))
+    return 0
 
 
 def find_covered_epochs(solution: NavSolution) -> BoolArray:

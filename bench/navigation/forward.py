@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, no_innovations
+from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
 from bench.navigation.aiding import (
     SATELLITE_ROWS,
     SENSORS,
@@ -34,6 +34,7 @@ from bench.navigation.cycle import (
 )
 from bench.navigation.error_state import StateLayout
 from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.refusals import refusals
 from bench.navigation.rough_heading import add_arm
 from bench.navigation.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.wide_rows import widened
@@ -223,6 +224,7 @@ class ForwardRun:
         self.work.known[:] = model.process.thermal[0], *model.process.range
         self.pending = pending_for(n, 1, 6)
         self.moved = False
+        self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
 
     def copy(self) -> ForwardRun:
         """Return a filter that goes on from here by itself."""
@@ -235,6 +237,7 @@ class ForwardRun:
         other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
         gate = self.gate
         other.gate = gate._replace(misses=gate.misses.copy(), used=gate.used.copy(), level=gate.level.copy())
+        other.refused = dict(self.refused)
         return other
 
     def state(self) -> dict[str, Any]:
@@ -246,6 +249,7 @@ class ForwardRun:
             "pending": self.pending._asdict(),
             "gate": {"misses": gate.misses, "used": gate.used, "level": gate.level},
             "moved": self.moved,
+            "refused": [[channel, *so_far] for channel, so_far in self.refused.items()],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -255,6 +259,7 @@ class ForwardRun:
         self.work.carried[:] = state["carried"]
         self.pending, self.moved = Pending(**state["pending"]), state["moved"]
         self.gate = self.gate._replace(**state["gate"])
+        self.refused = {channel: tuple(so_far) for channel, *so_far in state["refused"]}
 
     def nothing(self) -> NavSolution:
         """Return a solution without instants."""
@@ -340,7 +345,7 @@ class ForwardRun:
             )
         state, cov, variance = found
         add_arm(cov, self.antenna_b)
-        events = schedule.events + refusals(numbers[:, 0], marks, names)
+        events = schedule.events + refusals(numbers[:, 0], marks, names, self.refused, last=schedule.last)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:
@@ -362,21 +367,6 @@ def with_channels(gate: Gate, channels: int, start: float) -> Gate:
     return gate._replace(
         misses=np.append(gate.misses, np.zeros(new, np.int64)), used=np.append(gate.used, np.full(new, start))
     )
-
-
-def refusals(t: FloatArray, marks: IntArray, names: list[str]) -> list[EventRow]:
-    """Return an event for every row of refusals of one channel, from the first to the last instant."""
-    events = []
-    first = marks[:, 1] == 0
-    for channel in np.unique(marks[first & (marks[:, 2] == 0), 3]):
-        rows = np.flatnonzero(first & (marks[:, 3] == channel))
-        refused = marks[rows, 2] == 0
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
-        for begin, end in edges.reshape(-1, 2):
-            span = float(t[rows[begin]]), float(t[rows[end - 1]])
-            text = f"{names[channel]}: {end - begin} in a row refused"
-            events.append((*span, "refused", text, names[channel]))
-    return sorted(events)
 
 
 def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:

@@ -22,7 +22,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.navigation import aiding, alignment, constraints, hypotheses, ranging, standstill
+from bench.navigation import aiding, alignment, constraints, hypotheses, in_blocks, ranging, standstill
 from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.error_state import POS, VEL
@@ -43,11 +43,13 @@ from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import Schedule
 from bench.navigation.states import Block
+from bench.navigation.timeline import empty_epochs
 from bench.navigation.turn_on import run_from_turn_on
 from bench.navigation.waiting import columns
 from bench.specs import AssumedSpecs
 
 _NEVER = np.iinfo(np.int64).max
+_STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
 _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]
 
 
@@ -109,8 +111,27 @@ class Fusion:
     ) -> tuple[NavSolution, Nodes]:
         """Return what :meth:`forward` does, from a complete initial state."""
         passage = Passage(self, sensors, initial, events, keep=keep, gyro_sd=gyro_sd)
-        passage.take(sensors, last=True)
-        return passage.go()
+        if keep or self.of_the_whole or not in_blocks.is_long(sensors):
+            passage.take(sensors, last=True)
+            return passage.go()
+        joined, wait = in_blocks.JoinedSolution(sensors.output_t), in_blocks.longest_wait(sensors)
+        for piece, last in in_blocks.cut_record(sensors):
+            passage.take(piece, last=last)
+            if last or passage.can_go(wait):
+                solution, nodes = passage.go(wait)
+                joined.add(solution)
+        seen, empty = sensors.observations, list[EventRow]()
+        if seen is not None and SATELLITES in passage.used:
+            empty = empty_epochs(seen.t, seen.epoch_start, initial.t, passage.schedule.end)
+        return joined.solution(empty), nodes
+
+    @property
+    def of_the_whole(self) -> list[str]:
+        """The options that look at a whole record at once, as a profile has them."""
+        options = self.options
+        asked = ("standstill", "nonholonomic", "coordinated")
+        whole = [f"{name} = true" for name in asked if getattr(options, name)]
+        return whole + ['integrity = ["velocity"]'] * ("velocity" in options.integrity)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -244,7 +265,6 @@ class Passage:
             0.0 if options.covariance_hz is None else (1.0 - 1e-6) / options.covariance_hz,
             keep,
         )
-        self.begun = False
 
     def take(self, piece: SensorData, *, last: bool) -> None:
         """Take the next piece; nothing comes after the ``last``."""
@@ -267,9 +287,12 @@ class Passage:
             last_row, motion_b = constraints.samples(schedule.imu, schedule.rows, flying=flying)
             white = constraints.AIR_SD if flying else constraints.SHAKING_SD
             schedule.add_samples(aiding.VEHICLE_ROWS, last_row, motion_b, np.full(6, white**2))
-        if not self.begun:
+        if last:
             schedule.events += self._absent(piece)
-            self.begun = True
+
+    def can_go(self, look_back: float) -> bool:
+        """Return whether there is enough to go over before the last piece."""
+        return self.schedule.end - self.schedule.t >= look_back + _STRIDE
 
     def go(self, look_back: float = 0.0) -> tuple[NavSolution, Nodes]:
         """Return the answers that are final, and the nodes of a smoother.
@@ -291,7 +314,6 @@ class Passage:
             "schedule": self.schedule.state(),
             "run": self.run.state(),
             "channels": self.channels.names,
-            "begun": self.begun,
             "initial": columns(self.initial),
         }
 
@@ -299,13 +321,13 @@ class Passage:
         """Take over what :meth:`state` returned."""
         self.schedule.restore(state["schedule"])
         self.run.restore(state["run"])
-        self.channels.names, self.begun = list(state["channels"]), state["begun"]
+        self.channels.names = list(state["channels"])
 
-    def _absent(self, first: SensorData) -> list[EventRow]:
+    def _absent(self, piece: SensorData) -> list[EventRow]:
         """Return an event for each sensor that is asked for and not there."""
         asked, start = self.filter.aiding(), self.initial.t
         absent = [sensor.option for sensor in asked if sensor.on_request and sensor not in self.used]
-        if SATELLITES in asked and first.observations is None and first.fixes is not None:
+        if SATELLITES in asked and piece.observations is None and piece.fixes is not None:
             absent.append("tight coupling")
         text = "asked for, but the record holds nothing for it"
         return [(start, self.schedule.end, "aiding", f"{what}: {text}") for what in absent]

@@ -30,8 +30,6 @@ from bench.navigation.fusion import Fusion, Passage
 from bench.navigation.waiting import columns, join_rows, take_observations, take_rows
 from bench.specs import AssumedSpecs
 
-_OF_THE_WHOLE = ("standstill", "nonholonomic", "coordinated")
-_STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
 _SETTLED = 2.0  # time after an alignment until which the record may still change it [s]
 
 
@@ -72,10 +70,7 @@ class PieceFilter:
                 f"{use!r} cannot run in pieces: the compiled filters loose-*, tight, baro-inertial and "
                 "free-inertial can"
             )
-        whole = [f"{name} = true" for name in _OF_THE_WHOLE if getattr(estimator.options, name)]
-        if "velocity" in estimator.options.integrity:
-            whole.append('integrity = ["velocity"]')
-        if whole:
+        if whole := estimator.of_the_whole:
             raise EstimatorError(
                 f"{use!r} cannot run in pieces with {' and '.join(whole)}, which looks at the whole record; "
                 "leave it out"
@@ -234,7 +229,7 @@ class PieceFilter:
                 f"{self.use!r} cannot run in pieces over a gap of {gap:.3g} s in the IMU record, after which "
                 f"it starts again; up to {timeline.LONGEST_BRIDGE:g} s are bridged: open another behind it"
             )
-        if not last and passage.schedule.end - passage.schedule.t < self.look_back + _STRIDE:
+        if not last and not passage.can_go(self.look_back):
             return passage.run.nothing()
         return passage.go(self.look_back)[0]
 

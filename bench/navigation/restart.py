@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import (
     EventRow,
@@ -37,7 +37,7 @@ from bench.navigation.gnss_only import FixTrack, unknown_arm
 from bench.navigation.measurements import fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
-from bench.navigation.waiting import take_observations, take_rows
+from bench.navigation.waiting import join_rows, take_observations, take_rows
 from bench.specs import AxisFigures, ImuSpec, TriadSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
@@ -104,8 +104,7 @@ def run_between_gaps(
     bench.errors.EstimatorError
         If the record does not allow the alignment asked for at the start.
     """
-    gaps, _ = _long_gaps(sensors, initial.t)
-    if accuracy is None or sensors.fixes is None or not gaps:
+    if accuracy is None or sensors.fixes is None or not _has_long_gap(sensors, initial.t):
         return run(sensors, initial)
     start, aligned = alignment.complete(sensors, initial)
     gaps, rows = _long_gaps(sensors, start.t)
@@ -147,6 +146,19 @@ def _long_gaps(sensors: SensorData, start: float) -> tuple[list[int], IntArray]:
     rows, span, _ = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
     gaps = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     return gaps.tolist(), rows
+
+
+def _has_long_gap(sensors: SensorData, start: float) -> bool:
+    """Return whether any sample in use comes after a long gap."""
+    intake, imu, spec = timeline.ImuIntake(start), sensors.imu, sensors.specs.imu
+    waiting = take_rows(imu, slice(0))
+    for block in disk_arrays.blocks(len(imu)):
+        samples = join_rows(waiting, take_rows(imu, block))
+        rows, span, _, again = intake.take(samples, spec, last=block.stop == len(imu))
+        if (span - samples.dt[rows] > timeline.LONGEST_BRIDGE).any():
+            return True
+        waiting = take_rows(samples, again)
+    return False
 
 
 def _start_again(piece: SensorData, begin: float, coast: _Coast) -> tuple[InitialState | None, str]:

@@ -373,16 +373,18 @@ def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArra
 
 
 def without_velocity(fixes: GnssFixes, rows: IntArray) -> list[EventRow]:
-    """Return the event that counts the fixes among some rows that have no velocity; none if all have."""
+    """Return the events that count the fixes among some rows that have no velocity; none if all have."""
     finite = np.isfinite(fixes.vel_n[rows]).sum(axis=1)
     if (finite == 3).all():
         return []
     t = fixes.t[rows[finite < 3]]
-    text = f"gnss: {len(t)} fixes without velocity"
-    part = int(((finite > 0) & (finite < 3)).sum())
-    if part:
-        text += f", in {part} of them some components are not finite"
-    return [(float(t.min()), float(t.max()), "timeline", text, "gnss")]
+    part = t[finite[finite < 3] > 0]
+    counts = (t, "fixes without velocity"), (part, "velocities finite in some components alone, left out")
+    return [
+        (float(t.min()), float(t.max()), "timeline", f"gnss: {len(t)} {what}", "gnss")
+        for t, what in counts
+        if len(t)
+    ]
 
 
 def ordered_rows(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
 from bench.instruments import INSTRUMENTS
@@ -57,6 +58,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     for name, row in INSTRUMENTS.items():
         unit = getattr(spec, name)
         if unit is not None:
+            disk_arrays.release()
             model = import_module(f"bench.sensors.{row.model}")
             record, error = model.report(truth, spec, seed, run)
             drawn[name] = _interpolate_error(bias.t, record.t, error) + evaluate_faults(name, row.width)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
 from bench.sensors import faults
@@ -106,16 +106,18 @@ def compute_antenna_motion(
     interval before, with an error of dt / 2 times the first derivative. The rotation of n between IMU and
     antenna, l / R, is neglected.
     """
-    lever_n = rotation.rotate(truth.q_nb[rows], np.array(antenna_b))
+    q_nb, lla = disk_arrays.take(truth.q_nb, rows), disk_arrays.take(truth.lla, rows)
+    lever_n = rotation.rotate(q_nb, np.array(antenna_b))
     before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(truth.dtheta_b) - 1)
     rate_before, rate_after = (
-        truth.dtheta_b[at] / (truth.t[at + 1] - truth.t[at])[:, None] for at in (before, after)
+        disk_arrays.take(truth.dtheta_b, at) / (truth.t[at + 1] - truth.t[at])[:, None]
+        for at in (before, after)
     )
-    w_ib_n = rotation.rotate(truth.q_nb[rows], 0.5 * (rate_before + rate_after))
-    lat = truth.lla[rows, 0]
+    w_ib_n = rotation.rotate(q_nb, 0.5 * (rate_before + rate_after))
+    lat = lla[:, 0]
     w_ie_n = earth.EARTH_RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
-    vel_n = truth.vel_n[rows] + np.cross(w_ib_n - w_ie_n, lever_n)
-    return earth.displace(truth.lla[rows], lever_n), vel_n
+    vel_n = disk_arrays.take(truth.vel_n, rows) + np.cross(w_ib_n - w_ie_n, lever_n)
+    return earth.displace(lla, lever_n), vel_n
 
 
 def _draw_white(name: str, count: int, sd: FloatArray, seed: int, run: int) -> FloatArray:
@@ -130,9 +132,8 @@ def _draw_markov(
     """Draw a Gauss-Markov error (M, 3) with decay ``rate`` (M,) [1/s] in the interval before each epoch."""
     if not sd.any():
         return np.zeros((len(t), 3))
-    decay = np.exp(-rate[1:] * np.diff(t))[:, None]
-    noise = stream(seed, run, name).standard_normal((len(t), 1, 3))
-    return sd * simulate_gauss_markov(decay, np.ones(1), noise)
+    one = np.ones(1)
+    return sd * simulate_gauss_markov(rate[1:] * np.diff(t), one, one, stream(seed, run, name))
 
 
 def _draw_jumps(

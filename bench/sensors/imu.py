@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import ImuData, Trajectory
@@ -35,24 +36,25 @@ class ImuBias(NamedTuple):
 
 @kernel
 def _measure_kernel(
-    t: FloatArray, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
+    t: FloatArray, first: int, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
     white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
     rest: FloatArray, out: FloatArray, valid: BoolArray,
 ) -> None:  # fmt: skip
-    """Fill out (N-1, 3) from increment (N-1, 3) between t (N,); bias (B, 3) at rows knots (B,) of t.
+    """Fill out (K, 3) from the increments (K, 3) that begin at row ``first`` of t (N,).
 
-    ``random_walk`` (3,) is by axis. ``white`` and ``motion_errors`` (N-1, 3) have no rows if the triad has no
-    such errors. The bias is linear between knots, so its value in the middle of a sample, times dt, is its
-    integral. A rate beyond ``limit`` (0: no limit) is clipped and its row of ``valid`` cleared. ``rest`` (3,)
-    is what rounding to ``lsb`` has left.
+    ``bias`` (B, 3) is that at rows knots (B,) of t. ``random_walk`` (3,) is by axis. ``white`` and
+    ``motion_errors`` (K, 3) have no rows if the triad has no such errors. The bias is linear between knots,
+    so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit`` (0: no limit)
+    is clipped and its row of ``valid`` cleared. ``rest`` (3,) is what rounding leaves for the next sample.
     """
     j = 0
     for k in range(increment.shape[0]):
-        while knots[j + 1] <= k:
+        row = first + k
+        while knots[j + 1] <= row:
             j += 1
-        dt = t[k + 1] - t[k]
+        dt = t[row + 1] - t[row]
         t0, t1 = t[knots[j]], t[knots[j + 1]]
-        s = (0.5 * (t[k] + t[k + 1]) - t0) / (t1 - t0)
+        s = (0.5 * (t[row] + t[row + 1]) - t0) / (t1 - t0)
         x, y, z = increment[k, 0], increment[k, 1], increment[k, 2]
         root, most = np.sqrt(dt), limit * dt
         for i in range(3):
@@ -104,12 +106,14 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
         return lambda term: stream(seed, run, f"imu.{part}.{term}")
 
     t = truth.t
+    dt = disk_arrays.empty(len(t) - 1)
+    np.subtract(t[1:], t[:-1], out=dt)
     dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, make_draw("vibration"))
     force, N = dvel_b, None
     if spec.accel_cone > 0 or spec.accel_arms:
         N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
         arms = np.array(spec.accel_arms) if spec.accel_arms else None
-        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, np.diff(t), arms, N)
+        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N)
     slow_rows = _select_knots(t, _BIAS_STEP)
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
@@ -123,7 +127,7 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
     if N is not None and spec.accel_cone > 0:
         back: FloatArray = np.linalg.inv(N).astype(float)
         measured[1], biases[1] = (imu_terms.rotate_rows(back, rows) for rows in (measured[1], biases[1]))
-    imu = ImuData(t=t[1:], dt=np.diff(t), valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
+    imu = ImuData(t=t[1:], dt=dt, valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
     return imu, ImuBias(t[slow_rows], biases[0], biases[1])
 
 
@@ -141,14 +145,16 @@ def _measure_triad(
     knots, bias = _draw_bias(t, spec, slow_rows, warmth, draw)
     increment = imu_terms.apply_response(t, motion, spec)
     motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draw)
-    white = np.empty((0, 3))
-    if spec.random_walk > 0:
-        white = draw("white").standard_normal((len(t) - 1, 3))
-    out = np.empty_like(increment)
-    _measure_kernel(
-        t, increment, M, knots, bias, white, spec.by_axis("random_walk"), spec.quantization,
-        motion_errors, spec.range, np.zeros(3), out, valid,
-    )  # fmt: skip
+    out, rest = disk_arrays.empty(increment.shape), np.zeros(3)
+    noise = draw("white") if spec.random_walk > 0 else None
+    for rows in disk_arrays.blocks(len(out)):
+        white = np.empty((0, 3))
+        if noise is not None:
+            white = noise.standard_normal((rows.stop - rows.start, 3))
+        _measure_kernel(
+            t, rows.start, increment[rows], M, knots, bias, white, spec.by_axis("random_walk"),
+            spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
+        )  # fmt: skip
     return out, bias[np.searchsorted(knots, slow_rows)]
 
 
@@ -165,9 +171,7 @@ def _draw_bias(
         correlation, sd = choose_bias_stages(spec)
         if correlation.min() < _FAST:
             knots = np.arange(len(t))
-        decay = np.exp(-np.diff(t[knots])[:, None] / correlation)
-        noise = draw("instability").standard_normal((len(knots), len(sd), 3))
-        bias = simulate_gauss_markov(decay, sd, noise)
+        bias = simulate_gauss_markov(np.diff(t[knots]), correlation, sd, draw("instability"))
         bias *= spec.by_axis("bias_instability") / spec.bias_instability
     if spec.turn_on_bias_sd > 0:
         bias += spec.by_axis("turn_on_bias_sd") * draw("turn_on").standard_normal(3)
@@ -180,8 +184,10 @@ def _draw_bias(
         slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draw("temperature").standard_normal(3))
     if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
         if len(knots) > len(slow_rows):
-            slow = np.column_stack([np.interp(t[knots], t[slow_rows], column) for column in slow.T])
-        bias += slow
+            for axis, column in enumerate(slow.T):
+                bias[:, axis] += np.interp(t[knots], t[slow_rows], column)
+        else:
+            bias += slow
     return knots, bias
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData
@@ -84,15 +85,16 @@ def resolve_along_axes(
     N : (3, 3) array
         Unit vectors of the sensing axes, b.
     """
-    out = np.empty_like(dvel_b)
+    out = disk_arrays.empty(dvel_b.shape)
     _along_kernel(dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, out)
     return out
 
 
 def rotate_rows(C: FloatArray, rows: FloatArray) -> FloatArray:
     """Multiply every row (K, 3) by C: ``rows @ C.T`` without threads."""
-    out = np.empty_like(rows)
-    _rotate_rows_kernel(C, rows, out)
+    out = disk_arrays.empty(rows.shape)
+    for block in disk_arrays.blocks(len(rows)):
+        _rotate_rows_kernel(C, rows[block], out[block])
     return out
 
 
@@ -143,14 +145,20 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> Flo
     if max(spec.delay, spec.bandwidth, spec.dead_zone) <= 0:
         return increment
     interval = (t[-1] - t[0]) / (len(t) - 1)
-    if max(spec.delay, spec.bandwidth) > 0 and np.abs(np.diff(t) - interval).max() > 1e-6 * interval:
+    if max(spec.delay, spec.bandwidth) > 0 and _largest_deviation(t, interval) > 1e-6 * interval:
         raise ValueError("bandwidth and delay need samples of equal length")
     cutoff = 2 * np.pi * spec.bandwidth
     step = compute_oscillator_step(cutoff, np.sqrt(0.5), interval) if cutoff > 0 else np.zeros((2, 2))
-    out = np.empty_like(increment)
+    out = disk_arrays.empty(increment.shape)
     width, hard = spec.dead_zone * interval, spec.dead_zone_kind == "hard"
     _response_kernel(increment, spec.delay / interval, cutoff, step, interval, width, hard, out)
     return out
+
+
+def _largest_deviation(t: FloatArray, interval: float) -> float:
+    """Return how far the samples at most differ from an interval [s]."""
+    parts = (t[rows.start : rows.stop + 1] for rows in disk_arrays.blocks(len(t) - 1))
+    return max(float(np.abs(np.diff(part) - interval).max()) for part in parts)
 
 
 def compute_oscillator_step(w: float, damping: float, interval: float) -> FloatArray:
@@ -250,9 +258,11 @@ def draw_motion_errors(
         sd * draw(name).standard_normal(shape) if sd.any() else np.zeros(shape)
         for name, (sd, shape) in terms.items()
     )
-    out = np.empty_like(increment)
+    out = disk_arrays.empty(increment.shape)
     full = spec.range if spec.nonlinearity_sd > 0 else 1.0
-    _motion_errors_kernel(t, increment, dvel_b, a, n, q, G, H, full, out)
+    for rows in disk_arrays.blocks(len(out)):
+        instants = t[rows.start : rows.stop + 1]
+        _motion_errors_kernel(instants, increment[rows], dvel_b[rows], a, n, q, G, H, full, out[rows])
     return out
 
 

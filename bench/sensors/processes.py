@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.signals import allan
@@ -15,27 +16,40 @@ _FLICKER_STAGES = (0.05, 0.55, 6.0)
 
 
 @kernel
-def _gauss_markov_kernel(decay: FloatArray, sd: FloatArray, noise: FloatArray, out: FloatArray) -> None:
-    """Add K stationary stages to out (B, 3); decay (B-1, K), sd (K,), unit noise (B, K, 3)."""
+def _gauss_markov_kernel(
+    decay: FloatArray, sd: FloatArray, noise: FloatArray, state: FloatArray, out: FloatArray
+) -> None:
+    """Add K stages to out (B, 3); decay (B, K) since the instant before, sd (K,), unit noise (B, K, 3).
+
+    ``state`` (K, 3) holds the stages before the first instant and becomes those at the last.
+    """
     for stage in range(noise.shape[1]):
         for axis in range(3):
-            x = sd[stage] * noise[0, stage, axis]
-            out[0, axis] += x
-            for k in range(1, noise.shape[0]):
-                w = decay[k - 1, stage]
+            x = state[stage, axis]
+            for k in range(noise.shape[0]):
+                w = decay[k, stage]
                 x = w * x + sd[stage] * np.sqrt(1.0 - w * w) * noise[k, stage, axis]
                 out[k, axis] += x
+            state[stage, axis] = x
 
 
-def simulate_gauss_markov(decay: FloatArray, sd: FloatArray, noise: FloatArray) -> FloatArray:
+def simulate_gauss_markov(
+    dt: FloatArray, correlation: FloatArray, sd: FloatArray, generator: np.random.Generator
+) -> FloatArray:
     """Simulate the sum (B, 3) of first-order Gauss-Markov stages, stationary from the first instant.
 
-    ``decay`` (B - 1, K) is the correlation of each stage between neighbouring instants, ``exp(-dt /
-    correlation)``, ``sd`` (K,) its standard deviation, ``noise`` (B, K, 3) standard normal numbers. The
-    discretization is exact for any dt.
+    ``dt`` (B - 1,) are the intervals between the instants, ``correlation`` (K,) the correlation times of the
+    stages in the same unit, ``sd`` (K,) their standard deviations. ``generator`` draws the noise in order of
+    time. The discretization is exact for any interval.
     """
-    out = np.zeros((len(noise), 3))
-    _gauss_markov_kernel(decay, sd, noise, out)
+    out = disk_arrays.zeros((len(dt) + 1, 3))
+    state = np.zeros((len(sd), 3))
+    for rows in disk_arrays.blocks(len(out)):
+        decay = np.exp(-dt[max(rows.start - 1, 0) : rows.stop - 1, None] / correlation)
+        if not rows.start:
+            decay = np.concatenate([np.zeros((1, len(sd))), decay])
+        noise = generator.standard_normal((len(decay), len(sd), 3))
+        _gauss_markov_kernel(decay, sd, noise, state, out[rows])
     return out
 
 

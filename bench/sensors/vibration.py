@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData, Trajectory
@@ -41,25 +42,29 @@ def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArra
     if not (engine.any() or gusts.any()):
         return truth.dtheta_b, truth.dvel_b
     t, air = truth.t, truth.air
-    c, s, angle, displacement, strength = np.zeros((5, len(t)))
+    c, s, angle, displacement, strength = (disk_arrays.zeros(len(t)) for _ in range(5))
     cosines, sines, shape = np.zeros((3, 2, 3))
     if engine.any():
         phases = draw("engine").uniform(0.0, 2 * np.pi, (2, 3))
         size = np.sqrt(2) * engine / (spec.engine_order * spec.engine_reference) ** 2
         cosines, sines = -size[:, None] * np.cos(phases), size[:, None] * np.sin(phases)
         _engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, angle)
-        c, s = np.cos(angle), np.sin(angle)
+        np.cos(angle, out=c)
+        np.sin(angle, out=s)
     if gusts.any():
         shape = draw("shape").standard_normal((2, 3))
         shape *= gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
         _interpolate_kernel(t, air.t, compute_gust_rms(air), strength)
-        displacement = _simulate_mode(t, spec, draw("gust").standard_normal((len(t), 2)))
-    dtheta_b, dvel_b = np.empty_like(truth.dtheta_b), np.empty_like(truth.dvel_b)
-    for triad, (true, out) in enumerate(((truth.dtheta_b, dtheta_b), (truth.dvel_b, dvel_b))):
-        _shake_kernel(
-            t, true, angle, c, s, cosines[triad], sines[triad], displacement, strength, shape[triad], out
-        )
-    return dtheta_b, dvel_b
+        _simulate_mode(t, spec, draw("gust"), displacement)
+    shaken = disk_arrays.empty(truth.dtheta_b.shape), disk_arrays.empty(truth.dvel_b.shape)
+    for triad, (true, out) in enumerate(zip((truth.dtheta_b, truth.dvel_b), shaken, strict=True)):
+        for rows in disk_arrays.blocks(len(out)):
+            at = slice(rows.start, rows.stop + 1)
+            _shake_kernel(
+                t[at], true[rows], angle[at], c[at], s[at], cosines[triad], sines[triad],
+                displacement[at], strength[at], shape[triad], out[rows],
+            )  # fmt: skip
+    return shaken
 
 
 @kernel
@@ -116,8 +121,10 @@ def compute_gust_rms(air: AirData) -> FloatArray:
     return rms
 
 
-def _simulate_mode(t: FloatArray, spec: VibrationSpec, noise: FloatArray) -> FloatArray:
-    """Return the displacement (N,) of a stationary mode with a rate of rms 1, from unit noise (N, 2)."""
+def _simulate_mode(
+    t: FloatArray, spec: VibrationSpec, generator: np.random.Generator, displacement: FloatArray
+) -> None:
+    """Fill the displacement (N,) of a stationary mode with a rate of rms 1."""
     w = 2 * np.pi * spec.mode_frequency
     step = compute_oscillator_step(w, spec.mode_damping, (t[-1] - t[0]) / (len(t) - 1))
     spread = np.diag([1 / w**2, 1.0])  # of displacement and rate
@@ -126,21 +133,27 @@ def _simulate_mode(t: FloatArray, spec: VibrationSpec, noise: FloatArray) -> Flo
     root[0, 0] = np.sqrt(added[0, 0])
     root[1, 0] = added[1, 0] / root[0, 0]
     root[1, 1] = np.sqrt(added[1, 1] - root[1, 0] ** 2)
-    displacement = np.empty(len(t))
-    _mode_kernel(step, root, 1 / w, noise, displacement)
-    return displacement
+    state = np.zeros(2)
+    for rows in disk_arrays.blocks(len(t)):
+        noise, out = generator.standard_normal((rows.stop - rows.start, 2)), displacement[rows]
+        if not rows.start:
+            state[:] = noise[0] * [1 / w, 1.0]
+            out[0] = state[0]
+            noise, out = noise[1:], out[1:]
+        _mode_kernel(step, root, noise, state, out)
 
 
 @kernel
 def _mode_kernel(
-    step: FloatArray, added: FloatArray, sd: float, noise: FloatArray, displacement: FloatArray
+    step: FloatArray, added: FloatArray, noise: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
-    x, v = sd * noise[0, 0], noise[0, 1]
-    displacement[0] = x
-    for k in range(1, len(displacement)):
+    """Fill out (K,) with the displacement; ``state`` (2,) is it and its rate before, then at the end."""
+    x, v = state[0], state[1]
+    for k in range(len(out)):
         a, b = noise[k, 0], noise[k, 1]
         x, v = (
             step[0, 0] * x + step[0, 1] * v + added[0, 0] * a,
             step[1, 0] * x + step[1, 1] * v + added[1, 0] * a + added[1, 1] * b,
         )
-        displacement[k] = x
+        out[k] = x
+    state[0], state[1] = x, v

@@ -22,28 +22,47 @@ INNOVATIONS: Layout = {"sensor" if name == "code" else name: column for name, co
 TRUTH: Layout = columns_of(Trajectory)
 MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
 
+_BETWEEN = ("dtheta_b", "dvel_b")
+"""Columns of the truth with a row for each interval between two instants."""
+
 _BANDED = {"frequency": "hz", "pseudorange": "m", "range_rate": "mps", "cn0": "dbhz"}
+
+
+def layout_of(record: object) -> Layout:
+    """Return the layout of the columns of a record."""
+    if isinstance(record, SensorTruth):
+        return drawn_layout(tuple(record.bias))
+    if isinstance(record, Innovations):
+        return INNOVATIONS
+    if isinstance(record, GnssObservations):
+        return observation_layout(record.pseudorange.shape[1])
+    if isinstance(record, NavSolution):
+        return solution_layout(record.extra_names)
+    return columns_of(type(record))
 
 
 def flatten(record: object) -> tuple[object, Layout]:
     """Return an object with one field for each column of a record, and the layout of these columns."""
-    if isinstance(record, Trajectory):
-        no_interval = np.full((1, 3), np.nan)  # the first instant ends no interval
-        rows = {name: getattr(record, name) for name in TRUTH}
-        rows |= {name: np.vstack([no_interval, rows[name]]) for name in ("dtheta_b", "dvel_b")}
-        return SimpleNamespace(**rows), TRUTH
-    if isinstance(record, SensorTruth):
-        rows = {name: getattr(record, name) for name in columns_of(SensorTruth)} | dict(record.bias)
-        return SimpleNamespace(**rows), drawn_layout(tuple(record.bias))
-    if isinstance(record, Innovations):
-        rows = {name: getattr(record, name) for name in INNOVATIONS}
-        rows["sensor"] = tuple(record.sensor[code] for code in record.code)
-        return SimpleNamespace(**rows), INNOVATIONS
-    if isinstance(record, GnssObservations):
-        return record, observation_layout(record.pseudorange.shape[1])
-    if isinstance(record, NavSolution):
-        return record, solution_layout(record.extra_names)
-    return record, columns_of(type(record))
+    layout = layout_of(record)
+    return take_block(record, layout, slice(0, None)), layout
+
+
+def take_block(record: object, layout: Layout, rows: slice) -> object:
+    """Return an object with some rows of each column of a record; ``rows`` has a start."""
+    block: dict[str, object] = {}
+    for name in layout:
+        if isinstance(record, Innovations) and name == "sensor":
+            block[name] = tuple(record.sensor[code] for code in record.code[rows])
+        elif isinstance(record, SensorTruth) and name in record.bias:
+            block[name] = record.bias[name][rows]
+        elif isinstance(record, Trajectory) and name in _BETWEEN:
+            stop = None if rows.stop is None else rows.stop - 1
+            increments = getattr(record, name)[max(rows.start - 1, 0) : stop]
+            none = np.full((1, 3), np.nan)  # the first instant ends no interval
+            block[name] = increments if rows.start else np.vstack([none, increments])
+        else:
+            block[name] = getattr(record, name)[rows]
+    return SimpleNamespace(**block)
 
 
 def observation_layout(bands: int) -> Layout:

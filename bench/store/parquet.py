@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench.store.columns import Layout, flatten
+from bench import disk_arrays
+from bench.store.columns import Layout, layout_of, take_block
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_GROUP = 1 << 22  # values of a table that are written and read at a time
 PART = ".part"
 """Ending of the name of a table that is being written by :func:`write_table`."""
 
@@ -48,8 +50,16 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
     """
     import pyarrow.parquet as pq
 
-    rows, columns = (record, layout) if layout is not None else flatten(record)
-    pq.write_table(to_table(rows, columns, facts), path, compression="zstd", use_dictionary=False)
+    columns = layout_of(record) if layout is None else layout
+    count = len(getattr(record, next(iter(columns))))
+    step = max(1, _GROUP // max(1, sum(len(one.names) for one in columns.values())))
+    table = to_table(take_block(record, columns, slice(0, step)), columns, facts)
+    with pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False) as file:
+        file.write_table(table)
+        for first in range(step, count, step):
+            disk_arrays.release()
+            block = take_block(record, columns, slice(first, first + step))
+            file.write_table(to_table(block, columns, facts))
 
 
 def write_csv(path: Path, record: object, layout: Layout) -> None:
@@ -148,9 +158,26 @@ def read(path: Path, layout: Layout) -> dict[str, Any]:
     """Read the fields of a layout, by name, in the shapes that their record declares."""
     import pyarrow.parquet as pq
 
+    found: dict[str, Any] = {}
     with pq.ParquetFile(path) as file:
-        table = file.read()
-    return {name: _get_field(table, columns.names, columns.shape) for name, columns in layout.items()}
+        count = file.metadata.num_rows
+        if file.num_row_groups == 1:
+            table = file.read()
+            return {name: _get_field(table, one.names, one.shape) for name, one in layout.items()}
+        filled = 0
+        for group in range(file.num_row_groups):
+            table = file.read_row_group(group)
+            for name, one in layout.items():
+                rows = _get_field(table, one.names, one.shape)
+                if isinstance(rows, tuple):
+                    found[name] = found.get(name, ()) + rows
+                    continue
+                if name not in found:
+                    found[name] = disk_arrays.empty((count, *rows.shape[1:]), rows.dtype.type)
+                found[name][filled : filled + len(rows)] = rows
+            filled += table.num_rows
+            disk_arrays.release()
+    return found
 
 
 def read_names(path: Path) -> Sequence[str]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.data import AirData, Controls, Events, Trajectory
 from bench.places import PACKAGE, cache_folder
 from bench.scratch import LOCK, make_scratch
@@ -298,8 +299,7 @@ def _list_columns(entry: Path) -> list[str]:
 
 def _map_column(entry: Path, name: str) -> _Array:
     """Return a memory-mapped column of an entry; rows that are not read take no memory."""
-    rows: _Array = np.load(entry / f"{name}.npy", mmap_mode="r", allow_pickle=False)
-    return rows
+    return disk_arrays.map_file(entry / f"{name}.npy")
 
 
 def _read_texts(entry: Path) -> dict[str, list[str]]:

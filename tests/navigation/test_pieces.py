@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config, sensors
+from bench import config, disk_arrays, sensors
 from bench.errors import EstimatorError
 from bench.navigation import estimator
 from tests.builders import assert_same_solution, at_rest, put, take
@@ -106,6 +106,26 @@ def test_wherever_the_record_is_cut_and_whatever_is_asked_the_bits_are_those_of_
     assert last.t[0] == expected.t[-1]
     for name in ("lla", "vel_n", "q_nb", "cov", "extra", "extra_sd"):
         assert_array_equal(getattr(last, name)[0], getattr(expected, name)[-1], err_msg=name)
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_long_record_goes_through_a_filter_in_blocks_with_the_bits_of_the_whole(use, monkeypatch):
+    """Its events, too: what is counted over all blocks, and refusals that go on from one to the next."""
+    initial, data = record(use)
+    if data.baro is not None:  # from 5.05 to 8 s refused, over the ends of two blocks
+        alt_baro = np.where((data.baro.t > 5.03) & (data.baro.t < 8.0), 1e5, data.baro.alt_baro)
+        t_arrival = np.where(data.baro.t < 9.0, data.baro.t_arrival, np.nan)
+        data = replace(data, baro=replace(data.baro, alt_baro=alt_baro, t_arrival=t_arrival))
+    expected = estimator.load(use, USES[use]).run(data, initial)
+    for rows in (83, 290):
+        monkeypatch.setattr(disk_arrays, "ROWS", rows)
+        monkeypatch.setattr(disk_arrays, "LARGE", 0)
+        found = estimator.load(use, USES[use]).run(data, initial)
+        assert_same_solution(found, expected)
+        assert sorted(found.events.rows()) == sorted(expected.events.rows())
+    if data.baro is not None and use != "free-inertial":
+        assert any("in a row refused" in text for text in expected.events.text)
+        assert any("rows left out: flagged or not finite" in text for text in expected.events.text)
 
 
 def test_pieces_of_one_sample_make_the_whole():

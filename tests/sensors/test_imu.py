@@ -309,6 +309,7 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     knots = np.append(np.arange(0, n, 10), n)
     arguments = (
         turn.t[: n + 1],
+        0,
         turn.dvel_b[:n],
         rng.normal(scale=1e-3, size=(3, 3)),
         knots,
@@ -326,8 +327,10 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     assert_allclose(compiled, plain, rtol=0, atol=1e-13)
     assert_array_equal(flags[0], flags[1])
 
-    decay, sd = np.exp(-rng.uniform(size=(49, 2))), np.array([1.0, 2.0])
-    noise = rng.normal(size=(50, 2, 3))
+    dt, correlation, sd = rng.uniform(size=49), np.array([0.5, 3.0]), np.array([1.0, 2.0])
+    noise = np.random.default_rng(5).normal(size=(50, 2, 3))
     plain = np.zeros((50, 3))
-    processes._gauss_markov_kernel.py_func(decay, sd, noise, plain)
-    assert_allclose(processes.simulate_gauss_markov(decay, sd, noise), plain, rtol=0, atol=1e-13)
+    decay = np.exp(-np.concatenate([[np.inf], dt])[:, None] / correlation)
+    processes._gauss_markov_kernel.py_func(decay, sd, noise, np.zeros((2, 3)), plain)
+    simulated = processes.simulate_gauss_markov(dt, correlation, sd, np.random.default_rng(5))
+    assert_allclose(simulated, plain, rtol=0, atol=1e-13)

@@ -9,13 +9,25 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
+from bench.data import AirData
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
 from bench.sensors import initial, sense
 from bench.sensors.timing import select_output_times
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec, stream
+from bench.specs import (
+    AssumedSpecs,
+    Fault,
+    GnssSpec,
+    ImuSpec,
+    SensorsSpec,
+    ThermalSpec,
+    TriadSpec,
+    VibrationSpec,
+    stream,
+)
 from tests.builders import band
 from tests.synthetic import still, turning
+from tests.weaving import weaving
 
 TRIAD = TriadSpec(
     random_walk=4e-5,
@@ -58,6 +70,49 @@ def test_the_same_seed_and_run_give_the_same_bits_and_others_do_not(turn):
         assert not np.array_equal(first.data.fixes.lla, other.data.fixes.lla)
         assert not np.array_equal(first.data.baro.alt_baro, other.data.baro.alt_baro)
         assert not np.array_equal(first.initial.lla, other.initial.lla)
+
+
+@pytest.mark.parametrize("rows", [1, 89, 640])
+def test_a_record_made_in_blocks_on_disk_has_the_bits_of_the_whole(rows, monkeypatch):
+    """Of an IMU with every error at once, some of them faster than a second, and with faults."""
+    errors: dict[str, object] = {
+        "dead_zone": 1e-4,
+        "delay": 0.013,
+        "bandwidth": 20.0,
+        "range": 4.0,
+        "rate_random_walk": 1e-6,
+        "scale_asymmetry_sd": 1e-3,
+        "nonlinearity_sd": 1e-3,
+        "quadratic_sd": 1e-3,
+        "nonorthogonality_sd": 1e-3,
+        "alignment_sd": 1e-3,
+        "temperature_sd": 1e-5,
+    }
+    gyro = replace(TRIAD, bias_correlation=5.0, g_sensitivity_sd=1e-5, g2_sensitivity_sd=1e-6, **errors)
+    shaking = VibrationSpec(0.01, 0.3, 500.0, 1.0, 0.01, 0.3, 12.0, 0.1)
+    arms = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1))
+    unit = ImuSpec(
+        "all", gyro, replace(TRIAD, **errors | {"range": 30.0}), accel_arms=arms, accel_cone=0.6,
+        vibration=shaking, thermal=ThermalSpec(290.0, 20.0, 3.0),
+    )  # fmt: skip
+    faults = (
+        Fault("gyro-step", "gyro", 2.0, 3.0, "", step=(0.1, 0.0, 0.0), ramp=(0.0, 0.1, 0.0)),
+        Fault("repeated", "imu", 4.0, 5.0, "", share=0.5),
+        Fault("noise-burst", "accel", 5.0, 6.0, "", times=3.0),
+    )
+    mag, pitot = MagSpec("mag", 20.0, 2e-7), AirspeedSpec("pitot", 20.0, pressure_white_sd=2.0, bias_sd=0.3)
+    gnss = replace(GNSS, pos_h_markov_sd=1.0, pos_decay_time=0.01)
+    spec = replace(SPEC, imu=unit, gnss=gnss, mag=mag, airspeed=pitot, faults=faults)
+    rng = np.random.default_rng(4)
+    t, one = np.arange(0.0, 9.01, 0.05), np.ones(181)
+    wind_n, engine_speed = rng.normal(size=(181, 3)), 200.0 + rng.normal(size=181)
+    flow = (25.0 * one, 24.0 * one, 0.02 * one, 0.01 * one)
+    air = AirData(t, 9e4 * one, 280.0 + t, *flow, wind_n, engine_speed)
+    truth = replace(weaving(9.0, 100.0), air=air)
+    whole = pickle.dumps(sense(truth, spec, 1, 0))
+    monkeypatch.setattr(disk_arrays, "ROWS", rows)
+    monkeypatch.setattr(disk_arrays, "LARGE", 0)
+    assert pickle.dumps(sense(truth, spec, 1, 0)) == whole
 
 
 def test_leaving_out_one_sensor_leaves_the_others_bit_identical(turn):

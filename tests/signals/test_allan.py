@@ -125,10 +125,9 @@ def test_the_spread_of_the_estimate_is_that_of_its_degrees_of_freedom():
     """400 records of a Gauss-Markov rate: the relative variance of its Allan variance is 2 / edf."""
     rng = np.random.default_rng(8)
     n, m, count = 2000, 64, 400
-    decay = np.exp(-np.full((n, 1), 1.0) / 30.0)
     values = []
     for _ in range(count // 3 + 1):
-        rate = processes.simulate_gauss_markov(decay, np.ones(1), rng.normal(size=(n + 1, 1, 3)))
+        rate = processes.simulate_gauss_markov(np.ones(n), np.array([30.0]), np.ones(1), rng)
         angle = 0.5 * (rate[1:] + rate[:-1])
         values += list(allan.measure_deviation(angle, 1.0, [m])[0] ** 2)
     edf = allan.degrees_of_freedom(allan.markov(1.0, 30.0), n, 1.0, m)

@@ -22,7 +22,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench import config, store
+from bench import config, disk_arrays, store
 from bench.data import (
     ErrorSeries,
     Events,
@@ -205,6 +205,18 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
     assert instruments.keys() == {"baro", "mag", "airspeed"}
     for name, record in instruments.items():
         equal(record, getattr(sensed.data, name))
+
+
+@pytest.mark.parametrize("values", [1, 300])
+def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, result, truth, sensed, values):
+    monkeypatch.setattr(store.parquet, "_GROUP", values)
+    monkeypatch.setattr(disk_arrays, "LARGE", 0)
+    store.save(tmp_path, result)
+    again = store.load(tmp_path)
+    equal(again.solutions["loose-15"], result.solutions["loose-15"])
+    equal(again.errors["loose-15"], result.errors["loose-15"])
+    equal(again.truth, truth)
+    equal(again.sensed, sensed)
 
 
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):

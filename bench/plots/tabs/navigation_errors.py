@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.evaluation.error_series import BLOCKS
+from bench.evaluation.error_series import BLOCKS, variances
 from bench.plots.content import Content, Tab
 from bench.plots.series import AXES_N, Plot, Rows, draw_three_sigma
 
@@ -18,7 +18,7 @@ def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> 
     for label, colour in content.colours.items():
         solution, error = content.solutions[label], content.errors[label]
         with np.errstate(invalid="ignore"):  # a diverged covariance is a result: its sigma is NaN
-            sd = np.sqrt(np.einsum("kii->ki", solution.cov))[np.searchsorted(solution.t, error.t)]
+            sd = np.sqrt(variances(solution))[np.searchsorted(solution.t, error.t)]
         values, sigma = scale * getattr(error, f"{block}_n"), scale * sd[:, BLOCKS[block]]
         rows = []
         for k, axis in enumerate(AXES_N):

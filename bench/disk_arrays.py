@@ -1,0 +1,100 @@
+"""Large arrays on disk, so that a long flight needs no more memory than a short one.
+
+An array above :data:`LARGE` lies in a file without a name in the cache folder, which is gone with the array,
+and is mapped into memory. The system writes its pages to disk where memory is short. :func:`release` takes
+all of them out of the memory of this process at once: who goes over a long record in pieces calls it after
+each, and then needs no more than what a piece touches.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.places import cache_folder
+
+LARGE = 16 << 20
+"""From this size on an array lies on disk [byte]: gyros of two hours at 100 Hz do, of one hour do not."""
+
+ROWS = 1 << 16
+"""Rows of a long record that are worked on at a time."""
+
+_mapped: WeakSet[mmap.mmap] = WeakSet()
+
+
+def empty(shape: int | tuple[int, ...], dtype: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Return an array whose values are not set, on disk if it is large.
+
+    It lies in memory where there is no room on the disk, and on systems that cannot promise it.
+    """
+    shape = (shape,) if isinstance(shape, int) else shape
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size >= LARGE and hasattr(os, "posix_fallocate"):
+        folder = cache_folder("scratch")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder) as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+                memory = mmap.mmap(file.fileno(), size)
+        except OSError:
+            return np.empty(shape, dtype)
+        _mapped.add(memory)
+        return np.frombuffer(memory, dtype).reshape(shape)
+    return np.empty(shape, dtype)
+
+
+def zeros(shape: int | tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of zeros as :func:`empty` returns one."""
+    array = empty(shape)
+    if array.base is None:  # a new file holds zeros
+        array[...] = 0.0
+    return array
+
+
+def map_file(path: Path) -> NDArray[Any]:
+    """Return the array of a ``.npy`` file, read-only; rows that are not read take no memory.
+
+    Raises
+    ------
+    OSError, ValueError
+        If it cannot be read or holds no array of numbers.
+    """
+    array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    if isinstance(array, np.memmap):
+        _mapped.add(array._mmap)  # type: ignore[attr-defined]
+    return array
+
+
+def take(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+    """Return ``array[rows]`` of rising rows; little of the array is in memory at once."""
+    if len(array) <= ROWS:
+        return array[rows]
+    taken = empty((len(rows), *array.shape[1:]), array.dtype.type)
+    for block in blocks(len(array)):
+        first, stop = np.searchsorted(rows, [block.start, block.stop])
+        taken[first:stop] = array[rows[first:stop]]
+    return taken
+
+
+def release() -> None:
+    """Take the pages of all arrays on disk out of the memory of this process; their values stay."""
+    for memory in list(_mapped):
+        if hasattr(memory, "madvise"):
+            memory.madvise(mmap.MADV_DONTNEED)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Yield slices over so many rows, and release what was touched after each but the only one."""
+    for first in range(0, count, ROWS):
+        yield slice(first, min(first + ROWS, count))
+        if count > ROWS:
+            release()
