@@ -68,6 +68,13 @@ def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[n
     return array
 
 
+def take_increasing(column: FloatArray, rows: IntArray) -> FloatArray:
+    """Return rows (K,), in order, of a column: a view where none between them is left out."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+        return column[rows[0] : rows[-1] + 1]
+    return column[rows]
+
+
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view: columns of records are such, and kernels are compiled once, for them."""
     view = array.view()

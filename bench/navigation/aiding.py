@@ -122,7 +122,7 @@ def use_kernel(
         H, z, r = pending.H[a : a + m], pending.z[a : a + m], pending.r[a : a + m]
         for b in range(m):
             r[b] *= level
-        nis = nis_kernel(P, dx, H, z, r, work.var, work.square)
+        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
         sound = nis <= gate.nis[m]
         squares, spread, excess = 0.0, 0.0, 0.0
         waited = t - gate.used[channel]
@@ -133,7 +133,8 @@ def use_kernel(
         for b in range(m):
             innovation = -z[b]  # measured minus predicted
             for i in range(n):
-                innovation += H[b, i] * dx[i]
+                if H[b, i] != 0.0:
+                    innovation += H[b, i] * dx[i]
             squares += innovation * innovation
             spread += work.var[b]
             most = min(innovation * innovation, gate.nis[1] * work.var[b])

@@ -93,6 +93,7 @@ class Work(NamedTuple):
     row: FloatArray  # (n,)
     other_row: FloatArray  # (n,)
     square: FloatArray  # (3, 4)
+    rows: FloatArray  # (3, n)
     var: FloatArray  # (3,)
     lever: FloatArray  # (3,)
     ahead: FilterState  # of a filter that goes ahead for an answer
@@ -129,6 +130,7 @@ def work_for(n: int, drives: int) -> Work:
         row=np.zeros(n),
         other_row=np.zeros(n),
         square=np.zeros((3, 4)),
+        rows=np.zeros((3, n)),
         var=np.zeros(3),
         lever=np.zeros(3),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),

@@ -21,26 +21,29 @@ def nis_kernel(
     r: FloatArray,
     var: FloatArray,
     work: FloatArray,
+    HP: FloatArray,
 ) -> float:
     """Return the normalized innovation squared of z (m,) = H dx + v; NaN if its covariance is not positive.
 
     Fill var (m,) with the diagonal of the covariance S = H P H' + diag(r). ``work`` (m, m + 1) ends as the
-    Cholesky factor of S and the innovation divided by it.
+    Cholesky factor of S and the innovation divided by it, ``HP`` (m, n) as H P.
     """
     m, n = H.shape
     nis = 0.0
     for a in range(m):
         e = z[a]
         for i in range(n):
-            e -= H[a, i] * dx[i]
+            HP[a, i] = 0.0
+        for j in range(n):
+            if H[a, j] != 0.0:
+                e -= H[a, j] * dx[j]
+                for i in range(n):
+                    HP[a, i] += P[j, i] * H[a, j]
         for b in range(a + 1):
             s = r[a] if a == b else 0.0
             for i in range(n):
                 if H[a, i] != 0.0:
-                    row = 0.0
-                    for j in range(n):
-                        row += P[i, j] * H[b, j]
-                    s += H[a, i] * row
+                    s += H[a, i] * HP[b, i]
             if a == b:
                 var[a] = s
             for k in range(b):
@@ -108,13 +111,16 @@ def update_kernel(
                 Ph[i] += P[j, i] * h[j]
             e -= h[j] * dx[j]
     for i in range(n):
-        s += h[i] * Ph[i]
+        if h[i] != 0.0:
+            s += h[i] * Ph[i]
     hph = s - r
     for i in range(n):
         K[i] = Ph[i] / s
         dx[i] += K[i] * e
     for i in range(n):
+        a, b, c = K[i], Ph[i] - K[i] * hph, r * K[i]
         for j in range(i + 1):
-            value = P[i, j] - K[i] * Ph[j] - (Ph[i] - K[i] * hph) * K[j] + r * K[i] * K[j]
-            P[i, j] = value
-            P[j, i] = value
+            P[i, j] = P[i, j] - a * Ph[j] - b * K[j] + c * K[j]
+    for i in range(n):
+        for j in range(i):
+            P[j, i] = P[i, j]

@@ -143,7 +143,9 @@ def run_between_gaps(
 
 def _long_gaps(sensors: SensorData, start: float) -> tuple[list[int], IntArray]:
     """Return which samples in use come after a long gap, and the rows in use."""
-    rows, span, _ = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
+    rows, span, events = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
+    if not events:
+        return [], rows
     gaps = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     return gaps.tolist(), rows
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import integrity, ranging, timeline
@@ -162,7 +162,7 @@ class Schedule:
             rows = np.append(self.rows, rows + len(self.imu))
             imu, span = join_rows(self.imu, imu), np.append(self.span, span)
         self.imu, self.rows, self.span, self.last = imu, rows, span, last
-        self.imu_t = imu.t[rows]
+        self.imu_t = take_increasing(imu.t, rows)
         self.output_t = np.append(self.output_t, sensors.output_t)
 
     def add(

@@ -80,6 +80,7 @@ class TrackWork(NamedTuple):
     dx: FloatArray  # (9,)
     var: FloatArray  # (3,)
     square: FloatArray  # (3, 4)
+    rows: FloatArray  # (3, 9)
     row: FloatArray  # (9,)
     other_row: FloatArray  # (9,)
     unused: FloatArray  # (9, 9)
@@ -103,6 +104,7 @@ def track_work() -> TrackWork:
         dx=states.copy(),
         var=vector.copy(),
         square=np.zeros((3, 4)),
+        rows=np.zeros((3, 9)),
         row=states.copy(),
         other_row=states.copy(),
         unused=np.zeros((9, 9)),
@@ -236,7 +238,7 @@ def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: FixLog
         for i in range(3):
             z[i] = -e[i]
         H, r = work.H[code], fixes.r[k, 3 * code : 3 * code + 3]
-        nis = nis_kernel(P, dx, H, z, r, work.var, work.square)
+        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
         sound = nis <= model.nis
         accepted = sound or now.misses[code] >= model.readmit_after
         now.misses[code] = 0 if accepted else now.misses[code] + 1

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.compiled import kernel
 from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
@@ -128,7 +128,7 @@ def steps(
     earlier : (L,) array of int
         Rows in use before the start: what is held over a gap comes from them, too.
     """
-    t, dt = imu.t[rows], imu.dt[rows]
+    t, dt = take_increasing(imu.t, rows), take_increasing(imu.dt, rows)
     ends = np.concatenate([[start], t])
     gap = span > dt + TIME_TOLERANCE
     cuts = [_inside(instants, ends)]
@@ -145,8 +145,8 @@ def steps(
         extra = extra[np.diff(extra, prepend=-np.inf) > TIME_TOLERANCE]
         extra = _inside(extra, ends)
     if len(extra) == 0:
-        nothing = np.zeros((len(t), 2))
-        return Steps(t, span, rows, span / dt, nothing, np.arange(len(t)), imu.dtheta_b, imu.dvel_b)
+        unknown, sample = np.zeros((len(t), 2)), np.arange(len(t))
+        return Steps(t, span, rows, span / dt, unknown, sample, imu.dtheta_b, imu.dvel_b)
     cut_t = np.concatenate([t, extra])
     order = np.argsort(cut_t, kind="stable")
     cut_t = cut_t[order]
@@ -238,16 +238,17 @@ class ImuIntake:
         """
         start = self.newest
         ranges = spec.gyro.range or _MOST_RATE, spec.accel.range or _MOST_FORCE
-        if _flawless_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *ranges):
-            rows, events = np.arange(len(imu.t)), list[EventRow]()
-            rows, again = self._hold(rows, imu.t, last)
+        span, events = np.empty(len(imu.t)), list[EventRow]()
+        gaps = _check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *ranges, span)
+        if gaps >= 0:
+            rows, again = self._hold(np.arange(len(imu.t)), imu.t, last)
+            span = span[: len(rows)]
         else:
             rows, again, events = self._choose(imu, ranges, last)
-        t = imu.t[rows]
-        if len(t):
-            self.newest = float(t[-1])
-        span, gaps = _spans(imu, rows, t, start)
-        return rows, span, events + gaps, again
+            span = np.diff(imu.t[rows], prepend=start)
+        if len(rows):
+            self.newest = float(imu.t[rows[-1]])
+        return rows, span, events + (_list_gaps(imu, rows, span) if gaps else []), again
 
     def _hold(self, rows: IntArray, t: FloatArray, last: bool) -> tuple[IntArray, IntArray]:
         """Return sound rows less a last one that leaps ahead, and that one."""
@@ -302,39 +303,38 @@ class ImuIntake:
         return rows, again, events
 
 
-def _spans(imu: ImuData, rows: IntArray, t: FloatArray, start: float) -> tuple[FloatArray, list[EventRow]]:
-    """Return the interval that each row in use has to cover [s], and the events of gaps before them."""
-    span = np.diff(t, prepend=start)
-    gaps = np.flatnonzero(span > imu.dt[rows] + TIME_TOLERANCE)
-    return span, [
+def _list_gaps(imu: ImuData, rows: IntArray, span: FloatArray) -> list[EventRow]:
+    """Return the events of gaps before rows in use; ``span`` is the interval that each has to cover [s]."""
+    t, gaps = imu.t[rows], np.flatnonzero(span > imu.dt[rows] + TIME_TOLERANCE)
+    return [
         (float(t[k] - gap), float(t[k]), "timeline", f"imu: gap of {gap - imu.dt[rows[k]]:.6g} s", "imu")
         for k, gap in zip(gaps, span[gaps], strict=True)
     ]
 
 
 @kernel
-def _flawless_kernel(
-    t: FloatArray,
-    dt: FloatArray,
-    valid: BoolArray,
-    dtheta_b: FloatArray,
-    dvel_b: FloatArray,
-    start: float,
-    most_rate: float,
-    most_force: float,
-) -> bool:
-    """Tell whether no row of a record has to be left out, as in nearly every record, in one pass."""
-    newest = start
+def _check_kernel(
+    t: FloatArray, dt: FloatArray, valid: BoolArray, dtheta_b: FloatArray, dvel_b: FloatArray,
+    start: float, most_rate: float, most_force: float, span: FloatArray,
+) -> int:  # fmt: skip
+    """Return how many rows of a record come after a gap, -1 if any row has to be left out.
+
+    Fill span (N,) with the intervals between the rows. In nearly every record none is left out.
+    """
+    newest, gaps = start, 0
     for k in range(t.shape[0]):
-        if not (valid[k] and t[k] > newest + TIME_TOLERANCE and np.isfinite(t[k]) and np.isfinite(dt[k])):
-            return False
-        newest = t[k]
-        for i in range(3):  # a NaN is not below its limit; with a dt of zero nothing is
-            if not abs(dtheta_b[k, i]) < _IN_RANGE * most_rate * dt[k]:
-                return False
-            if not abs(dvel_b[k, i]) < _IN_RANGE * most_force * dt[k]:
-                return False
-    return True
+        now, length = t[k], dt[k]
+        span[k] = now - newest
+        # a NaN is not below its limit; with a dt of zero nothing is
+        rate, force = _IN_RANGE * most_rate * length, _IN_RANGE * most_force * length
+        slow = abs(dtheta_b[k, 0]) < rate and abs(dtheta_b[k, 1]) < rate and abs(dtheta_b[k, 2]) < rate
+        weak = abs(dvel_b[k, 0]) < force and abs(dvel_b[k, 1]) < force and abs(dvel_b[k, 2]) < force
+        timed = valid[k] and now > newest + TIME_TOLERANCE and now < np.inf and length < np.inf
+        if not (timed and slow and weak):
+            return -1
+        gaps += span[k] > length + TIME_TOLERANCE
+        newest = now
+    return gaps
 
 
 def aiding_rows(

@@ -44,7 +44,7 @@ def stacked(P, dx, H, z, r):
 def nis(P, dx, H, z, r, kernel=nis_kernel):
     m = len(z)
     var, work = np.full(m, np.nan), np.zeros((m, m + 1))
-    return kernel(P, dx, H, z, r, var, work), var
+    return kernel(P, dx, H, z, r, var, work, np.empty_like(H)), var
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])
@@ -99,7 +99,7 @@ def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m
     z = H @ dx + e
     var, work = np.empty(m), np.zeros((m, m + 1))
     opened, before = P.copy(), 2.0 * P
-    assert nis_kernel(P, dx, H, z, r, var, work) > 899.0
+    assert nis_kernel(P, dx, H, z, r, var, work, np.empty_like(H)) > 899.0
     open_kernel(opened, before, H, e, own, work, np.empty(N))
     x = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(r), e)
     step = np.zeros(N)
