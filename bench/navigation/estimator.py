@@ -146,6 +146,12 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         ClassicOptions,
         {},
     ),
+    "error-ekf": BuiltIn(
+        "the generic filter of the errors of two systems, the INS never corrected, slow",
+        "bench.navigation.classic.error_ekf:ErrorEkfEstimator",
+        ClassicOptions,
+        {**_NO_FORM, "feedback": False},
+    ),
     "fixed-gain": BuiltIn(
         "classic-22 with the gain of a settled filter throughout, slow",
         f"{_GIVEN_GAINS}:FixedGain",

@@ -261,6 +261,11 @@ class ClassicOptions(IntegrityOptions):
     could reach admissible_deg by (A-5.4.10) with three standard deviations of P."""
     admissible_deg: Positive = 1.0
     """Attitude error that "auto" keeps below [deg]."""
+    outage: Literal["prediction", "line", "parabola", "schuler"] = "prediction"
+    """Errors of the navigator while fixes are missing, without feedback: what (5.4.4) predicts, or a curve
+    through the estimates before, extrapolated: in-flight calibration; P is that of the prediction."""
+    outage_window: Positive = 120.0
+    """Time before an outage that the curve goes through [s]."""
     jump_white_sd: Spread = (0.0, 0.0, 0.0)
     """Spread of the jump of a fix when the number of satellites changes: horizontal [m, each axis], height
     [m], velocity [m/s, each axis] (A-5.2.1)."""
@@ -276,6 +281,8 @@ class ClassicOptions(IntegrityOptions):
             wrong.append(f"form = {self.form!r} needs rows = 7: the noise of eight rows is not independent")
         if not self.feedback and self.correction_period != 0:
             wrong.append("correction_period needs feedback = true: without it there is no correction")
+        if self.feedback and self.outage != "prediction":
+            wrong.append(f"outage = {self.outage!r} needs feedback = false: what is fed back is no curve")
         return _whole(self, wrong)
 
 

@@ -78,32 +78,6 @@ def rates(
     return np.array([lat_rate, lon_rate, v_h]), V_rate, B_rate
 
 
-def equatorial_matrix(lat: float) -> FloatArray:
-    """Return Q (3, 3): east, north, up to the moving equatorial axes xi, eta (pole), zeta (A-5.1.1Q)."""
-    s, c = math.sin(lat), math.cos(lat)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
-
-
-def alpha_of_delta(lat: float, dR_E: float, dR_N: float, delta: ArrayLike) -> FloatArray:
-    """Return alpha (3,) of the equatorial attitude error delta and the reduced position errors (A-5.1.12)."""
-    turned = np.array([-dR_N, dR_E * math.cos(lat), dR_E * math.sin(lat)]) / R3
-    alpha: FloatArray = equatorial_matrix(lat).T @ np.asarray(delta, float) + turned
-    return alpha
-
-
-def delta_rate(lon_rate: float, delta: ArrayLike, eps: ArrayLike) -> FloatArray:
-    """Return d/dt of delta (3,) for gyro errors ``eps`` in the moving equatorial axes (A-5.1.12b)."""
-    d, e = np.asarray(delta, float), np.asarray(eps, float)
-    turn = EARTH_RATE + lon_rate
-    return np.array([-turn * d[2] - e[0], -e[1], turn * d[0] - e[2]])
-
-
-def inertial_matrix(angle: float) -> FloatArray:
-    """Return the matrix (3, 3) from moving equatorial to inertial axes, ``angle`` = u t + lon (A-5.1.13)."""
-    s, c = math.sin(angle), math.cos(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
 def gnss_noise_12(sig: Sigmas, decay: FloatArray, east: float, north: float, jump: bool) -> FloatArray:
     """Return G_S (6, 12) with Markov and jump noise apart: the 34 noises of the published blocks."""
     q = np.sqrt(1.0 - decay**2)

@@ -15,7 +15,14 @@ from bench import rotation, sensors
 from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import error_series
 from bench.navigation import integrity
-from bench.navigation.classic import Classic22, error_dynamics, navigator, observation_model, process_model
+from bench.navigation.classic import (
+    Classic22,
+    attitude_errors,
+    error_dynamics,
+    navigator,
+    observation_model,
+    process_model,
+)
 from bench.navigation.classic.navigator import R3, Nav
 from bench.navigation.estimator import load
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
@@ -144,32 +151,31 @@ def test_19_three_attitude_parametrizations_are_one():
         nav = Nav(lat, lon, 9000.0, v, equations.body_to_enu(0.9, 0.02, 0.0))
         F = error_dynamics.dynamics_matrix(nav, [0.0, 0.0, earth.g], earth)
         lon_rate = v[0] / (earth.r1 * math.cos(lat))
-        eps = equations.equatorial_matrix(lat) @ nav.B @ eps_b
+        eps = attitude_errors.equatorial_matrix(lat) @ nav.B @ eps_b
         x = np.concatenate([x[:9], eps_b, np.zeros(3)])
         return np.concatenate(
             [
                 [v[1] / earth.r2, lon_rate],
                 F @ x,
-                equations.delta_rate(lon_rate, delta, eps),
-                -equations.inertial_matrix(EARTH_RATE * t + lon) @ eps,
+                attitude_errors.delta_rate(lon_rate, delta, eps),
+                attitude_errors.delta_u_rate(EARTH_RATE * t + lon, eps),
             ]
         )
 
     alpha0 = np.array([1e-5, -2e-5, 5e-5])
     lat, lon = 0.7, 0.4
     x0 = np.concatenate([[50.0, -80.0, 20.0, 0.1, 0.2, 0.01], alpha0, np.zeros(6)])
-    turned = np.array([80.0, 50.0 * math.cos(lat), 50.0 * math.sin(lat)]) / R3
-    delta0 = equations.equatorial_matrix(lat) @ (alpha0 - turned)
-    assert_allclose(equations.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
-    y0 = np.concatenate([[lat, lon], x0, delta0, equations.inertial_matrix(lon) @ delta0])
+    delta0 = attitude_errors.delta_of_alpha(lat, 50.0, -80.0, alpha0)
+    assert_allclose(attitude_errors.alpha_of_delta(lat, 50.0, -80.0, delta0), alpha0, atol=1e-20)
+    y0 = np.concatenate([[lat, lon], x0, delta0, attitude_errors.inertial_of_delta(lon, delta0)])
     end = solve_ivp(rate, (0, 5000), y0, rtol=3e-14, atol=1e-18, method="DOP853").y[:, -1]
     lat, lon = end[0], end[1]
-    of_delta = equations.alpha_of_delta(lat, end[2], end[3], end[17:20])
-    back = equations.inertial_matrix(EARTH_RATE * 5000 + lon).T @ end[20:23]
+    of_delta = attitude_errors.alpha_of_delta(lat, end[2], end[3], end[17:20])
+    back = attitude_errors.delta_of_inertial(EARTH_RATE * 5000 + lon, end[20:23])
     assert np.abs(of_delta - end[8:11]).max() < 1e-15
     assert np.abs(back - end[17:20]).max() < 1e-15
     assert np.abs(end[8:11]).max() > 1e-4  # of which there is much
-    printed = equations.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
+    printed = attitude_errors.alpha_of_delta(lat, end[2], end[3], end[17:20] * [1, 1, -1])
     assert np.abs(printed - end[8:11]).max() > 1e-5  # delta_zeta of the printed sign
 
 

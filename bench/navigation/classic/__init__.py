@@ -105,7 +105,7 @@ class Classic22:
             flight.w_b = np.array(dtheta[0]) / steps.span[0]
         for fix_row, baro_row in arrived.get(-1, ()):
             flight.update(initial.t, fix_row, baro_row)
-        answers = [flight.answer()] * outputs.get(-1, 0)
+        answers = [flight.answer(initial.t)] * outputs.get(-1, 0)
         for k, (now, dt) in enumerate(zip(t.tolist(), steps.span.tolist(), strict=True)):
             flight.advance(dt, dtheta[k], dvel[k], steps.unknown[k])
             if k in arrived or k in outputs or flight.elapsed >= interval:
@@ -113,7 +113,7 @@ class Classic22:
             for fix_row, baro_row in arrived.get(k, ()):
                 flight.update(now, fix_row, baro_row)
             if k in outputs:
-                answers += [flight.answer()] * outputs[k]
+                answers += [flight.answer(now)] * outputs[k]
         return _solution(sensors, served, answers, flight, events)
 
     def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:

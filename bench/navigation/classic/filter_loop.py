@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, SensorData
 from bench.navigation import timeline
 from bench.navigation.classic.covariance_forms import Form, make_form
+from bench.navigation.classic.extrapolation import extrapolate
 from bench.navigation.classic.navigator import (
     FRD_OF_FUR,
     NED_OF_ENU,
@@ -39,6 +41,7 @@ from bench.navigation.integrity import correction_period, nis, nis_limit, tolera
 from bench.navigation.options import ClassicOptions
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
+_CURVE = 8  # estimates that a curve needs
 _ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
@@ -52,6 +55,7 @@ class FilterLoop:
         self.sig = replace(
             sigmas(sensors.specs), jump_white=options.jump_white_sd, jump_markov=options.jump_markov_sd
         )
+        self.fix_interval = 1.0 / sensors.specs.gnss.rate if sensors.specs.gnss else math.inf
         self.antenna = FRD_OF_FUR.T @ sensors.antenna_b
         lat, lon, h = initial.lla.tolist()
         B = NED_OF_ENU @ rotation.matrix(initial.q_nb) @ FRD_OF_FUR
@@ -83,6 +87,7 @@ class FilterLoop:
         self.misses = dict.fromkeys(_ROWS, 0)
         self.refused: dict[str, tuple[float, float, str]] = {}
         self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
+        self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.events: list[EventRow] = []
 
@@ -188,6 +193,8 @@ class FilterLoop:
         for name in ("gnss_position", "gnss_velocity"):
             if set(_ROWS[name]) <= set(use):
                 self.accepted[name] = (now, (apart - found * metres)[_ROWS[name]])
+        if set(_ROWS["gnss_position"]) <= set(use):
+            self._remember(now)
         self._correct(now)
 
     def _satellites_changed(self, row: int) -> bool:
@@ -302,11 +309,22 @@ class FilterLoop:
             period = correction_period(math.radians(options.admissible_deg), attitude, gyro, accel)
         self.next_correction = now + period
 
+    def _remember(self, now: float) -> None:
+        """Keep the errors of the navigator for the curve that goes on without fixes (#46)."""
+        if self.options.outage != "prediction":
+            self.known.append((now, self.form.x[:9].astype(float)))
+            while self.known[0][0] < now - self.options.outage_window:
+                self.known.popleft()
+
     # -- the answer
 
-    def answer(self) -> tuple[FloatArray, ...]:
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
         """Return lla, vel_n, q_nb, states, their sd and the covariance of the corrected output."""
         x, P = self.form.x.astype(float), self.form.covariance
+        if len(self.known) >= _CURVE and now - self.known[-1][0] > 2.5 * self.fix_interval:
+            t, errors = zip(*self.known, strict=True)
+            assert self.options.outage != "prediction"
+            x[:9] = extrapolate(self.options.outage, t, errors, now)
         nav = corrected(self.nav, x)
         earth = ellipsoid(nav.lat, nav.h)
         J = ned_matrix(nav, earth)
