@@ -70,12 +70,12 @@ def is_key_figure(name: str) -> bool:
     return name.startswith(_SUMMARY) and not name.endswith(("_all", "_law_95_h_m"))
 
 
-def explain_rows(names: Sequence[str]) -> str:
-    """Return what rows of the table are that their names do not tell."""
+def explain_rows(names: Sequence[str]) -> list[str]:
+    """Return what rows of the table are that their names do not tell, a text for each kind."""
     found = [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
     axes = "h: horizontal; n, e, d: north, east, down"
     attitude = ["phi: attitude error about n, e, d"] if any("_phi_" in name for name in names) else []
-    return "; ".join([axes, *attitude, *found]) + "."
+    return [axes, *attitude, *found]
 
 
 def list_key_figures(measured: Measured) -> list[str]:
@@ -97,10 +97,16 @@ def format_bounds(name: str, values: Mapping[str, Any]) -> str:
     bounds = find_bounds(name, values)
     if bounds is None:
         return ""
-    low, high = (None if end is None else f"{end:.2f}" if end < 10 else f"{end:.3g}" for end in bounds)
+    low, high = (None if end is None else f"{end:.2f}" if end < 10 else _format(end, 3) for end in bounds)
     return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
 
 
 def format_number(value: Any) -> str:
     """Return a number with four digits; a dash for None."""
-    return "-" if value is None else f"{value:.4g}"
+    return "-" if value is None else _format(value, 4)
+
+
+def _format(value: float, digits: int) -> str:
+    """Return a number with so many digits; without a power of ten below ten million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text

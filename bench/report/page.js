@@ -69,14 +69,18 @@ function markTimes(area, from, to) {
   for (const factor of [2, 2.5, 2]) if ((to - from) / step > 7) step *= factor;
   const bottom = group.dataset.y || (group.dataset.y = group.firstChild.getAttribute("y"));
   group.replaceChildren();
-  for (let k = Math.ceil(from / step - 1e-9); k * step <= to + 1e-9; k++) {
+  const write = (x, anchor, words) => {
     const text = document.createElementNS("http://www.w3.org/2000/svg", "text");
-    text.setAttribute("x", left + (k * step - from) / (to - from) * wide);
+    text.setAttribute("x", x);
     text.setAttribute("y", bottom);
-    text.setAttribute("text-anchor", "middle");
-    text.textContent = short(toValue(area, "x", k * step));
+    text.setAttribute("text-anchor", anchor);
+    text.textContent = words;
     group.append(text);
-  }
+  };
+  const timed = area.unit === "s" && !area.log, last = timed ? to - 0.12 * (to - from) : to + 1e-9;
+  for (let k = Math.ceil(from / step - 1e-9); k * step <= last; k++)
+    write(left + (k * step - from) / (to - from) * wide, "middle", short(toValue(area, "x", k * step)));
+  if (timed) write(left + wide + 12, "end", `${short(to)} s`);
 }
 
 let dragged = null;

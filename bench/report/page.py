@@ -56,6 +56,9 @@ _INTRODUCTIONS = {
 """Name of a tab -> what its plots show."""
 
 
+_COLUMNS = 3  # of plots on a wide page
+
+
 class Cell(NamedTuple):
     """A figure in a table."""
 
@@ -116,7 +119,8 @@ def make_page(name: str, result: RunResult) -> str:
         labels=list(result.metrics),
         figures=_fill_table(result.metrics, key_figures),
         all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
-        meaning=f"{MEANING} {explain_rows(key_figures)}",
+        meaning=MEANING,
+        explanations=explain_rows(key_figures),
         outages=OUTAGES if any(n.startswith("outage_") for n in key_figures) else "",
         drift_columns=DRIFT_COLUMNS,
         drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
@@ -226,10 +230,7 @@ def _draw_sections(
 ) -> Iterable[dict[str, Any]]:
     for tab in TABS:
         groups = [
-            {
-                "label": label,
-                "rows": [[make_figure(plot, window, shades) for plot in row] for row in _join_rows(rows)],
-            }
+            _make_group(label, rows, window, shades)
             for label, rows in tab.plots(content).items()
             if any(rows)
         ]
@@ -238,10 +239,20 @@ def _draw_sections(
             yield {"name": tab.name, "introduction": introduction, "groups": groups}
 
 
-def _join_rows(rows: series.Rows) -> series.Rows:
-    """Return rows of plots for a wide page: those of a single plot stand beside each other."""
-    single = [plot for row in rows if len(row) == 1 for plot in row]
-    return [*([single] if single else []), *(row for row in rows if len(row) > 1)]
+def _make_group(
+    label: str, rows: series.Rows, window: tuple[float, float], shades: tuple[series.Shade, ...]
+) -> dict[str, Any]:
+    """Return the figures of an estimator on a tab; a legend that all of them share stands in the heading."""
+    paired = len(rows) > 1 and all(len(row) == 2 for row in rows)
+    plots = [plot for row in (zip(*rows, strict=True) if paired else rows) for plot in row]
+    figures = [make_figure(plot, window, shades) for plot in plots]
+    legends = {figure.legend for figure in figures}
+    return {
+        "label": label,
+        "figures": figures,
+        "columns": len(rows) if paired else _COLUMNS,  # pairs stand above each other
+        "legend": legends.pop() if len(legends) == 1 and len(figures) > 1 else (),
+    }
 
 
 def make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]) -> Figure:

@@ -22,6 +22,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 14, 6, 20
 _GRAIN = 10.0  # steps per pixel
 _STRAIGHT = 2.0  # points so near the line between their neighbours are left out [steps]
 _DOT = 3  # diameter [pixels]
+_END = 0.12  # of the width: numbers nearer to the end of a time axis give way to that of the end
 _FAR = 20.0  # beyond so many widths or heights points are not told apart
 
 Window = tuple[float, float]
@@ -73,7 +74,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     ]
     return (
         f'<svg class="plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{words}">'
-        f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame, "x" in plot.log))}</g>'
+        f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame, plot))}</g>'
         f"{_open_area(frame, plot)}{_draw_grid(frame, 'y' in plot.log)}{''.join(body)}</svg></svg>"
     )
 
@@ -193,12 +194,20 @@ def _format_mark(value: float) -> str:
     return text.replace("-", "−")
 
 
-def _mark_times(frame: Frame, log: bool) -> Iterable[str]:
-    steps, numbers = _round_marks(*frame.x, 7, log=log)
+def _mark_times(frame: Frame, plot: Plot) -> Iterable[str]:
+    """Yield the numbers below a plot; an axis of time ends on one, with its unit."""
+    steps, numbers = _round_marks(*frame.x, 7, log="x" in plot.log)
+    if plot.across == "s" and not plot.log:
+        last = frame.x[1] - _END * (frame.x[1] - frame.x[0])
+        steps, numbers = steps[steps < last], numbers[numbers < last]
+        yield _mark_time(WIDTH - 2, "end", f"{_format_mark(float(f'{frame.x[1]:.4g}'))} s")
     columns, _ = frame.place(steps, np.full(len(steps), frame.y[0]))
     for column, value in zip(columns, numbers, strict=True):
-        x = _LEFT + column / _GRAIN
-        yield f'<text x="{x:.0f}" y="{HEIGHT - 5}" text-anchor="middle">{_format_mark(value)}</text>'
+        yield _mark_time(_LEFT + column / _GRAIN, "middle", _format_mark(value))
+
+
+def _mark_time(x: float, anchor: str, text: str) -> str:
+    return f'<text x="{x:.0f}" y="{HEIGHT - 5}" text-anchor="{anchor}">{text}</text>'
 
 
 def _draw_grid(frame: Frame, log: bool) -> str:

@@ -54,7 +54,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
         console.print(table)
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
-    console.print(explain_rows(names), style="dim")
+    console.print(f"{'; '.join(explain_rows(names))}.", style="dim")
     if any(name.startswith("outage_") for name in names):
         console.print(OUTAGES, style="dim")
     for values in measured.values():

@@ -11,6 +11,9 @@ for (const one of document.querySelectorAll("h1,h2,h3,p,span,th,td,small,dt,dd,a
   least = Math.min(least, (a + 0.05) / (b + 0.05));
 }
 document.querySelector("svg.area").parentNode.dispatchEvent(new PointerEvent("pointermove", { clientX: 200, clientY: 200 }));
-const found = { wide: document.documentElement.scrollWidth - innerWidth, least, requests: performance.getEntriesByType("resource").length,
-  width: innerWidth, dark: matchMedia('(prefers-color-scheme: dark)').matches, errors: window.problems, cursor: document.getElementById("cursor").textContent, sorted: document.querySelectorAll("thead button").length };
+const cut = "details:not([open]) *, .phases *, svg *, .quiet .legend, .quiet .legend *, #cursor", hidden = MEDIUM === "print" ? cut : `.scroll *, ${cut}`;
+const width = document.documentElement.getBoundingClientRect().right;
+const beyond = [...document.querySelectorAll("body *")].filter((one) => !one.matches(hidden) && one.getBoundingClientRect().right > width + 0.5);
+const found = { beyond: beyond.map((one) => `${one.tagName} ${one.getAttribute("class")} in ${one.parentElement.tagName} ${one.parentElement.id}`), least, requests: performance.getEntriesByType("resource").length,
+  width: Math.round(document.documentElement.getBoundingClientRect().width), dark: matchMedia('(prefers-color-scheme: dark)').matches, errors: window.problems, cursor: document.getElementById("cursor").textContent, sorted: document.querySelectorAll("thead button").length };
 document.documentElement.innerHTML = "<body><pre id='found'>" + JSON.stringify(found) + "</pre></body>";
