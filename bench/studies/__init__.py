@@ -18,6 +18,10 @@ class Entry(NamedTuple):
 
 
 STUDIES: Mapping[str, Entry] = {
+    "mechanizations": Entry(
+        "bench.studies.mechanization_costs",
+        "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
+    ),
     "requirements": Entry(
         "bench.studies.requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",

@@ -14,9 +14,11 @@ from bench import earth, rotation
 from bench.evaluation.route_errors import allowed_heading_error, cross_track_error
 from bench.flight.closed_form import STurns
 from bench.navigation.mechanizations import accelerometers, attitude, coning, earth_series
+from bench.navigation.mechanizations.attitude import ATTITUDES
 from bench.navigation.mechanizations.earth_series import EarthModel
 from bench.navigation.mechanizations.error_integral import quaternion_error
-from bench.navigation.mechanizations.solving import ATTITUDES, FRAMES, Rates, navigate
+from bench.navigation.mechanizations.solving import FRAMES, Rates, navigate
+from bench.studies.mechanization_costs import coning_drift
 from tests.inertial_motion import inertial_solution, integrate_rates
 
 DEG, ARCSEC = math.pi / 180, math.pi / 648_000
@@ -257,32 +259,12 @@ def test_8_two_quaternions_lose_2e_4_rad_in_600_s():
 # --- coning: #9 and section 10 ----------------------------------------------------------------------------
 
 
-def coning_drift(rate, samples, algorithm=attitude.RotationVector, corrected=True, duration=2.0):
-    """Drift [deg/h] under coning of 0.1 deg at 20 Hz, sampled at a rate [Hz]."""
-    angle, w = 0.1 * DEG, 2 * math.pi * 20.0
-    t = np.arange(round(duration * rate) + 1) / rate
-    whole = np.column_stack(
-        [
-            -2 * w * math.sin(angle / 2) ** 2 * t,
-            math.sin(angle) * np.cos(w * t),
-            math.sin(angle) * np.sin(w * t),
-        ]
-    )
-    theta, _ = coning.step_increments(np.diff(whole, axis=0), 0 * whole[1:], samples, corrected=corrected)
-    q0 = np.array([math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0])  # and so it is after each period
-    body = algorithm(rotation.matrix(q0))
-    for v in theta.tolist():
-        body.step(tuple(v), (0.0, 0.0, 0.0))
-    turn = rotation.to_rotvec(rotation.from_matrix(body.C @ rotation.matrix(q0).T))
-    return np.linalg.norm(turn) / duration / DEG * 3600
-
-
 @pytest.mark.parametrize(
     ("rate", "picard", "two"), [(100, 9.60, 2.72), (200, 2.55, 0.196), (400, 0.65, 0.013)]
 )
 def test_9_coning_drifts(rate, picard, two):
     """Section 10: one increment by 2.2.5, two samples; more samples leave less."""
-    one = coning_drift(rate, 1, lambda C: attitude.TwoQuaternions(C), corrected=False)
+    one = coning_drift(rate, 1, "two-quaternions")
     assert one == pytest.approx(picard, rel=0.01)
     drifts = [coning_drift(rate, m) for m in (2, 4)]
     assert drifts[0] == pytest.approx(two, rel=0.04)

@@ -8,6 +8,7 @@ axes of the navigation frame, over a step: ``theta``, the increment or rotation 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -176,3 +177,35 @@ class RotationVector:
         turned = compose(self.q, exact_turn(theta))
         self.q = normalize(compose(exact_turn(scale(frame, -1.0)), turned), self._threshold)
         self.C = matrix(self.q)
+
+
+_MAKERS: dict[str, Callable[[FloatArray], Attitude]] = {
+    "poisson": Poisson,
+    "quaternion": OneQuaternion,
+    "two-quaternions": TwoQuaternions,
+    "rotation-vector": RotationVector,
+}
+ATTITUDES = ("poisson", "euler", "quaternion", "two-quaternions", "rotation-vector")
+"""Names for :func:`make_attitude`."""
+
+
+def make_attitude(name: str, C: FloatArray, to_nhe: FloatArray | None = None) -> Attitude:
+    """Return the attitude of a name that starts at C (3, 3), body to navigation frame.
+
+    Parameters
+    ----------
+    to_nhe : (3, 3) array or None
+        Navigation frame to north, up, east; None if the one turns in the other.
+
+    Raises
+    ------
+    ValueError
+        If there is no such attitude, or the angles of Euler are asked for without a meridian.
+    """
+    if name == "euler":
+        if to_nhe is None:
+            raise ValueError("Euler angles are those of a triad along the meridian; choose nhe or enu")
+        return Euler(C, to_nhe)
+    if name not in _MAKERS:
+        raise ValueError(f"no attitude {name!r}; choose from {', '.join(ATTITUDES)}")
+    return _MAKERS[name](C)

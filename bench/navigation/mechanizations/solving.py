@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ from bench import rotation
 from bench.arrays import FloatArray, as_float
 from bench.navigation import mechanization
 from bench.navigation.classic.navigator import FRD_OF_FUR
-from bench.navigation.mechanizations import attitude as attitudes
+from bench.navigation.mechanizations.attitude import make_attitude
 from bench.navigation.mechanizations.coning import step_increments
 from bench.navigation.mechanizations.earth_series import EarthModel
 from bench.navigation.mechanizations.triads import Ecef, Enu, Inertial, Nhe, Triad, WanderAzimuth
@@ -25,8 +24,6 @@ FRAMES: dict[str, type[Triad]] = {
     "ecef": Ecef,
     "inertial": Inertial,
 }
-ATTITUDES = ("poisson", "euler", "quaternion", "two-quaternions", "rotation-vector")
-"""Names for :func:`navigate`."""
 
 
 class Rates(NamedTuple):
@@ -78,7 +75,7 @@ def navigate(
         Of the three tasks. The samples in an attitude step, 1 to 4, correct coning and sculling of the
         rotation vector; the other attitudes take their sum.
     attitude : str
-        One of :data:`ATTITUDES`.
+        One of `attitude.ATTITUDES`.
     earth : EarthModel
         Radii and gravity.
 
@@ -100,7 +97,7 @@ def navigate(
             f"{len(dtheta)} samples do not fill slow intervals of {fast * medium * slow}; give a multiple"
         )
     frame = FRAMES[name](nav, earth, lead=rates.lead)
-    body = _make_attitude(attitude, frame)
+    body = make_attitude(attitude, frame.C, frame.to_nhe)
     corrected = attitude == "rotation-vector"
     theta, dv = step_increments(dtheta @ FRD_OF_FUR, dvel @ FRD_OF_FUR, fast, corrected=corrected)
     T = interval * fast
@@ -139,22 +136,6 @@ def _divide(interval: float, rates: Rates) -> tuple[int, int, int]:
         counts.append(count)
         before, of = rate, f"{task} task"
     return counts[0], counts[1], counts[2]
-
-
-def _make_attitude(name: str, frame: Triad) -> attitudes.Attitude:
-    makers: dict[str, Callable[[FloatArray], attitudes.Attitude]] = {
-        "poisson": attitudes.Poisson,
-        "quaternion": attitudes.OneQuaternion,
-        "two-quaternions": attitudes.TwoQuaternions,
-        "rotation-vector": attitudes.RotationVector,
-    }
-    if name == "euler":
-        if frame.to_nhe is None:
-            raise ValueError("Euler angles are those of a triad along the meridian; choose nhe or enu")
-        return attitudes.Euler(frame.C, frame.to_nhe)
-    if name not in makers:
-        raise ValueError(f"no attitude {name!r}; choose from {', '.join(ATTITUDES)}")
-    return makers[name](frame.C)
 
 
 def _navigate_ned(
