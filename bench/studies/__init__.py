@@ -26,5 +26,17 @@ STUDIES: Mapping[str, Entry] = {
         "bench.studies.requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",
     ),
+    "budget": Entry(
+        "bench.studies.budget",
+        "Which error of the sensors contributes what to the errors of a filter, at every instant?",
+    ),
+    "bound": Entry(
+        "bench.studies.bound",
+        "How far is each estimator from the best linear one, on a flight?",
+    ),
+    "observability": Entry(
+        "bench.studies.observability",
+        "What do turns tell of heading and biases, and what stays unknown?",
+    ),
 }
 """Name of a study -> its module and its question, in a line."""

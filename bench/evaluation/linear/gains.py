@@ -11,8 +11,8 @@ from bench.data import Innovations, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
 from bench.evaluation.linear.path import Path, make_path
 from bench.navigation.aiding import BARO, POSITION, SENSORS, VELOCITY, antenna_kernel
-from bench.navigation.blocks import StateModel, index_of, state_model
-from bench.navigation.error_state import GYRO, StateLayout
+from bench.navigation.blocks import Index, StateModel, state_model
+from bench.navigation.error_state import GYRO
 from bench.navigation.forward import Nodes
 from bench.navigation.fusion import Fusion, Loose
 from bench.navigation.kalman import update_kernel
@@ -46,6 +46,7 @@ class Gains:
     updates: Updates
     output: IntArray  # (M,) instants of the path where it answered
     P: FloatArray  # (M, 9, 9) covariance that it claimed there
+    refused: int  # scalar measurements that it did not use
 
 
 def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: FloatArray) -> Gains:
@@ -82,14 +83,13 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
     step = np.clip(np.searchsorted(path.t, nodes.t - 1e-6), 0, len(path.t) - 1)
     updates = _replay(table, nodes, step, path, model, data)
     asked = nodes.output[nodes.output >= 0]
-    return Gains(path, model, updates, step[asked], nodes.P[asked, 1, :9, :9])
+    return Gains(path, model, updates, step[asked], nodes.P[asked, 1, :9, :9], int((~table.accepted).sum()))
 
 
 def measurement_rows(
-    path: Path, at: int, code: int, antenna_b: FloatArray, layout: StateLayout
+    path: Path, at: int, code: int, antenna_b: FloatArray, index: Index, n: int
 ) -> FloatArray:
     """Return H (m, n) of a sensor at an instant of the truth."""
-    n, index = layout.size, index_of(layout)
     if code == BARO:
         H = np.zeros((1, n))
         H[0, 2] = -1.0
@@ -136,7 +136,7 @@ def _replay(
         if here != node:
             node, P = here, nodes.P[here, 0].copy()
         code = int(table.code[first])
-        H = measurement_rows(path, int(step[here]), code, data.antenna_b, model.layout)
+        H = measurement_rows(path, int(step[here]), code, data.antenna_b, model.index, n)
         left = table.S[first:end] - np.einsum("bi,ij,bj->b", H, P, H)
         number = int(numbers[code][counts[code]])
         counts[code] += 1

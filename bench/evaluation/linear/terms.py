@@ -153,12 +153,7 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
     ConfigError
         If a sensor has no linear model here.
     """
-    if spec.imu.accel_cone > 0:
-        raise ConfigError("the linear model needs accelerometers along the axes, accel_cone_deg = 0")
-    if spec.gnss is not None and spec.gnss.sky is not None:
-        raise ConfigError(
-            f"the linear model needs a GNSS unit of position level such as 'l1-code', not {spec.gnss.name!r}"
-        )
+    check_sensors(spec)
     constants = list(_initial_errors(spec))
     processes: list[Process] = []
     for part, first in (("gyro", 0), ("accel", 3)):
@@ -181,6 +176,21 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
     present = {one.source for one in constants} | {one.source for one in processes}
     sources = tuple(one for one in list_sources() if one.name in present)
     return TruthModel(sources, tuple(constants), tuple(processes))
+
+
+def check_sensors(spec: SensorsSpec) -> None:
+    """Raise ConfigError if the sensors on board, or what happens to them, have no linear model here."""
+    if spec.imu.accel_cone > 0:
+        raise ConfigError("the linear model needs accelerometers along the axes, accel_cone_deg = 0")
+    if spec.gnss is not None and spec.gnss.sky is not None:
+        raise ConfigError(
+            f"the linear model needs a GNSS unit of position level such as 'l1-code', not {spec.gnss.name!r}"
+        )
+    late = [one.name for one in (spec.gnss, spec.baro) if one is not None and one.latency > 0]
+    if late:
+        raise ConfigError(f"the linear model needs sensors without latency, not {', '.join(late)}")
+    if spec.faults:
+        raise ConfigError("the linear model has no scripted faults; give a profile without [[fault]]")
 
 
 def list_sources() -> Iterator[Source]:

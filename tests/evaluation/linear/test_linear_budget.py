@@ -13,8 +13,8 @@ from bench import sensors
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.evaluation.error_series import error_series
-from bench.evaluation.linear.bound import Epochs, bound_errors, find_epochs
-from bench.evaluation.linear.budget import split_errors
+from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epochs
+from bench.evaluation.linear.error_budget import split_errors
 from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.path import make_path
 from bench.evaluation.linear.switching import sense_alone

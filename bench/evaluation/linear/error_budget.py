@@ -9,6 +9,7 @@ a constant as its sensitivity (n,), a process as a covariance (n + 3, n + 3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,18 +47,17 @@ def split_errors(gains: Gains, truth_model: TruthModel) -> Budget:
     first = np.concatenate([[0], np.cumsum(count)])
     names = [source.name for source in truth_model.sources]
     of_constant = _one_hot([one.source for one in truth_model.constants], names)
-    of_process = _one_hot([one.source for one in truth_model.processes], names)
+    of_process = _one_hot([one.source for one in walk.processes], names)
     out = np.zeros((len(gains.output), 9, len(names)))
     wanted = {int(step): row for row, step in enumerate(gains.output)}
-    filter_factors = motion_factors(path, gains.model)
     for k in range(len(path.t)):
         if k > 0:
-            walk.move(k - 1, filter_factors[k - 1])
+            walk.move(k - 1)
         for u in range(first[k], first[k + 1]):
             h, K = updates.h[u], updates.K[u]
             walk.correct(h, K, int(updates.code[u]), int(updates.component[u]), int(updates.number[u]), k)
         if k in wanted:
-            own = np.einsum("irj,ij->ir", walk.Pxx[:9, :, :9], np.eye(9))
+            own = walk.Pxx[np.arange(9), :, np.arange(9)]
             out[wanted[k]] = np.square(walk.X[:9]) @ of_constant + own @ of_process
     return Budget(path.t[gains.output], tuple(names), out, np.einsum("mii->mi", gains.P))
 
@@ -100,103 +100,112 @@ def _one_hot(sources: list[str], names: list[str]) -> FloatArray:
 class _Walk:
     """The sensitivities and covariances of all sources, at one instant.
 
-    ``X`` (n, C) by constant; ``Pxx`` (n, R, n), ``Pxs`` (n, R, 3) and ``Pss`` (R, 3) by process.
+    ``X`` (n, C) by constant; ``Pxx`` (n, R, n), ``Pxs`` (n, R, 3) and ``Pss`` (R, 3) by process, the I that
+    act on the IMU first.
     """
 
     def __init__(self, path: Path, truth_model: TruthModel, model: StateModel) -> None:
-        self.path, self.model = path, model
-        constants, processes = truth_model.constants, truth_model.processes
-        n, R = model.layout.size, len(processes)
-        self.D = signals(path, constants)
+        constants = truth_model.constants
+        processes = sorted(truth_model.processes, key=lambda one: one.acts != IMU)
+        self.path, self.processes = path, processes
+        n, R, K = model.layout.size, len(processes), len(path.G)
         self.X = np.zeros((n, len(constants)))
         for c, one in enumerate(constants):
             if one.start is not None:
                 self.X[:9, c] = one.start
-        self.heights = {c: one.height for c, one in enumerate(constants) if one.height is not None}
-        self.Pxx, self.Pxs = np.zeros((n, R, n)), np.zeros((n, R, 3))
-        self.processes = processes
+        self.pushed = path.G[:, :, 9:15] @ signals(path, constants)
+        self.heights = [(c, one.height) for c, one in enumerate(constants) if one.height is not None]
         self.drift = ProcessSteps(processes)
-        self.Pss = self.drift.variance.copy()
-        self.on_imu = np.array([one.acts == IMU for one in processes], bool)
-        self.imu_column = np.array([9 + one.first for one in processes])
-        self.white = np.array([one.white for one in processes]).reshape(R, 3)
-        drives = model.process.drives
-        self.drives = [(int(state), int(error), int(by)) for state, error, by in drives]
+        self.Pxx, self.Pxs = np.zeros((n, R, n)), np.zeros((n, R, 3))
+        self.Pss: FloatArray = self.drift.variance.copy()
+        self.fade, self.noise = self.drift.steps(path)
+        self.kicks = [(one.at, r, one.kick) for r, one in enumerate(processes) if one.at is not None]
+        self.W, factors = np.zeros((K, 9, n)), motion_factors(path, model)
+        self.W[:, :, :15] = path.G
+        self.W[:, :, :9] += np.eye(9)
+        for state, error, by in model.process.drives.tolist():
+            self.W[:, :, state] += path.G[:, :, error] * factors[:, None, by]
+        rate = model.process.decay_time[9:] + np.outer(path.speed, model.process.decay_distance[9:])
+        self.own = np.exp(-rate * path.span[:, None])
+        on_imu = [one for one in processes if one.acts == IMU]
+        self.I = len(on_imu)
+        self.columns = np.array([one.first for one in on_imu], int)[:, None] + 9 + np.arange(3)
+        self.white = [  # process, first state it drives, variance that each step adds
+            (r, 6 - one.first, (path.C_mean * (one.white * path.span[:, None])[:, None]) @ path.C_mean.mT)
+            for r, one in enumerate(on_imu)
+            if one.white.any()
+        ]
 
-    def move(self, k: int, factors: FloatArray) -> None:
+    def move(self, k: int) -> None:
         """Go over step k."""
-        path, process = self.path, self.model.process
-        G, T = path.G[k], float(path.span[k])
-        n = len(self.X)
-        W = np.zeros((9, n))
-        W[:, :15] = G
-        W[:, :9] += np.eye(9)
-        for state, error, by in self.drives:
-            W[:, state] += G[:, error] * factors[by]
-        own = np.exp(-(process.decay_time[9:] + process.decay_distance[9:] * path.speed[k]) * T)
-        self.X[:9] = W @ self.X - G[:, 9:15] @ self.D[k]
+        W, own, decay, count = self.W[k], self.own[k], self.fade[k], self.I
+        n, R = len(self.X), len(decay)
+        top = W @ self.X
+        top -= self.pushed[k]
         self.X[9:] *= own[:, None]
-        decay, noise = self.drift.step(T, path.speed[k])
-        R = len(decay)
-        U = G[:, self.imu_column[:, None] + np.arange(3)].swapaxes(0, 1) * self.on_imu[:, None, None]
-        Pxs = np.einsum("in,nra->ira", W, self.Pxs) - np.einsum("ria,ra->ira", U, self.Pss)
-        B = (W @ self.Pxx.reshape(n, R * n)).reshape(9, R, n) - np.einsum("ria,jra->irj", U, self.Pxs)
-        top = (B.reshape(9 * R, n) @ W.T).reshape(9, R, 9) - np.einsum("ira,rja->irj", Pxs, U)
+        self.X[:9] = top
+        U = self.path.G[k][:, self.columns].transpose(1, 0, 2)  # (I, 9, 3)
+        Pxs = (W @ self.Pxs.reshape(n, R * 3)).reshape(9, R, 3)
+        B = (W @ self.Pxx.reshape(n, R * n)).reshape(9, R, n)
+        Pxs[:, :count] -= (U * self.Pss[:count, None]).transpose(1, 0, 2)
+        B[:, :count] -= (U @ self.Pxs[:, :count].transpose(1, 2, 0)).transpose(1, 0, 2)
+        P = (B.reshape(9 * R, n) @ W.T).reshape(9, R, 9)
+        P[:, :count] -= (Pxs[:, :count].transpose(1, 0, 2) @ U.transpose(0, 2, 1)).transpose(1, 0, 2)
+        for r, at, Q in self.white:
+            P[at : at + 3, r, at : at + 3] += Q[k]
         low = B[:, :, 9:] * own
         self.Pxx[9:, :, 9:] *= own[:, None, None] * own
         self.Pxx[:9, :, 9:], self.Pxx[9:, :, :9] = low, low.transpose(2, 1, 0)
+        self.Pxx[:9, :, :9] = P
         self.Pxs[9:] *= own[:, None, None]
         self.Pxs[:9] = Pxs
         self.Pxs *= decay[:, None]
-        C = path.C_mean[k]
-        for r in np.flatnonzero(self.on_imu & self.white.any(axis=1)).tolist():
-            at = 6 - self.processes[r].first
-            top[at : at + 3, r, at : at + 3] += C * (self.white[r] * T) @ C.T
-        self.Pxx[:9, :, :9] = 0.5 * (top + top.transpose(2, 1, 0))
-        self.Pss = self.Pss * decay[:, None] ** 2 + noise
-        for r, one in enumerate(self.processes):
-            if one.at is not None and np.any(np.abs(one.at - path.t[k + 1]) < 1e-6):
-                self.Pss[r] += one.kick
+        self.Pss = self.Pss * decay[:, None] ** 2 + self.noise[k]
+        for instants, r, kick in self.kicks:
+            if np.any(np.abs(instants - self.path.t[k + 1]) < 1e-6):
+                self.Pss[r] += kick
 
     def correct(self, h: FloatArray, K: FloatArray, code: int, component: int, number: int, k: int) -> None:
         """Use a scalar measurement h dx of a sensor with the gain K (n,)."""
         z = h @ self.X
         if code == BARO:
-            for c, height in self.heights.items():
+            for c, height in self.heights:
                 z[c] -= height[number]
         self.X -= K[:, None] * z
         n, R = len(h), self.Pss.shape[0]
         m, white = self.drift.rows(code, component, float(self.path.t[k]))
         zx = (h @ self.Pxx.reshape(n, R * n)).reshape(R, n) - (self.Pxs[:, :, component] * m).T
-        zs = np.tensordot(h, self.Pxs, 1)
+        zs = (h @ self.Pxs.reshape(n, R * 3)).reshape(R, 3)
         zs[:, component] -= m * self.Pss[:, component]
         zz = zx @ h - m * zs[:, component] + white
         y = zx - 0.5 * zz[:, None] * K
         half = K[:, None, None] * y
-        self.Pxx -= half + half.transpose(2, 1, 0)
+        self.Pxx -= half
+        self.Pxx -= half.transpose(2, 1, 0)
         self.Pxs -= K[:, None, None] * zs
 
 
 class ProcessSteps:
     """How R processes move over a step, and how they enter a measurement."""
 
-    def __init__(self, processes: tuple[Process, ...]) -> None:
+    def __init__(self, processes: Sequence[Process]) -> None:
         def stack(name: str) -> FloatArray:
             return np.array([getattr(one, name) for one in processes], float)
 
         self.variance = stack("variance").reshape(-1, 3)
         self._density, self._white = stack("density").reshape(-1, 3), stack("white").reshape(-1, 3)
         self._time, self._distance = stack("decay_time"), stack("decay_distance")
-        self._processes = processes
         self._acts: IntArray = np.array([one.acts for one in processes], np.int64)
         self._cache: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = {}
         self._at = [(r, one.at) for r, one in enumerate(processes) if one.at is not None]
 
-    def step(self, T: float, speed: float) -> tuple[FloatArray, FloatArray]:
-        """Return the decay (R,) of the states over T [s] at a speed [m/s], and the variance (R, 3) added."""
-        decay = np.exp(-(self._time + self._distance * speed) * T)
-        added = self._density * T + self.variance * (1.0 - decay**2)[:, None]
-        return decay, np.where((decay < 1.0)[:, None], self.variance * (1.0 - decay**2)[:, None], added)
+    def steps(self, path: Path) -> tuple[FloatArray, FloatArray]:
+        """Return the decay (K, R) of the states over each step and the variance (K, R, 3) that it adds."""
+        T = path.span
+        decay = np.exp(-(self._time + np.outer(path.speed, self._distance)) * T[:, None])
+        lost = 1.0 - decay**2
+        walked = self._density * T[:, None, None]
+        return decay, np.where((decay < 1.0)[:, :, None], self.variance * lost[:, :, None], walked)
 
     def rows(self, code: int, component: int, t: float) -> tuple[FloatArray, FloatArray]:
         """Return for a measurement which processes (R,) act on it, 1 or 0, and their white variance (R,)."""

@@ -17,14 +17,16 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.data import SensorData
-from bench.evaluation.linear.budget import ProcessSteps, signals
+from bench.evaluation.linear.error_budget import ProcessSteps, signals
 from bench.evaluation.linear.gains import measurement_rows
 from bench.evaluation.linear.path import Path
 from bench.evaluation.linear.terms import IMU, TruthModel
 from bench.navigation.aiding import BARO, POSITION, VELOCITY
-from bench.navigation.error_state import StateLayout
+from bench.navigation.blocks import index_of
+from bench.navigation.error_state import CORE, StateLayout
+from bench.navigation.states import STEADY
 
-_CORE = StateLayout()
+_INDEX = index_of(StateLayout())  # of a filter of the core states alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,7 @@ class Bound:
 
     t: FloatArray  # (M,) [s]
     labels: tuple[str, ...]  # (N,) of the states
+    bias: FloatArray  # (6, N) biases of gyros [rad/s] and accelerometers [m/s^2] by the states
     start: FloatArray  # (N, N) at the start
     causal: FloatArray  # (M, N, N)
     smoothed: FloatArray  # (M, 9, 9) of position [m], velocity [m/s] and attitude [rad], n; none if not asked
@@ -70,6 +73,8 @@ class _System:
         self.constants = tuple(one for one in every if one.factors)
         self.processes = truth_model.processes
         self.steps = ProcessSteps(self.processes)
+        self.fade, self.noise = self.steps.steps(path)
+        self.span = path.span
         self.D = signals(path, self.constants)
         self.begin = np.cumsum([9 + len(self.constants), *(3 * one.states for one in self.processes)])
         self.n = int(self.begin[-1])
@@ -87,19 +92,25 @@ class _System:
             if one.states:
                 own = np.arange(self.begin[r], self.begin[r + 1])
                 self.P[own, own] = one.variance
-        self._H: dict[int, FloatArray] = {}
+        self.bias = np.zeros((6, self.n))
+        for c, constant in enumerate(self.constants):
+            for error, factor, size in constant.factors:
+                self.bias[error, 9 + c] += size if factor == STEADY else 0.0
+        for r, one in enumerate(self.processes):
+            if one.acts == IMU and one.states:
+                self.bias[one.first : one.first + 3, self.begin[r] : self.begin[r + 1]] = np.eye(3)
         self.white_imu = [one for one in self.processes if one.acts == IMU and one.white.any()]
 
     def step(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the first nine rows W (9, N) of Phi, the decay (N,) of the others, the noise (N,)."""
         path = self.path
-        G, T = path.G[k], float(path.span[k])
+        G = path.G[k]
         c = 9 + len(self.constants)
         W = np.zeros((9, self.n))
         W[:, :9] = np.eye(9) + G[:, :9]
         W[:, 9:c] = -(G[:, 9:15] @ self.D[k])
         decay, noise = np.ones(self.n), np.zeros(self.n)
-        fade, added = self.steps.step(T, path.speed[k])
+        fade, added = self.fade[k], self.noise[k]
         for r, one in enumerate(self.processes):
             if one.states:
                 own = slice(self.begin[r], self.begin[r + 1])
@@ -110,7 +121,7 @@ class _System:
 
     def white(self, k: int) -> FloatArray:
         """Return Q (9, 9) of the white noise of the IMU over a step."""
-        C, T = self.path.C_mean[k], float(self.path.span[k])
+        C, T = self.path.C_mean[k], float(self.span[k])
         Q = np.zeros((9, 9))
         for one in self.white_imu:
             own = slice(6 - one.first, 9 - one.first)
@@ -119,7 +130,7 @@ class _System:
 
     def rows(self, k: int, code: int) -> tuple[FloatArray, FloatArray]:
         """Return H (m, N) of a sensor at an instant and the variance (m,) of its white noise."""
-        own = measurement_rows(self.path, k, code, self.antenna_b, _CORE)[:, :9]
+        own = measurement_rows(self.path, k, code, self.antenna_b, _INDEX, CORE)[:, :9]
         H, r = np.zeros((len(own), self.n)), np.zeros(len(own))
         H[:, :9] = own
         for i in range(len(own)):
@@ -172,7 +183,7 @@ def bound_errors(
             P[:] = 0.5 * (P + P.T)
             causal[place[k]] = P
     smoothed = _smooth(system, causal, kept, place) if smooth else np.empty((0, 9, 9))
-    return Bound(path.t[output], system.labels, start, causal, smoothed)
+    return Bound(path.t[output], system.labels, system.bias, start, causal, smoothed)
 
 
 def _smooth(

@@ -1,0 +1,68 @@
+"""What a flight lets an estimator know: heading, tilts and biases against what was known at the start.
+
+With P of these nine figures and D their standard deviations at the start, the eigenvalues of D^-1 P D^-1 say
+how much of each direction is left (F. M. Ham and R. G. Brown, IEEE Trans. Aerospace and Electronic Systems 19
+(2), 1983): 1 is a direction that nothing has told, and the greatest is the least observable one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import Trajectory
+from bench.evaluation.linear.best_linear import Bound
+from bench.units import DEG
+
+FIGURES = (
+    *("tilt north", "tilt east", "heading"),
+    *(f"{triad} bias {axis}" for triad in ("gyro", "accelerometer") for axis in "xyz"),
+)
+"""What is looked at: tilts and heading [rad], biases of gyros [rad/s] and accelerometers [m/s^2]."""
+TURNING = 1.0 * DEG  # rate of the course from which on it is a turn [rad/s]
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What the best linear estimator knows of the `FIGURES` at M instants."""
+
+    t: FloatArray  # (M,) [s]
+    sd: FloatArray  # (M, 9)
+    left: FloatArray  # (M, 9) standard deviation along the eigen-directions over that at the start, rising
+    directions: FloatArray  # (M, 9, 9) unit vectors in units of the start, a column for each
+
+
+def observe(bound: Bound) -> Observed:
+    """Return what an estimator knows; a figure that is known exactly at the start has no direction."""
+    M = np.vstack([np.eye(9, bound.bias.shape[1])[6:], bound.bias])
+    P = M @ bound.causal @ M.T
+    start = np.sqrt(np.diag(M @ bound.start @ M.T))
+    scale = np.divide(1.0, start, out=np.zeros(9), where=start > 0)
+    values, vectors = np.linalg.eigh(P * scale[:, None] * scale)
+    sd = np.sqrt(np.einsum("mii->mi", P))
+    return Observed(bound.t, sd, np.sqrt(np.maximum(values, 0.0)), vectors)
+
+
+def describe_direction(direction: FloatArray) -> str:
+    """Return the figures that make up most of a direction (9,), with their parts.
+
+    Examples
+    --------
+    >>> describe_direction(np.array([0.0, 0.6, 0.8, 0, 0, 0, 0, 0, 0.01]))
+    'heading 0.80, tilt east 0.60'
+    """
+    order = np.argsort(-np.abs(direction), kind="stable")
+    sign = np.sign(direction[order[0]])
+    parts = [f"{FIGURES[k]} {sign * direction[k]:.2f}" for k in order[:3] if abs(direction[k]) > 0.2]
+    return ", ".join(parts)
+
+
+def find_turns(truth: Trajectory, t: FloatArray) -> BoolArray:
+    """Return whether the course turns faster than `TURNING` at instants t (M,), over ground."""
+    course = np.unwrap(np.arctan2(truth.vel_n[:, 1], truth.vel_n[:, 0]))
+    ahead, behind = (
+        np.interp(np.clip(t + half, truth.t[0], truth.t[-1]), truth.t, course) for half in (0.5, -0.5)
+    )
+    return np.abs(ahead - behind) > TURNING

@@ -1,0 +1,135 @@
+"""The studies by linear covariance: their tables on a short flight, and the reference flight's numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench.errors import ConfigError
+from bench.evaluation.linear.best_linear import Bound
+from bench.evaluation.linear.directions import describe_direction, observe
+
+FLIGHT = """
+aircraft = "aerosonde"
+rate_hz = 100
+seed = 7
+[start]
+lat_deg = 47.0
+lon_deg = 11.0
+alt_m = 1000.0
+heading_deg = 40.0
+speed_mps = 25.0
+[[leg]]
+kind = "straight"
+duration_s = 12.0
+[[leg]]
+kind = "turn"
+by_deg = 120.0
+bank_deg = 30.0
+[[leg]]
+kind = "straight"
+duration_s = 20.0
+[sensors]
+imu = "adis16475"
+gnss = "l1-code"
+baro = "bmp388"
+[[gnss_outage]]
+start_s = 26.0
+duration_s = 8.0
+[evaluation]
+from_s = 5.0
+[initial_error_sd]
+pos_m = [3.0, 3.0, 5.0]
+vel_mps = [0.2, 0.2, 0.2]
+tilt_deg = 0.2
+heading_deg = 0.5
+[[estimator]]
+use = "loose-full"
+[[estimator]]
+use = "smoother"
+"""
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    path = tmp_path_factory.mktemp("flight") / "short.toml"
+    path.write_text(FLIGHT)
+    return str(path)
+
+
+def test_the_budget_of_a_short_flight(flight):
+    found = bench.study("budget", profile=flight, draws=6, jobs=1)
+    table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
+    for t in np.unique(table["t_s"]):
+        rows = table["t_s"] == t
+        assert_allclose(table["share_percent"][rows].sum(), 100.0)
+        assert (np.diff(table["share_percent"][rows]) <= 0).all()
+    assert "gyro misalignment" in table["source"]
+    sides = found.tables["side_by_side"].columns
+    assert set(sides["agrees"]) == {"yes"}
+    assert found.findings.good
+    assert {"horizontal-position", "heading-shares"} <= set(found.figures)
+    areas = [one for one in found.figures["heading-shares"].series if one.band is not None]
+    assert_allclose(areas[-1].values[:, 0], 100.0)
+    assert "At 34 s, end of the outage" in found.verdicts[0]
+
+
+def test_the_bound_of_a_short_flight(flight):
+    found = bench.study("bound", profile=flight, draws=6, jobs=1)
+    table = found.tables["bound"].columns
+    assert set(table["estimator"]) == {"loose-full", "smoother"}
+    for name, low, ratio, high in zip(
+        table["estimator"], table["low"], table["ratio"], table["high"], strict=True
+    ):
+        assert low < ratio < high
+        assert high > 1.0
+        assert name == "smoother" or low < 1.0  # it is the best linear one, but for linearization
+    assert found.findings.good
+
+
+def test_what_has_no_linear_model_is_refused(flight):
+    for given, message in (
+        ({"estimator": "tight"}, "was asked for tight"),
+        ({"estimator": "smoother"}, "budget takes loose-15"),
+        ({"imu": "grade-9"}, "grade-9"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            bench.study("budget", profile=flight, draws=2, jobs=1, **given)
+    with pytest.raises(ConfigError, match="position level"):
+        bench.study("bound", profile="gnss-jammed", draws=2, jobs=1)
+
+
+def test_the_observability_of_a_short_flight(flight):
+    """And #49 of the register on the reference flight: before and after the first S-turn, without turns."""
+    found = bench.study("observability", profile=flight, jobs=1)
+    phases = found.tables["phases"].columns
+    assert phases["phase"] == ["straight", "turn", "straight"]
+    heading = phases["heading_before_deg"]
+    assert heading[1] > 0.49
+    assert phases["heading_after_deg"][1] < 0.5 * heading[1]
+    assert "before the first turn" in found.tables["directions"].columns["when"]
+    grade, *columns = found.tables["reference"].columns.values()
+    for name, printed in {"grade-3": (0.42, 0.0075, 0.0084, 0.31), "MEMS": (3.06, 0.079, 0.094, 4.9)}.items():
+        assert_allclose([column[list(grade).index(name)] for column in columns], printed, rtol=0.03)
+
+
+def test_directions_of_a_standing_start():
+    """Of two figures that are measured as a sum, the difference is what nothing tells."""
+    n, s = 9 + 6, np.array([0.1, 0.1, 0.2, *[1e-4] * 3, *[1e-2] * 3])
+    start = np.diag(np.concatenate([np.ones(6), s**2]))
+    M = np.vstack([np.eye(9, n)[6:], np.eye(n)[9:]])
+    h = M.T @ (np.eye(9)[2] / s[2] + np.eye(9)[5] / s[5])  # heading and gyro z, each in its unit
+    K = start @ h / (h @ start @ h + 1e-6)
+    after = start - np.outer(K, h @ start)
+    bound = Bound(
+        np.array([0.0, 1.0]), (), np.eye(n)[9:], start, np.array([start, after]), np.empty((0, 9, 9))
+    )
+    seen = observe(bound)
+    assert_allclose(seen.left[0], 1.0)
+    assert_allclose(seen.left[1, 0], np.sqrt(0.5e-6), rtol=1e-3)
+    assert_allclose(seen.left[1, 1:], 1.0)
+    assert describe_direction(seen.directions[1][:, 0]) in (
+        "heading 0.71, gyro bias z 0.71", "gyro bias z 0.71, heading 0.71",
+    )  # fmt: skip
