@@ -22,6 +22,10 @@ STUDIES: Mapping[str, Entry] = {
         "bench.studies.mechanization_costs",
         "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
     ),
+    "register": Entry(
+        "bench.studies.register",
+        "Which rows of the sources' register hold here, and by what number?",
+    ),
     "requirements": Entry(
         "bench.studies.requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",

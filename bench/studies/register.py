@@ -1,0 +1,65 @@
+"""Every row of the register's coverage table: printed, required, found here, and what does not hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from bench.studies.register_rows import ROWS
+from bench.studies.study import Findings, StudyOptions, StudyTable, Work
+
+_PARTS = (  # last row, name, title: tables that a terminal shows whole
+    (12, "mechanizations", "Mechanizations, #1 to #12"),
+    (33, "sensors", "Sensors and GNSS, #13 to #33"),
+    (50, "filters", "Filters and integrity, #34 to #50"),
+    (60, "second-source", "The second source and the truth, #51 to #60"),
+)
+
+
+class Options(StudyOptions):
+    """What may be asked."""
+
+    row: Annotated[int, Field(ge=0, le=len(ROWS))] = 0
+    """a row alone; 0 for all"""
+
+
+def run(options: Options, work: Work) -> Findings:
+    """Compute the rows that take seconds and name the tests of the others."""
+    rows = [row for row in ROWS if options.row in (0, row.number)]
+    parts: dict[str, dict[str, list[Any]]] = {}
+    failed, opened = [], []
+    states = Counter[str]()
+    for k, row in enumerate(rows):
+        work.progress(f"row {row.number}", k, len(rows))
+        ours, holds = ("by its test", "test") if row.test else (row.open_because, "open")
+        if row.measure is not None:
+            found = row.measure()
+            ours, holds = found.ours, "yes" if found.holds else "no"
+        states[holds] += 1
+        if holds == "no":
+            failed.append(f"#{row.number} {row.what}: {row.required}, found {ours}")
+        if holds == "open":
+            opened.append(f"#{row.number} {row.what} ({row.open_because})")
+        told = {
+            "row": row.number,
+            "capability": row.what,
+            "source": row.source,
+            "printed": row.printed,
+            "required": row.required,
+            "ours": ours,
+            "holds": holds,
+            "test": row.test,
+        }
+        columns = parts.setdefault(next(name for last, name, _ in _PARTS if row.number <= last), {})
+        for key, value in told.items():
+            columns.setdefault(key, []).append(value)
+    verdicts = [
+        f"Of {len(rows)} rows {states['yes']} are computed here and hold, {states['test']} are held by tests."
+    ]
+    verdicts += [f"Does not hold: {text}." for text in failed]
+    if opened:
+        verdicts.append(f"Open: {'; '.join(opened)}.")
+    tables = tuple(StudyTable(name, title, parts[name]) for _, name, title in _PARTS if name in parts)
+    return Findings(tuple(verdicts), tables, (), good=not failed)
