@@ -26,7 +26,10 @@ LARGE = 16 << 20
 """From this size on an array lies on disk [byte]: gyros of two hours at 100 Hz do, of one hour do not."""
 
 ROWS = 1 << 16
-"""Rows of a long record that are worked on at a time."""
+"""Rows of a record that are worked on at a time."""
+
+LONG = 4
+"""A record of more than so many :data:`ROWS` is long: three quarters of an hour at 100 Hz."""
 
 _mapped: WeakSet[mmap.mmap] = WeakSet()
 
@@ -93,8 +96,8 @@ def release() -> None:
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Yield slices over so many rows, and release what was touched after each but the only one."""
+    """Yield slices over so many rows; what was touched is released after each of a long record."""
     for first in range(0, count, ROWS):
         yield slice(first, min(first + ROWS, count))
-        if count > ROWS:
+        if count > LONG * ROWS:
             release()

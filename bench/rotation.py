@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 
+_OPPOSITE = np.array([1.0, -1.0, -1.0, -1.0])
 _SMALL2 = 1e-8  # squared angle [rad^2] below which series replace sines; the next terms are below 1e-20
 
 
@@ -38,15 +39,18 @@ def multiply(q_ab: ArrayLike, q_bc: ArrayLike) -> FloatArray:
 
 def conjugate(q_ab: ArrayLike) -> FloatArray:
     """Return q_ba of unit quaternions (..., 4)."""
-    return np.asarray(q_ab, float) * [1.0, -1.0, -1.0, -1.0]
+    turned: FloatArray = np.asarray(q_ab, float) * _OPPOSITE
+    return turned
 
 
 def rotate(q_ab: ArrayLike, v_b: ArrayLike) -> FloatArray:
     """Return v_a (..., 3): the vector v_b (..., 3) resolved in frame a."""
     q, v = np.asarray(q_ab, float), np.asarray(v_b, float)
-    t = 2.0 * np.cross(q[..., 1:], v)
-    rotated: FloatArray = v + q[..., :1] * t + np.cross(q[..., 1:], t)
-    return rotated
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    a, b, c = v[..., 0], v[..., 1], v[..., 2]
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    turned = [a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)]
+    return np.stack(turned, axis=-1)
 
 
 def matrix(q_ab: ArrayLike) -> FloatArray:
@@ -112,9 +116,14 @@ def to_euler(q_nb: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     w, x, y, z = np.moveaxis(np.asarray(q_nb, float), -1, 0)
     roll = np.arctan2(2 * (y * z + w * x), w * w - x * x - y * y + z * z)
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    return roll, pitch, to_heading(q_nb)
+
+
+def to_heading(q_nb: ArrayLike) -> FloatArray:
+    """Return the heading [0, 2 pi) [rad] of q_nb (..., 4), as :func:`to_euler` does."""
+    w, x, y, z = np.moveaxis(np.asarray(q_nb, float), -1, 0)
     heading = np.mod(np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z), 2 * np.pi)
-    heading = np.where(heading >= 2 * np.pi, 0.0, heading)  # mod of a tiny negative angle rounds up
-    return roll, pitch, heading
+    return np.where(heading >= 2 * np.pi, 0.0, heading)  # mod of a tiny negative angle rounds up
 
 
 def from_rotvec(rotvec: ArrayLike) -> FloatArray:

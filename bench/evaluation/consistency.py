@@ -52,11 +52,12 @@ def count_independent(deviation: FloatArray) -> float:
     1.0
     """
     count = len(deviation)
-    if not np.isfinite(deviation).all() or not deviation.any():
+    largest = np.abs(deviation).max(initial=0.0)
+    if not 0.0 < largest < np.inf:
         return 0.0
     length = _fast_length(2 * count - 1)
-    spectrum = np.abs(np.fft.rfft(deviation / np.abs(deviation).max(), length)) ** 2
-    correlation = np.fft.irfft(spectrum, length)[:count]
+    spectrum = np.fft.rfft(deviation / largest, length)
+    correlation = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, length)[:count]
     pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1) / correlation[0]
     ended = np.flatnonzero(pairs <= 0.0)
     length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -62,7 +63,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
             error[rows, 0:3] = earth.difference_n(solution.lla[rows], lla)
             error[rows, 3:6] = solution.vel_n[rows] - vel_n
             error[rows, 6:9] = rotation.to_rotvec(rotation.multiply(estimate, rotation.conjugate(q_nb)))
-            difference = rotation.to_euler(estimate)[2] - rotation.to_euler(q_nb)[2]
+            difference = rotation.to_heading(estimate) - rotation.to_heading(q_nb)
             heading[rows] = np.pi - np.mod(np.pi - difference, 2 * np.pi)
             claimed = cov if counted.all() else cov[:, counted][:, :, counted]
             nees[rows] = normalized_squares(error[rows][:, counted], claimed)
@@ -87,18 +88,27 @@ def variances(solution: NavSolution) -> FloatArray:
 
 def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
     """Return the names of the blocks that have any number, as values or on the diagonal of cov."""
-    variance = variances(solution)
     return tuple(
         name
         for name, rows in BLOCKS.items()
-        if not (np.isnan(getattr(solution, _VALUES[name])).all() and np.isnan(variance[:, rows]).all())
+        if _has_number(getattr(solution, _VALUES[name])) or _claims(solution, rows)
     )
 
 
 def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
     """Return the estimated blocks whose accuracy is claimed: any number on the diagonal of cov."""
-    variance = variances(solution)
-    return tuple(name for name in estimated_blocks(solution) if not np.isnan(variance[:, BLOCKS[name]]).all())
+    return tuple(name for name in estimated_blocks(solution) if _claims(solution, BLOCKS[name]))
+
+
+def _claims(solution: NavSolution, rows: slice) -> bool:
+    """Tell whether the covariance has any number on its diagonal in some rows."""
+    first = np.einsum("kii->ki", solution.cov[:1])
+    return _has_number(first[:, rows]) or _has_number(variances(solution)[:, rows])
+
+
+def _has_number(values: FloatArray) -> bool:
+    """Tell whether any value (M, ...) is not NaN; most have one in the first row."""
+    return not (np.isnan(values[:1]).all() and np.isnan(values).all())
 
 
 def interpolate_truth(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -210,12 +220,14 @@ def heading_sd(solution: NavSolution) -> FloatArray:
     """
     sd = np.empty(len(solution))
     for rows in disk_arrays.blocks(len(solution)):
-        with np.errstate(over="ignore", invalid="ignore"):
-            _, pitch, heading = rotation.to_euler(solution.q_nb[rows])
-            slope = np.tan(pitch)
-            h = np.stack([slope * np.cos(heading), slope * np.sin(heading), np.ones_like(slope)], axis=-1)
-            P = solution.cov[rows, BLOCKS["phi"], BLOCKS["phi"]]
-            sd[rows] = np.sqrt(np.einsum("ki,kij,kj->k", h, P, h))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            w, x, y, z = solution.q_nb[rows].T
+            up = 2.0 * (w * y - x * z)  # of the forward axis, the sine of the pitch
+            slope = up / (1.0 - up * up)
+            a, b = slope * (w * w + x * x - y * y - z * z), slope * 2.0 * (x * y + w * z)
+            P = solution.cov[rows, BLOCKS["phi"], BLOCKS["phi"]].transpose(1, 2, 0)
+            variance = a * a * P[0, 0] + b * b * P[1, 1] + P[2, 2]
+            sd[rows] = np.sqrt(variance + 2.0 * (a * b * P[0, 1] + a * P[0, 2] + b * P[1, 2]))
     return sd
 
 
@@ -237,10 +249,9 @@ def check_convergence(
     columns = {titles[name]: getattr(solution, _VALUES[name]) for name in blocks}
     biases = {"gyro bias": solution.gyro_bias_b, "accelerometer bias": solution.accel_bias_b}
     columns |= {title: bias_b for title, bias_b in biases.items() if not np.isnan(bias_b).all()}
-    columns |= {name: solution.extra[:, k] for k, name in enumerate(solution.extra_names)}
-    columns |= {
-        f"standard deviation of {n}": solution.extra_sd[:, k] for k, n in enumerate(solution.extra_names)
-    }
+    if not (np.isfinite(solution.extra).all() and np.isfinite(solution.extra_sd).all()):
+        for values, of in ((solution.extra, ""), (solution.extra_sd, "standard deviation of ")):
+            columns |= {f"{of}{name}": values[:, k] for k, name in enumerate(solution.extra_names)}
     for title, column in columns.items():
         bad = _not_finite(column)
         if bad.any():
@@ -270,7 +281,7 @@ def check_convergence(
 
 def count_aligning_epochs(solution: NavSolution, until: float) -> int:
     """Count the epochs at the start of a solution, before ``until`` [s], that are NaN throughout."""
-    for rows in disk_arrays.blocks(len(solution)):
+    for rows in chain([slice(0, 1)], disk_arrays.blocks(len(solution))):  # most begin with the first
         started = solution.t[rows] >= until
         for column in (*(getattr(solution, name) for name in _VALUES.values()), solution.cov):
             started |= ~np.isnan(column[rows].reshape(len(started), -1)).all(axis=1)

@@ -35,7 +35,7 @@ class Poses:
         steps = np.linalg.norm(np.diff(truth_e, axis=0), axis=1)
         q_estimate = q_truth = np.tile([1.0, 0.0, 0.0, 0.0], (len(solution), 1))
         if np.isfinite(errors.phi_n).all():
-            q_en = rotation.from_matrix(earth.matrix_en(lla[:, 0], lla[:, 1]))
+            q_en = rotation.from_euler(0.0, -0.5 * np.pi - lla[:, 0], lla[:, 1])
             q_estimate = rotation.multiply(q_en, solution.q_nb)
             q_nb = rotation.multiply(rotation.from_rotvec(-errors.phi_n), solution.q_nb)
             q_truth = rotation.multiply(q_en, q_nb)

@@ -23,16 +23,13 @@ from bench.data import (
 from bench.navigation.timeline import TIME_TOLERANCE
 from bench.navigation.waiting import take_observations, take_rows
 
-LONG = 4
-"""A record of more than so many `disk_arrays.ROWS` is long: three quarters of an hour at 100 Hz."""
-
 _COUNTED = re.compile(r"(\w+): (\d+) (.*)")
 """Text of an event that counts rows of a record."""
 
 
 def is_long(sensors: SensorData) -> bool:
     """Return whether a record is long enough to go through a filter in blocks."""
-    return len(sensors.imu) > LONG * disk_arrays.ROWS
+    return len(sensors.imu) > disk_arrays.LONG * disk_arrays.ROWS
 
 
 def longest_wait(sensors: SensorData) -> float:

@@ -56,4 +56,6 @@ def select_output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, 
         first, stop = find_interval_rows(t, start, end)
         if first < stop:
             rows += [first, stop - 1]
-    return t[np.union1d(find_epoch_rows("output", t, rate), rows)]
+    chosen = np.sort(np.concatenate([find_epoch_rows("output", t, rate), rows]))
+    instants: FloatArray = t[chosen[np.diff(chosen, prepend=-1) > 0]]
+    return instants
