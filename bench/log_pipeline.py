@@ -34,6 +34,8 @@ from bench.units import SAME_INSTANT
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
+_END_OF_CUT, _SHORTEST_END = 0.1, 1.0
+"""Part of a cut, and at least so long [s], in whose last a reference has to have an epoch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +157,7 @@ def navigate_log(
     log = log if isinstance(log, RecordedLog) else read_log(log)
     clock = time.process_time()
     spec = log.spec
-    session = Session(spec, log.records, find_start(log.records, spec))
+    session = Session(spec, log.records, find_start(log.records, spec), log.reference)
     for duration in outages:
         session.check_room(duration)
     keep, withheld = session.split_fixes()
@@ -216,14 +218,20 @@ def navigate_log(
 
 
 class Session:
-    """A recording from its start on: the data for the filters and the withheld fixes that judge them."""
+    """A recording from its start on: the data for the filters, and the fixes or the reference that judge."""
 
-    def __init__(self, spec: LogSpec, recorded: LogRecords, initial: InitialState) -> None:
+    def __init__(
+        self,
+        spec: LogSpec,
+        recorded: LogRecords,
+        initial: InitialState,
+        judge_by: Reference | None = None,
+    ) -> None:
         fixes, imu = recorded.fixes, recorded.imu
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
         after_start = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
         good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= imu.t.max())
-        self.spec, self.recorded, self.initial = spec, recorded, initial
+        self.spec, self.recorded, self.initial, self.reference = spec, recorded, initial, judge_by
         self.fixes = fixes.take(good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
@@ -272,25 +280,51 @@ class Session:
     def run_outages(
         self, one: estimator.Estimator, label: str, duration: float, places: int
     ) -> list[OutageDrift]:
-        """Return the drift over an outage at several places; the estimator runs once for each."""
+        """Return the drift over an outage at several places; the estimator runs once for each.
+
+        The fix that ends an outage judges it, or the last epoch of the reference in it.
+
+        Raises
+        ------
+        ConfigError
+            If the reference is known at the end of none of them.
+        """
         t = self.fixes.t
         drifts = []
         for begin in place_outages(self.first, float(t[-1]), duration, places):
             before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
             end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
-            data = self.make_data(keep, t[end : end + 1])
+            data = self.make_data(keep, self._list_ends(float(t[end]), duration))
             solution = estimator.answer(one, label, data, self.initial)
-            last = self.fixes.take(np.arange(len(t)) == end)
-            error = antenna_errors(solution, last, data).pos_n[0]
-            variance = np.diag(solution.cov[0])
+            if self.reference is None:
+                last = self.fixes.take(np.arange(len(t)) == end)
+                errors, claims = antenna_errors(solution, last, data), solution.cov
+            else:
+                errors, moved = reference.compare(solution, self.reference, data)
+                claims = moved.cov
+            if not len(errors):
+                continue
+            error, variance = errors.pos_n[-1], np.diag(claims[-1])
             drifts.append(
                 OutageDrift(
                     start=float(t[before]),
-                    duration=float(t[end] - t[before]),
+                    duration=float(errors.t[-1] - t[before]),
                     drift=float(np.hypot(error[0], error[1])),
                     drift_v=float(abs(error[2])),
                     claimed=float(np.sqrt(0.5 * (variance[0] + variance[1]))),
                 )
             )
+        if not drifts:
+            raise ConfigError(
+                f"--outages: [reference] is known at the end of none of {places} cuts of {duration:g} s, "
+                f"the last of them at {t[-1]:.1f} s"
+            )
         return drifts
+
+    def _list_ends(self, end: float, duration: float) -> FloatArray:
+        """Return the output instants at the end of an outage [s]; a reference has an epoch among them."""
+        if self.reference is None:
+            return np.array([end])
+        count = int(max(_END_OF_CUT * duration, _SHORTEST_END) * self.spec.output_rate)
+        return end - np.arange(count + 1)[::-1] / self.spec.output_rate

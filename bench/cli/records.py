@@ -68,7 +68,8 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
     mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
     data is reported first. Every fifth fix is withheld from the filters to judge them;
-    --outages cuts out GNSS at several places and judges the drift by the fixes there.
+    --outages cuts out GNSS at several places and judges the drift by the fixes there,
+    or by the [reference] of the log.
     Writes a results folder as bench run does, without truth.
 
     \b

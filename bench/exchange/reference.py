@@ -171,12 +171,19 @@ def judge(
     Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
     the estimate plus that of the reference.
     """
-    estimate, track = _meet(solution, reference.track)
-    errors, moved = point_errors(estimate, track, reference.point_b, data.imu)
+    errors, moved = compare(solution, reference, data)
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     if len(errors):
         values = judge_epochs(errors, moved, evaluation_from)
     return errors, {**values, "reference_epochs": len(errors)}
+
+
+def compare(
+    solution: NavSolution, reference: Reference, data: SensorData
+) -> tuple[ErrorSeries, NavSolution]:
+    """Return the errors at the instants that both have, and the estimate there with the claims of both."""
+    estimate, track = _meet(solution, reference.track)
+    return point_errors(estimate, track, reference.point_b, data.imu)
 
 
 def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:

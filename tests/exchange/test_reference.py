@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,10 @@ from numpy.testing import assert_allclose
 import bench
 from bench import earth, rotation
 from bench.cli import main
+from bench.errors import ConfigError
+from bench.evaluation.error_series import select_epochs
+from bench.exchange.log_start import find_start
+from bench.log_pipeline import Session
 from tests.builders import assert_same_solution
 from tests.exchange import drives
 
@@ -161,6 +167,34 @@ def test_a_reference_of_another_drive_is_told(tmp_path):
     (check,) = [c for c in log.checks if c.name == "reference_to_fixes_m"]
     assert not check.good
     assert "is it of this drive" in check.text
+
+
+@pytest.mark.parametrize("rate", [20.0, 1.0])
+def test_cuts_of_gnss_are_judged_by_the_reference(tmp_path, rate):
+    """Every fix lies 10 m too far north: the fixes cannot show it, the reference does, of any rate."""
+    drives.write_csv(tmp_path / "other.csv", motion(rate))
+    path = drives.write_log(tmp_path, drives.LOG + REFERENCE.format(file="other.csv"))
+    fixes = drives.sensed()["gnss"]
+    fixes["lla"][:, 0] += 10.0 / 6.37e6
+    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(fixes))
+    log = bench.read_log(path)
+    origin, start = log.records.origin, find_start(log.records, log.spec)
+    flown, one = drives.truth(), log.estimators["loose-15"]
+    session = Session(log.spec, log.records, start, log.reference)
+    cuts = session.run_outages(one, "x", 10.0, 3)
+    for cut in cuts:
+        end, t = cut.start + cut.duration, session.fixes.t
+        assert cut.duration == pytest.approx(10.0, abs=1.0 / rate)
+        data = session.make_data((t <= cut.start) | (t > cut.start + 10.1), np.array([end]))
+        solution = one.run(data, start)
+        true = flown.lla[np.searchsorted(flown.t, end + origin - 1e-6)]
+        off = earth.difference_n(solution.lla[0], true)
+        assert cut.drift == pytest.approx(np.hypot(*off[:2]), abs=0.1)  # of a heading 2 deg off at the lever
+        assert cut.claimed < 5.0
+    assert min(cut.drift for cut in cuts) > 5.0
+    missing = replace(log.reference, track=select_epochs(log.reference.track, np.arange(10)))
+    with pytest.raises(ConfigError, match="known at the end of none of 2 cuts"):
+        Session(log.spec, log.records, start, missing).run_outages(one, "x", 10.0, 2)
 
 
 @pytest.mark.parametrize("by", ["reference", "withheld"])

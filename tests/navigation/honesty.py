@@ -62,12 +62,14 @@ class Judged:
 
     def outside(self) -> list[str]:
         """Return the sensors whose mean NIS is outside its 99.9 % band, each with its mean over its dof."""
-        found = []
+        return [f"{sensor} {ratio:.3f}" for sensor, (ratio, inside) in self.innovations().items() if not inside]
+
+    def innovations(self) -> dict[str, tuple[float, bool]]:
+        """Return mean NIS over its dof of each sensor, and whether it is in its 99.9 % band."""
+        found = {}
         for sensor, each in self.nis.items():
             nis, dof = (np.concatenate([getattr(series, name) for series in each]) for name in ("nis", "dof"))
-            mean = consistency.mean_nis(nis, dof)
-            if not mean.inside:
-                found.append(f"{sensor} {nis.sum() / dof.sum():.3f}")
+            found[sensor] = (float(nis.sum() / dof.sum()), bool(consistency.mean_nis(nis, dof).inside))
         return found
 
     def claims(self) -> ensemble_consistency.Consistency:
@@ -88,15 +90,20 @@ class Judged:
             "median": float(np.median(averages)) if len(averages) else math.nan,
             "most": float(averages.max()) if len(averages) else math.nan,
             "nis": self.outside(),
+            "innovations": self.innovations(),
+            "averages": averages.tolist(),
         }
         if len(averages) >= ensemble_consistency.LEAST_RUNS:
             figures["word"] = self.claims().word
         if twin is not None and self.failed == twin.failed == 0:
-            apart = averages / self.states - twin.averages / self.states
+            ratio = self.mean / twin.mean
+            apart = (averages - ratio * twin.averages) / twin.mean
             figures |= {
                 "twin": twin.mean,
-                "ratio": self.mean / twin.mean,
+                "ratio": ratio,
                 "ratio_error": float(apart.std(ddof=1) / np.sqrt(len(apart))),
+                "twin_innovations": twin.innovations(),
+                "twin_averages": twin.averages.tolist(),
             }
         return figures
 
