@@ -476,6 +476,7 @@ class GnssSpec:
     pos_h_white_sd: float = figure("m", reported=True)  # [m]
     pos_v_white_sd: float = figure("m", reported=True)  # [m]
     vel_white_sd: float = figure("mps", reported=True)  # each axis [m/s]
+    vel_v_white_sd: float = figure("mps", default=0.0)  # vertical; 0: as each other axis [m/s]
     pos_h_markov_sd: float = figure("m", default=0.0)  # [m]
     pos_v_markov_sd: float = figure("m", default=0.0)  # [m]
     vel_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
@@ -496,6 +497,11 @@ class GnssSpec:
     vel_jump_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
     optimism: float = figure("", 0.05, 20, default=1.0)  # true over reported standard deviation of a fix [1]
     sky: SkySpec | None = None  # measurement level; only filters then assume the errors above
+
+    @property
+    def vel_white_sd_n(self) -> tuple[float, float, float]:
+        """White noise of the velocity north, east and down [m/s]."""
+        return self.vel_white_sd, self.vel_white_sd, self.vel_v_white_sd or self.vel_white_sd
 
     @property
     def jumps(self) -> bool:

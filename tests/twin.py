@@ -194,8 +194,8 @@ def fix_covariance(gnss):
     """R (6, 6) of a fix: white and Markov part together."""
     h = gnss.pos_h_white_sd**2 + gnss.pos_h_markov_sd**2
     v = gnss.pos_v_white_sd**2 + gnss.pos_v_markov_sd**2
-    s = gnss.vel_white_sd**2 + gnss.vel_markov_sd**2
-    return np.diag([h, h, v, s, s, s])
+    s = np.square(gnss.vel_white_sd_n) + gnss.vel_markov_sd**2
+    return np.diag([h, h, v, *s])
 
 
 # --- the filter ---------------------------------------------------------------------------------------

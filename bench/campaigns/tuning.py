@@ -22,7 +22,7 @@ DEFAULT_FACTORS = (
     "imu.gyro.noise",
     "imu.accel.noise",
     "gnss.gnss.pos_h_white,gnss.gnss.pos_v_white",
-    "gnss.gnss.vel_white",
+    "gnss.gnss.vel_white,gnss.gnss.vel_v_white",
 )
 """Beginnings of the figures that share a factor, if none are asked for: kind, table and key."""
 

@@ -185,7 +185,7 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
     assert gnss is not None
     h = np.hypot(gnss.pos_h_white_sd, gnss.pos_h_markov_sd)
     pos_sd = np.array([h, h, np.hypot(gnss.pos_v_white_sd, gnss.pos_v_markov_sd)])
-    vel_sd = np.full(3, np.hypot(gnss.vel_white_sd, gnss.vel_markov_sd))
+    vel_sd = np.hypot(gnss.vel_white_sd_n, gnss.vel_markov_sd)
     pos_factor, vel_factor = _weigh_by_report(values, spec, pos_sd, len(t))
     return GnssFixes(
         t=t,

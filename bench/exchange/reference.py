@@ -178,9 +178,7 @@ def judge(
     return errors, {**values, "reference_epochs": len(errors)}
 
 
-def compare(
-    solution: NavSolution, reference: Reference, data: SensorData
-) -> tuple[ErrorSeries, NavSolution]:
+def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
     """Return the errors at the instants that both have, and the estimate there with the claims of both."""
     estimate, track = _meet(solution, reference.track)
     return point_errors(estimate, track, reference.point_b, data.imu)

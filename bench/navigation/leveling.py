@@ -112,7 +112,7 @@ def _rest(
     last = initial.t + initial.align_for + timeline.TIME_TOLERANCE
     why, until = "the time of the alignment is over", last
     if sensors.fixes is not None and sensors.specs.gnss is not None:
-        sd = np.sqrt(fix_variance(sensors.specs.gnss, gnss_markov=False)[3])
+        sd = np.sqrt(fix_variance(sensors.specs.gnss, gnss_markov=False)[3:].max())
         speed = np.linalg.norm(sensors.fixes.vel_n, axis=1)
         moving = sensors.fixes.valid & (speed > REST_SPEED_SD + SIGMAS * sd) & (sensors.fixes.t >= initial.t)
         if moving.any():

@@ -79,8 +79,8 @@ def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
     rest = 0.0 if gnss_markov else 1.0
     h = gnss.pos_h_white_sd**2 + rest * gnss.pos_h_markov_sd**2
     v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2
-    s = gnss.vel_white_sd**2 + rest * gnss.vel_markov_sd**2
-    return np.array([h, h, v, s, s, s])
+    s = np.square(gnss.vel_white_sd_n) + rest * gnss.vel_markov_sd**2
+    return np.array([h, h, v, *s])
 
 
 def weigh_fixes(fixes: GnssFixes, white: FloatArray, accuracy: FixAccuracy) -> FloatArray:

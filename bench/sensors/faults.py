@@ -174,7 +174,7 @@ def compute_fix_errors(
         pos += burst * np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
     burst = draw_bursts(t, faults, "gnss", "velocity", 3, seed, run)
     if burst is not None:
-        vel += burst * spec.vel_white_sd
+        vel += burst * np.array(spec.vel_white_sd_n)
     return pos, vel
 
 

@@ -63,7 +63,7 @@ def measure(
     lla, vel_n = compute_antenna_motion(truth, rows, antenna_b)
     pos_white_sd = np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
     pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])
-    vel_white_sd = np.full(3, spec.vel_white_sd)
+    vel_white_sd = np.array(spec.vel_white_sd_n)
     vel_markov_sd = np.full(3, spec.vel_markov_sd)
     ground_speed = np.hypot(truth.vel_n[rows, 0], truth.vel_n[rows, 1])
     pos_decay = spec.pos_decay_distance * ground_speed + spec.pos_decay_time

@@ -143,8 +143,8 @@ def _make_fix_covariance(specs: AssumedSpecs) -> FloatArray:
         raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
     h = gnss.pos_h_white_sd**2 + gnss.pos_h_markov_sd**2
     v = gnss.pos_v_white_sd**2 + gnss.pos_v_markov_sd**2
-    s = gnss.vel_white_sd**2 + gnss.vel_markov_sd**2
-    return np.diag([h, h, v, s, s, s])
+    s = np.square(gnss.vel_white_sd_n) + gnss.vel_markov_sd**2
+    return np.diag([h, h, v, *s])
 
 
 def _place_antenna(

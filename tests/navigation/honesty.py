@@ -62,7 +62,8 @@ class Judged:
 
     def outside(self) -> list[str]:
         """Return the sensors whose mean NIS is outside its 99.9 % band, each with its mean over its dof."""
-        return [f"{sensor} {ratio:.3f}" for sensor, (ratio, inside) in self.innovations().items() if not inside]
+        found = self.innovations().items()
+        return [f"{sensor} {ratio:.3f}" for sensor, (ratio, inside) in found if not inside]
 
     def innovations(self) -> dict[str, tuple[float, bool]]:
         """Return mean NIS over its dof of each sensor, and whether it is in its 99.9 % band."""

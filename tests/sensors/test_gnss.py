@@ -17,6 +17,8 @@ import bench
 from bench import earth, rotation
 from bench.config.datasheets import read_gnss
 from bench.errors import ConfigError
+from bench.navigation.classic.process_model import per_axis
+from bench.navigation.measurements import fix_variance
 from bench.sensors import gnss
 from bench.specs import GnssSpec
 from tests.builders import Z, band
@@ -104,6 +106,17 @@ def test_doubling_the_lever_arm_doubles_the_offset(turn):
     imu = measure(turn, SILENT).vel_n
     once, twice = (measure(turn, SILENT, antenna_b=tuple(k * np.array(LEVER))).vel_n for k in (1, 2))
     assert_allclose(twice - imu, 2 * (once - imu), rtol=0, atol=1e-12)
+
+
+def test_the_vertical_velocity_may_have_white_noise_of_its_own(turn):
+    """In the errors, the covariance that is reported, and R; left out it is that of each other axis."""
+    alike, own = replace(SILENT, vel_white_sd=0.02), replace(SILENT, vel_white_sd=0.02, vel_v_white_sd=0.06)
+    before, after = errors(turn, alike)[1], errors(turn, own)[1]
+    assert_allclose(after, before * [1.0, 1.0, 3.0], rtol=0, atol=1e-12)
+    assert_allclose(measure(turn, own).cov_vel_n[0], np.diag([4e-4, 4e-4, 36e-4]), rtol=1e-12)
+    for filters_r in (fix_variance(own, gnss_markov=True), fix_variance(own, gnss_markov=False)):
+        assert_allclose(filters_r[3:], [4e-4, 4e-4, 36e-4], rtol=1e-12)
+    assert_allclose(per_axis((1.0, 2.0, 0.02, 0.06)), [1.0, 1.0, 2.0, 0.02, 0.02, 0.06])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ class Sigmas:
     h: float  # barometer, white [m]
     xi: float  # barometer bias, walk [m/sqrt(s)]
     bb: float  # barometer bias at the start [m]
-    white: Vector  # GNSS sigma_Rs, sigma_Hs [m], sigma_Vs [m/s]
+    white: tuple[float, ...]  # GNSS sigma_Rs, sigma_Hs [m], sigma_Vs, and that of the vertical velocity [m/s]
     markov: Vector  # GNSS sigma_Rc, sigma_Hc [m], sigma_Vc [m/s]
     lambda_s: float  # decay of the position's Markov part by distance [1/m]
     lambda_st: float  # and by time [1/s]
@@ -60,7 +61,7 @@ def sigmas(specs: AssumedSpecs) -> Sigmas:
         h=b.white_sd if b else 0.0,
         xi=b.bias_walk if b else 0.0,
         bb=b.bias_sd if b else 0.0,
-        white=(g.pos_h_white_sd, g.pos_v_white_sd, g.vel_white_sd) if g else none,
+        white=(g.pos_h_white_sd, g.pos_v_white_sd, *g.vel_white_sd_n[1:]) if g else none,
         markov=(g.pos_h_markov_sd, g.pos_v_markov_sd, g.vel_markov_sd) if g else none,
         lambda_s=g.pos_decay_distance if g else 0.0,
         lambda_st=g.pos_decay_time if g else 0.0,
@@ -89,10 +90,13 @@ def gnss_noise(sig: Sigmas, decay: FloatArray, east: float, north: float, jump: 
     return np.diag(np.hypot(q * per_axis(sig.markov), float(jump) * per_axis(sig.jump_markov)) * unit)
 
 
-def per_axis(figures: Vector) -> FloatArray:
-    """Return figures of horizontal position, height and velocity for the six axes of a fix."""
-    r, h, v = figures
-    return np.array([r, r, h, v, v, v])
+def per_axis(figures: Sequence[float]) -> FloatArray:
+    """Return figures of a fix for its six axes.
+
+    They are those of horizontal position, height and velocity, and of vertical velocity where it has its own.
+    """
+    r, h, v, *vertical = figures
+    return np.array([r, r, h, v, v, *(vertical or [v])])
 
 
 def model(
