@@ -499,6 +499,11 @@ class GnssSpec:
     sky: SkySpec | None = None  # measurement level; only filters then assume the errors above
 
     @property
+    def pos_white_sd_n(self) -> tuple[float, float, float]:
+        """White noise of the position north, east and down [m]."""
+        return self.pos_h_white_sd, self.pos_h_white_sd, self.pos_v_white_sd
+
+    @property
     def vel_white_sd_n(self) -> tuple[float, float, float]:
         """White noise of the velocity north, east and down [m/s]."""
         return self.vel_white_sd, self.vel_white_sd, self.vel_v_white_sd or self.vel_white_sd

@@ -171,7 +171,7 @@ def compute_fix_errors(
     pos, vel = compute_spoofing(t, faults)
     burst = draw_bursts(t, faults, "gnss", "position", 3, seed, run)
     if burst is not None:
-        pos += burst * np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
+        pos += burst * np.array(spec.pos_white_sd_n)
     burst = draw_bursts(t, faults, "gnss", "velocity", 3, seed, run)
     if burst is not None:
         vel += burst * np.array(spec.vel_white_sd_n)

@@ -61,7 +61,7 @@ def measure(
     rows = find_epoch_rows("gnss", truth.t, spec.rate)
     t = truth.t[rows]
     lla, vel_n = compute_antenna_motion(truth, rows, antenna_b)
-    pos_white_sd = np.array([spec.pos_h_white_sd, spec.pos_h_white_sd, spec.pos_v_white_sd])
+    pos_white_sd = np.array(spec.pos_white_sd_n)
     pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])
     vel_white_sd = np.array(spec.vel_white_sd_n)
     vel_markov_sd = np.full(3, spec.vel_markov_sd)

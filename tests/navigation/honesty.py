@@ -5,6 +5,8 @@ Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_u
 by `bench.evaluation.ensemble_consistency`. Run as a program it prints a row for each pair::
 
     python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
+
+With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them.
 """
 
 from __future__ import annotations
@@ -18,18 +20,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 import bench
 from bench import pipeline
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.evaluation import consistency, ensemble_consistency
+from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import error_series
 from bench.navigation import estimator
 from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 FOLDER = Path(bench.__file__).parent
 RECOVERY = 60.0  # after a fault, in which no honesty is asked for [s]
+ALLOWED, CONFIDENCE = 0.10, 0.99  # distance of the ratio from 1, and of the interval that tells
 SEED = 90210  # of the judging draws; no model was built on them
 
 
@@ -162,10 +167,15 @@ def with_unit(profile: Profile, imu: ImuSpec) -> Profile:
 
 def choose_instants(profile: Profile, t: FloatArray) -> BoolArray:
     """Return the instants that are judged: after the alignment, at whole seconds, away from faults."""
-    chosen = (t >= profile.evaluation_from) & (np.abs(t - np.round(t)) < 1e-6)
+    return (t >= profile.evaluation_from) & (np.abs(t - np.round(t)) < 1e-6) & find_sound(profile, t)
+
+
+def find_sound(profile: Profile, t: FloatArray) -> BoolArray:
+    """Return the instants that no fault reaches."""
+    sound = np.ones(len(t), np.bool_)
     for fault in profile.sensors.faults:
-        chosen &= (t < fault.start) | (t >= fault.end + RECOVERY)
-    return chosen
+        sound &= (t < fault.start) | (t >= fault.end + RECOVERY)
+    return sound
 
 
 def judge_draws(
@@ -191,7 +201,9 @@ def judge_draws(
             judged.nees.append(errors.nees[chosen])
             series = consistency.nis_by_sensor(solution.innovations, profile.evaluation_from)
             for sensor, each in series.items():
-                judged.nis.setdefault(sensor, []).append(each)
+                sound = find_sound(profile, each.t)
+                kept = SensorNis(each.t[sound], each.nis[sound], each.dof[sound], each.accepted[sound])
+                judged.nis.setdefault(sensor, []).append(kept)
     return found
 
 
@@ -244,6 +256,27 @@ def write_row(row: dict[str, Any]) -> str:
     return " ".join([line, row.get("word", ""), *row["nis"]])
 
 
+def judge_ratio(row: dict[str, Any]) -> tuple[float, str]:
+    """Return half of the interval of a ratio to the twin, and what it tells about 10 %."""
+    half = float(stdtrit(row["draws"] - 1, 0.5 + 0.5 * CONFIDENCE) * row["ratio_error"])
+    low, high = row["ratio"] - half, row["ratio"] + half
+    near = [abs(end - 1.0) <= ALLOWED for end in (low, high)]
+    if all(near):
+        return half, "within"
+    return half, "undecided" if any(near) or low < 1.0 < high else "outside"
+
+
+def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
+    """Yield the lines of a table of the guide, a line for each profile or unit (``key``)."""
+    yield f"| {key} | draws | `loose-full` | twin | ratio | 10 % | NIS out of its band |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in rows:
+        half, word = judge_ratio(row)
+        cells = [f"`{row[key]}`", str(row["draws"]), f"{row['mean']:.2f}", f"{row['twin']:.2f}"]
+        cells += [f"{row['ratio']:.3f} ± {half:.3f}", word, ", ".join(row["nis"])]
+        yield "| " + " | ".join(cells).rstrip() + " |"
+
+
 def main() -> None:
     """Print a row for each profile, unit and estimator."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -255,7 +288,15 @@ def main() -> None:
     parser.add_argument("--hz", type=float, default=20.0, help="of the covariance; 0: at every sample")
     parser.add_argument("--twin", action="store_true")
     parser.add_argument("-o", "--out", type=Path, help="rows as JSON, one a line")
+    parser.add_argument(
+        "--table", type=Path, metavar="OUT", help="print rows that were kept, and measure nothing"
+    )
     given = parser.parse_args()
+    if given.table:
+        rows = [json.loads(line) for line in given.table.read_text().splitlines()]
+        key = "unit" if len({row["profile"] for row in rows}) == 1 else "profile"
+        print("\n".join(write_table(rows, key)))
+        return
     units = list_names("catalog/imu") if given.units == "all" else given.units.split(",")
     rows = measure(
         given.profiles.split(","), units, given.estimators.split(","), given.runs, given.seed,

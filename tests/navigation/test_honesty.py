@@ -47,6 +47,16 @@ def test_a_row_holds_the_filter_and_its_twin_on_the_same_draws(figure_eight_trut
     assert honesty.judge_draws(fooled, truth, "matched-mems", uses, range(2))[0].mean > 3.0 * own.mean
 
 
+@pytest.mark.parametrize(
+    ("ratio", "error", "word"),
+    [(1.02, 0.01, "within"), (0.91, 0.01, "undecided"), (1.2, 0.2, "undecided"), (1.14, 0.01, "outside")],
+)
+def test_the_word_of_a_ratio_follows_its_interval(ratio, error, word):
+    """99 % of 150 draws: 2.61 standard errors."""
+    half, found = honesty.judge_ratio({"draws": 150, "ratio": ratio, "ratio_error": error})
+    assert (round(half / error, 2), found) == (2.61, word)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", honesty.list_names("profiles"))
 def test_loose_full_is_as_honest_as_its_twin_on_every_profile(name):

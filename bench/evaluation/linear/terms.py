@@ -113,7 +113,7 @@ _TRIAD = {  # source -> figures it needs
 _GNSS = {
     "GNSS position noise": ("pos_h_white_sd", "pos_v_white_sd"),
     "GNSS position wander": ("pos_h_markov_sd", "pos_v_markov_sd"),
-    "GNSS velocity noise": ("vel_white_sd",),
+    "GNSS velocity noise": ("vel_white_sd", "vel_v_white_sd"),
     "GNSS velocity wander": ("vel_markov_sd",),
     "GNSS jumps": tuple(
         f"{axes}_{kind}_sd" for axes in ("pos_h", "pos_v", "vel") for kind in ("jump", "jump_markov")
@@ -269,10 +269,11 @@ def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> 
         (POSITION, "position", ("pos_h", "pos_h", "pos_v")),
         (VELOCITY, "velocity", ("vel", "vel", "vel")),
     ):
-        white, markov, passing, lasting = (
+        markov, passing, lasting = (
             np.array([getattr(gnss, f"{axis}_{kind}_sd") for axis in axes]) ** 2
-            for kind in ("white", "markov", "jump", "jump_markov")
+            for kind in ("markov", "jump", "jump_markov")
         )
+        white = np.square(gnss.pos_white_sd_n if acts == POSITION else gnss.vel_white_sd_n)
         by_time = gnss.pos_decay_time if acts == POSITION else gnss.vel_decay_time
         by_distance = gnss.pos_decay_distance if acts == POSITION else 0.0
         decaying = partial(Process, acts=acts, decay_time=by_time, decay_distance=by_distance)
