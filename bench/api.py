@@ -43,6 +43,7 @@ def run(
     run: int = 0,
     estimators: Sequence[str] | None = None,
     sensors: Mapping[str, str] | None = None,
+    bound: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
@@ -64,6 +65,8 @@ def run(
         None takes those of the profile, but no code; `load_profile` with ``allow_code`` permits that.
     sensors : mapping or None
         Sensors to replace, for example ``{"imu": "icm-42688-p"}``.
+    bound : bool
+        Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     progress : callable or None
         Called with the seconds flown so far.
 
@@ -83,7 +86,7 @@ def run(
         profile = load_profile(str(profile), overrides, seed, estimators)
     if run != int(run) or run < 0:
         raise ConfigError(f"bench.run: run = {run} must be a whole number, at least 0")
-    return pipeline.run(profile, int(run), progress=progress)
+    return pipeline.run(profile, int(run), bound=bound, progress=progress)
 
 
 def fly(profile: str | Path | Profile) -> Trajectory:

@@ -125,6 +125,7 @@ def run(
     run: int = 0,
     *,
     truth: Trajectory | None = None,
+    bound: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
@@ -140,6 +141,8 @@ def run(
         Number of the noise draw.
     truth : Trajectory or None
         The truth, if it has been flown already.
+    bound : bool
+        Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     progress : callable or None
         Called with the seconds flown so far.
 
@@ -149,6 +152,10 @@ def run(
         If no estimator can start, as well as for :func:`build_estimators`.
     """
     built = build_estimators(profile)  # fails before the flight
+    if bound:
+        from bench.evaluation.linear import held
+
+        held.check_flight(profile.sensors, built)
     clock = {"fly": time.process_time()}
     own_truth = truth is not None
     if truth is None:
@@ -192,6 +199,13 @@ def run(
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, sensed.data).items():
         metrics[label]["same_as"] = other
+    if bound and worked:
+        errors = {label: judged[label][0] for label in worked}
+        smoothing = {label: held.smooths(built[label]) for label in worked}
+        begin = profile.evaluation_from
+        ratios = held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
+        for label, rows in ratios.items():
+            metrics[label]["bound"] = rows
     clock["end"] = time.process_time()
     hashes = {
         "truth": None if own_truth else store.truth_key(profile.flight),

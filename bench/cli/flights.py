@@ -44,6 +44,7 @@ from bench.errors import DONE, NEGATIVE
     metavar="K",
     help="the K-th noise draw of this seed",
 )
+@click.option("--bound", is_flag=True, help="hold the errors against the best linear estimator")
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
 @json_option("the metrics")
 @recording_option

@@ -18,24 +18,21 @@ from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.evaluation.linear.error_budget import Budget, split_errors
 from bench.evaluation.linear.gains import record_gains
+from bench.evaluation.linear.held import check_aiding
+from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.fusion import Loose
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.specs import Profile
 from bench.studies.drawn_errors import (
-    LEVEL,
-    QUANTITIES,
     Draws,
     Flight,
-    Quantity,
-    check_aiding,
     draw_errors,
     find_choice,
     join_words,
     key_instants,
     output_times,
-    root_mean_interval,
 )
 from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Work
 
@@ -93,8 +90,9 @@ def run(options: Options, work: Work) -> Findings:
 def _choose(profile: Profile) -> str:
     """Return the label of the first estimator that has a linear model."""
     for choice in profile.estimators:
-        if isinstance(pipeline.build_estimator(choice), Loose):
-            check_aiding(choice)
+        one = pipeline.build_estimator(choice)
+        if isinstance(one, Loose):
+            check_aiding(choice.label, one)
             return choice.label
     raise ConfigError(
         "budget takes loose-15, loose-22, loose-mems, loose-full, baro-inertial or free-inertial, and "

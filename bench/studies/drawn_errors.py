@@ -5,53 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from bench import pipeline, sensors
 from bench.arrays import FloatArray
 from bench.config import load_profile
 from bench.data import Trajectory
-from bench.errors import ConfigError
 from bench.evaluation.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator
-from bench.navigation.fusion import Fusion
-from bench.navigation.measurements import BARO, FIXES
 from bench.specs import EstimatorChoice, Profile
-from bench.units import DEG
 
 INTERVAL = 1.0
 """Between the instants of a study [s]."""
-LEVEL = 0.999
-"""Probability of an interval."""
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A figure of the errors of position, velocity and attitude: the root of a sum of variances."""
-
-    name: str  # as in columns, with its unit
-    title: str
-    unit: str
-    states: tuple[int, ...]
-    scale: float = 1.0  # SI over unit
-
-    def sd(self, variance: FloatArray) -> FloatArray:
-        """Return the figure of variances (..., 9)."""
-        return np.asarray(np.sqrt(variance[..., self.states].sum(axis=-1)) / self.scale)
-
-
-QUANTITIES = (
-    Quantity("horizontal_m", "horizontal position", "m", (0, 1)),
-    Quantity("height_m", "height", "m", (2,)),
-    Quantity("velocity_mps", "horizontal velocity", "m/s", (3, 4)),
-    Quantity("tilt_deg", "tilt", "deg", (6, 7), DEG),
-    Quantity("heading_deg", "heading", "deg", (8,), DEG),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,37 +88,11 @@ def find_choice(profile: Profile, label: str) -> EstimatorChoice:
     return next(choice for choice in profile.estimators if choice.label == label)
 
 
-def check_aiding(choice: EstimatorChoice) -> None:
-    """Raise ConfigError if an estimator uses more than IMU, fixes and barometer."""
-    one = pipeline.build_estimator(choice)
-    one = getattr(one, "filter", one)  # of a smoother
-    if not isinstance(one, Fusion):
-        return
-    options = one.options
-    more = [sensor.option for sensor in one.aiding() if sensor not in (FIXES, BARO)]
-    more += [name for name in ("standstill", "nonholonomic", "coordinated") if getattr(options, name)]
-    if more:
-        raise ConfigError(
-            f"{choice.label}: the linear model knows IMU, fixes and barometer, not {', '.join(more)}; "
-            "leave the option out"
-        )
-
-
 def split_draws(draws: int, parts: int) -> Iterator[tuple[int, int]]:
     """Yield first and count of the parts that draws are split into."""
     edges = np.linspace(0, draws, min(parts, draws) + 1).astype(int)
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         yield first, last - first
-
-
-def root_mean_interval(rms: Any, freedom: float) -> tuple[Any, Any]:
-    """Return the `LEVEL` interval of a standard deviation whose estimate is ``rms``.
-
-    ``freedom`` is that of the chi-square variable behind it, such as the number of draws.
-    """
-    tail = 0.5 * (1.0 - LEVEL)
-    low, high = (2.0 * float(gammaincinv(0.5 * freedom, p)) / freedom for p in (tail, 1.0 - tail))
-    return rms / high**0.5, rms / low**0.5
 
 
 def key_instants(t: FloatArray, profile: Profile) -> dict[str, int]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import sensors
 from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.linear.directions import (
     Observed,
@@ -20,10 +21,10 @@ from bench.evaluation.linear.directions import (
     find_turns,
     observe,
 )
+from bench.evaluation.linear.held import bound_flight
 from bench.plots import series
 from bench.plots.series import Plot
-from bench.studies.bound import bound_flight
-from bench.studies.drawn_errors import Flight
+from bench.studies.drawn_errors import Flight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
 from bench.studies.study import Findings, StudyOptions, StudyTable, Work
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
@@ -53,7 +54,9 @@ def run(options: Options, work: Work) -> Findings:
     """Return what is known before, in and after turns."""
     profile, truth = Flight(options.profile, options.imu).load()
     work.progress("the best linear estimator", 0, 2)
-    seen = observe(bound_flight(profile, truth, smooth=False))
+    data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
+    t = output_times(truth, profile)
+    seen = observe(bound_flight(truth, profile.sensors, data, profile.seed, t, smooth=False))
     turning = _smooth_phases(find_turns(truth, seen.t), seen.t)
     phases = _split_phases(turning)
     work.progress("the reference flight", 1, 2)

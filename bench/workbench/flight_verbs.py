@@ -31,12 +31,14 @@ def run(
     recording: bool,
     report: bool,
     force: bool,
+    bound: bool = False,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, write the results folder, and print the metrics.
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
-    ``profile_options`` are those of `bench.config.load_profile`.
+    ``bound`` holds the errors against the best linear estimator. ``profile_options`` are those of
+    `bench.config.load_profile`.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
@@ -44,9 +46,10 @@ def run(
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
     with _show_progress(profile) as progress:
-        result = api.run(profile, run=draw, progress=progress)
+        result = api.run(profile, run=draw, bound=bound, progress=progress)
     api.save(result, folder, recording=recording, report=report, force=force)
     result_table.print_result(console, profile, result)
+    result_table.print_bound(console, result.metrics)
     show.print_sanity(console, result.events.select("sanity"))
     print_end(console, folder, begun)
     return result, folder

@@ -63,6 +63,31 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     _print_remarks(console, measured, solutions)
 
 
+def print_bound(console: Console, measured: Measured) -> None:
+    """Print the errors over those of the best linear estimator, where they were asked for."""
+    held = {label: values["bound"] for label, values in measured.items() if values.get("bound")}
+    if not held:
+        return
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("rms over that of the best linear estimator", max_width=30)
+    cells: dict[str, dict[str, str]] = {}
+    for label, rows in held.items():
+        table.add_column(label.replace("-", "-\n"), justify="right", no_wrap=True)
+        for row in rows:
+            low, high = (_format_end(row[end]) for end in ("low", "high"))
+            text = f"{format_number(row['ratio'])}\n{low}-{high}"
+            cells.setdefault(f"{row['quantity']} {row['phase']}", {})[label] = text
+    for key, texts in cells.items():
+        table.add_row(key, *(texts.get(label, "") for label in held))
+    console.print(table)
+    meaning = "Below each ratio its 99.9 % interval, by the correlation in time of this one run."
+    console.print(meaning, style="dim")
+
+
+def _format_end(value: float) -> str:
+    return f"{value:.2g}" if value < 100.0 else f"{value:.0f}"
+
+
 def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str, NavSolution]) -> None:
     remarks: dict[str, list[str]] = {}
     for label, values in measured.items():

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from rich.console import Console
 
 import bench
 from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import describe_direction, observe
+from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
+from bench.workbench.result_table import print_bound
 
 FLIGHT = """
 aircraft = "aerosonde"
@@ -87,6 +92,41 @@ def test_the_bound_of_a_short_flight(flight):
         assert high > 1.0
         assert name == "smoother" or low < 1.0  # it is the best linear one, but for linearization
     assert found.findings.good
+
+
+def test_a_run_is_held_against_the_bound_where_asked_for(flight):
+    found = bench.run(flight, bound=True)
+    for label, values in found.metrics.items():
+        assert {row["phase"] for row in values["bound"]} == {"with GNSS", "without GNSS"}, label
+        assert len(values["bound"]) == 10
+        for row in values["bound"]:
+            assert row["low"] < row["ratio"] < row["high"]
+            assert row["ratio"] == pytest.approx(row["rmse"] / row["bound"])
+            assert row["high"] > 1.0
+    assert "bound" not in bench.run(flight).metrics["loose-full"]
+    console = Console(width=80, file=io.StringIO(), record=True)
+    print_bound(console, found.metrics)
+    text = console.export_text()
+    assert "heading without GNSS" in text
+    assert max(map(len, text.splitlines())) <= 80
+    with pytest.raises(ConfigError, match="position level"):
+        bench.run("gnss-jammed", bound=True)
+
+
+def test_the_interval_of_one_run_knows_the_correlation_of_its_errors():
+    """Of 400 series with a correlation time of 20 samples few miss 1; as white noise most do."""
+    rng, phi = np.random.default_rng(1), np.exp(-1 / 20)
+    noise = rng.standard_normal((400, 300, 9)) * np.sqrt(1 - phi**2)
+    noise[:, 0] /= np.sqrt(1 - phi**2)
+    errors = np.array(noise)
+    for k in range(1, 300):
+        errors[:, k] += phi * errors[:, k - 1]
+    heading, least = QUANTITIES[-1], np.ones((300, 9))
+    held = [compare_run(one, least, heading) for one in errors]
+    missed = np.mean([not one.low < 1.0 < one.high for one in held])
+    assert missed < 0.02
+    low, high = root_mean_interval(np.array([one.ratio for one in held]), 300.0)
+    assert np.mean((low > 1.0) | (high < 1.0)) > 0.1
 
 
 def test_what_has_no_linear_model_is_refused(flight):

@@ -1,0 +1,104 @@
+"""Estimators held against the best linear one on a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import ErrorSeries, Sensed, SensorData, Trajectory
+from bench.errors import ConfigError
+from bench.evaluation.linear.best_linear import Bound, bound_errors, find_epochs
+from bench.evaluation.linear.path import make_path
+from bench.evaluation.linear.quantities import QUANTITIES, compare_run
+from bench.evaluation.linear.terms import check_sensors, model_errors
+from bench.navigation.fusion import Fusion
+from bench.navigation.measurements import BARO, FIXES
+from bench.navigation.smoother import Smoother
+from bench.specs import SensorsSpec
+
+_RATE = 1.0  # of the instants of a run that are held against the bound [Hz]
+
+
+def check_aiding(label: str, estimator: object) -> None:
+    """Raise ConfigError if an estimator uses more than IMU, fixes and barometer."""
+    one = estimator.filter if isinstance(estimator, Smoother) else estimator
+    if not isinstance(one, Fusion):
+        return
+    more = [sensor.option for sensor in one.aiding() if sensor not in (FIXES, BARO)]
+    more += [name for name in ("standstill", "nonholonomic", "coordinated") if getattr(one.options, name)]
+    if more:
+        raise ConfigError(
+            f"{label}: the linear model knows IMU, fixes and barometer, not {', '.join(more)}; "
+            "leave the option out"
+        )
+
+
+def check_flight(spec: SensorsSpec, estimators: Mapping[str, object]) -> None:
+    """Raise ConfigError if sensors or estimators by label have no linear model."""
+    check_sensors(spec)
+    for label, one in estimators.items():
+        check_aiding(label, one)
+
+
+def smooths(estimator: object) -> bool:
+    """Return whether an estimator uses the measurements after an instant."""
+    return isinstance(estimator, Smoother)
+
+
+def bound_flight(
+    truth: Trajectory, spec: SensorsSpec, data: SensorData, seed: int, t: FloatArray, *, smooth: bool
+) -> Bound:
+    """Return the covariances of the best linear estimator of a record at instants t (M,) [s]."""
+    model = model_errors(truth, spec, seed, known_jumps=False)
+    stops = [record.t for record in (data.fixes, data.baro) if record is not None]
+    path = make_path(truth, spec.imu, np.concatenate([t, *stops]))
+    output = np.searchsorted(path.t, t - 1e-6)
+    return bound_errors(path, model, find_epochs(path, data), output, data.antenna_b, smooth=smooth)
+
+
+def variance_of(bound: Bound, *, smooth: bool) -> FloatArray:
+    """Return the variances (M, 9) of position, velocity and attitude."""
+    return np.asarray(np.einsum("mii->mi", bound.smoothed if smooth else bound.causal[:, :9, :9]))
+
+
+def list_phases(t: FloatArray, begin: float, spec: SensorsSpec) -> dict[str, BoolArray]:
+    """Return which instants (M,) from ``begin`` [s] on have GNSS, and which have none."""
+    late, lost = t >= begin, np.zeros(len(t), np.bool_)
+    for start, stop in spec.gnss_outages:
+        lost |= (t >= start) & (t < stop)
+    return {"with GNSS": late & ~lost} | ({"without GNSS": late & lost} if (late & lost).any() else {})
+
+
+def hold_run(
+    truth: Trajectory,
+    spec: SensorsSpec,
+    sensed: Sensed,
+    seed: int,
+    begin: float,
+    errors: Mapping[str, ErrorSeries],
+    smoothing: Mapping[str, bool],
+) -> dict[str, list[dict[str, Any]]]:
+    """Return by estimator the ratios of the errors of one run to the bound, a row by phase and quantity.
+
+    ``smoothing`` tells which estimators are held against the bound of smoothers; ``begin`` [s] is the end of
+    the alignment window. Estimators without errors have no rows.
+    """
+    t = next(iter(errors.values())).t
+    step = max(1, round((len(t) - 1) / (_RATE * float(t[-1] - t[0])))) if len(t) > 1 else 1
+    rows = np.arange(0, len(t), step)
+    bound = bound_flight(truth, spec, sensed.data, seed, t[rows], smooth=any(smoothing.values()))
+    found: dict[str, list[dict[str, Any]]] = {}
+    for label, series in errors.items():
+        own = np.hstack([series.pos_n, series.vel_n, series.phi_n])[rows]
+        least = variance_of(bound, smooth=smoothing[label])
+        found[label] = [
+            {"phase": phase, "quantity": quantity.title, "unit": quantity.unit, **asdict(ratio)}
+            for phase, inside in list_phases(bound.t, begin, spec).items()
+            for quantity in QUANTITIES
+            if (ratio := compare_run(own[inside], least[inside], quantity)) is not None
+        ]
+    return found

@@ -1,0 +1,97 @@
+"""Figures of the errors of position, velocity and attitude, and what they are over those of the best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from bench.arrays import FloatArray
+from bench.units import DEG
+
+LEVEL = 0.999
+"""Probability of an interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A figure of the errors of position, velocity and attitude: the root of a sum of variances."""
+
+    name: str  # as in columns, with its unit
+    title: str
+    unit: str
+    states: tuple[int, ...]
+    scale: float = 1.0  # SI over unit
+
+    def sd(self, variance: FloatArray) -> FloatArray:
+        """Return the figure of variances (..., 9)."""
+        return np.asarray(np.sqrt(variance[..., self.states].sum(axis=-1)) / self.scale)
+
+
+QUANTITIES = (
+    Quantity("horizontal_m", "horizontal position", "m", (0, 1)),
+    Quantity("height_m", "height", "m", (2,)),
+    Quantity("velocity_mps", "horizontal velocity", "m/s", (3, 4)),
+    Quantity("tilt_deg", "tilt", "deg", (6, 7), DEG),
+    Quantity("heading_deg", "heading", "deg", (8,), DEG),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A root mean square error over that of the best linear estimator, with its `LEVEL` interval."""
+
+    rmse: float
+    bound: float
+    ratio: float
+    low: float
+    high: float
+
+
+def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:
+    """Return the `LEVEL` interval of standard deviations whose estimates are ``rms``.
+
+    ``freedom`` is that of the chi-square variable behind each, such as the number of draws.
+    """
+    tail = 0.5 * (1.0 - LEVEL)
+    low, high = (2.0 * float(gammaincinv(0.5 * freedom, p)) / freedom for p in (tail, 1.0 - tail))
+    return rms / high**0.5, rms / low**0.5
+
+
+def compare_draws(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
+    """Return the ratio of the errors (R, M, 9) of R draws to variances (M, 9); None without errors.
+
+    The spread of the mean squares of the draws says how many independent errors they hold.
+    """
+    squares = np.mean(quantity.sd(np.square(errors)) ** 2, axis=1)
+    if not np.isfinite(squares).all():
+        return None
+    mean, draws = float(squares.mean()), len(squares)
+    freedom = draws * max(1.0, 2.0 * mean**2 / float(squares.var(ddof=1)))  # of a chi-square as broad
+    return _make_ratio(mean, least, quantity, freedom)
+
+
+def compare_run(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
+    """Return the ratio of the errors (M, 9) of one run to variances (M, 9); None without errors.
+
+    The correlation in time of the errors, in units of the bound, says how many independent ones they hold:
+    ``M / (1 + 2 sum rho^2)`` of each axis.
+    """
+    mean = float(np.mean(quantity.sd(np.square(errors)) ** 2))
+    if not np.isfinite(mean):
+        return None
+    freedom = 0.0
+    for state in quantity.states:
+        e = errors[:, state] / np.sqrt(least[:, state])
+        spectrum = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2
+        lagged = np.fft.irfft(spectrum)[: len(e)]
+        rho = lagged / lagged[0] if lagged[0] > 0 else np.eye(1, len(e))[0]
+        freedom += max(1.0, len(e) / (1.0 + 2.0 * float(np.sum(rho[1:] ** 2))))
+    return _make_ratio(mean, least, quantity, freedom)
+
+
+def _make_ratio(mean: float, least: FloatArray, quantity: Quantity, freedom: float) -> Ratio:
+    bound = float(np.mean(quantity.sd(least) ** 2)) ** 0.5
+    low, high = root_mean_interval(np.array(mean**0.5), freedom)
+    return Ratio(mean**0.5, bound, mean**0.5 / bound, float(low) / bound, float(high) / bound)
