@@ -25,6 +25,7 @@ FUNCTIONS = {
     "run": "run",
     "score": "score_solution",
     "stream": "stream_run",
+    "study": "study",
     "tune": "tune",
 }
 """Verb -> what does it from Python."""
