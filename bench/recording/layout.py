@@ -89,7 +89,7 @@ def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
     errors = rrb.Vertical(
         *[_make_plot(scene, plot, legend=k == 0) for k, plot in enumerate(key_plots)],
         _make_phases(),
-        row_shares=[5.0] + [3.0] * len(key_plots),  # the first has room for its legend
+        row_shares=[5.0, *[3.0] * (len(key_plots) - 1), 4.0],  # the first has room for its legend
     )
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/summary", name="Summary"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,10 @@ from bench.plots.facts import list_facts, list_units
 from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
 from bench.recording.drawing import TIMELINE
 from bench.run_result import RunResult
+from bench.wording import replace_control
+
+_MARKUP = re.compile(r"[\\`*_\[\]<>#!|~]")
+"""Characters that mean something in Markdown."""
 
 WARNINGS = ("sanity", "gnss_outage", "fault", "timeline", "rejected", "diverged")
 """Kinds of event that are logged as warnings."""
@@ -37,7 +42,7 @@ def send(stream: Any, result: RunResult, content: Content) -> None:
             said = words if words.lower().startswith(what.lower()) else f"{what} {words}"
             lasting = f" ({end - start:.0f} s)" if end > start else ""
             level = "WARN" if kind in WARNINGS else "INFO"
-            rows.append((start, f"{prefix}{said}{lasting}", level))
+            rows.append((start, replace_control(f"{prefix}{said}{lasting}"), level))
     rows.sort()
     if rows:
         t, text, levels = zip(*rows, strict=True)
@@ -64,6 +69,11 @@ def send(stream: Any, result: RunResult, content: Content) -> None:
         _send_phase(stream, "/phase/faults", changes, last)
 
 
+def _escape(text: str) -> str:
+    """Return a text as Markdown shows it letter by letter, without control characters."""
+    return _MARKUP.sub(r"\\\g<0>", replace_control(str(text)))
+
+
 def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
     """Return the names of the faults that are active at an instant [s]."""
     return ", ".join(text.partition(":")[0] for start, end, text in struck if start <= t < end) or "none"
@@ -83,34 +93,36 @@ def make_summary(result: RunResult) -> str:
     metrics, profile = result.metrics, result.profile
     from_s = f"{profile['evaluation']['from_s']:g} s"
     colours = ", ".join(
-        f"{label} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
+        f"{_escape(label)} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )
     truth = "GNSS is yellow" if result.truth is None else "Truth is green, GNSS yellow"
     lost = [f"{start:g} to {end:g} s" for start, end, _ in result.events.select("gnss_outage")]
     faults = [f"{start:g} to {end:g} s: {text}" for start, end, text in result.events.select("fault")]
     lines = [
-        f"# {profile['title']}",
+        f"# {_escape(profile['title'])}",
         "",
-        *[f"- {fact}" for fact in list_facts(result)],
-        *[f"- {title} `{name}`" for title, name, *_ in list_units(profile)],
+        *[f"- {_escape(fact)}" for fact in list_facts(result)],
+        *[f"- {title} `{replace_control(name).replace('`', '')}`" for title, name, *_ in list_units(profile)],
         *([f"- GNSS outage {', '.join(lost)}"] if lost else []),
-        *[f"- fault {text}" for text in faults],
+        *[f"- fault {_escape(text)}" for text in faults],
         "",
         f"{truth}; {colours}. ±3σ is what a filter claims about itself. Plots are hatched where GNSS is lost "
         f"or a fault is scripted, and scaled to what comes after {from_s}.",
     ]
     for label, values in metrics.items():
         for text in (values.get("verdict_text"), *values.get("drift_text", ())):
-            lines += ["", text] if text else []
+            lines += ["", _escape(text)] if text else []
         if values.get("same_as"):
-            lines += ["", f"With these sensors **{label}** is the same as **{values['same_as']}**."]
+            same = f"With these sensors **{_escape(label)}** is the same as **{_escape(values['same_as'])}**."
+            lines += ["", same]
         if values.get("unmodelled"):
-            lines += ["", f"On board, but not modelled by **{label}**: {', '.join(values['unmodelled'])}."]
+            missing = _escape(", ".join(values["unmodelled"]))
+            lines += ["", f"On board, but not modelled by **{_escape(label)}**: {missing}."]
     lines += [
         "",
         f"**Metrics** from {from_s} on",
         "",
-        f"| | {' | '.join(metrics)} |",
+        f"| | {' | '.join(map(_escape, metrics))} |",
         f"|---|{'---:|' * len(metrics)}",
     ]
     for name in dict.fromkeys(name for values in metrics.values() for name in values):
@@ -125,7 +137,7 @@ def make_verdict_table(result: RunResult) -> str:
     lines = ["| | verdict | horizontal error [m] | claimed [m] | NEES |", "|---|---|---:|---:|---:|"]
     for label, values in result.metrics.items():
         cells = (format_number(values.get(name)) for name in ("pos_rmse_h_m", "pos_claimed_h_m", "nees_mean"))
-        lines.append(f"| {label} | {values.get('verdict', '')} | {' | '.join(cells)} |")
+        lines.append(f"| {_escape(label)} | {values.get('verdict', '')} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,27 +1,45 @@
-"""A picture of each tab of a recording, made by the real viewer without a display.
+"""Pictures of each tab of a recording, by the real viewer without a display and in Chromium, and of a report.
 
-``python -m tests.recording.screens RECORDING.rrd FOLDER [SECONDS]`` writes FOLDER/<tab>.png with the cursor
-at that time. It needs a software renderer (Debian: mesa-vulkan-drivers).
+``python -m tests.recording.screens DIR OUT [SECONDS]`` writes OUT/native-<tab>.png, with the cursor at that
+time, OUT/web-<tab>.png as a browser opens it, and OUT/report-390.png, report-1440.png of a results folder.
+The viewer needs a software renderer (Debian: mesa-vulkan-drivers), the rest needs Chromium.
 """
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import json
 import re
 import socket
+import subprocess
 import sys
+import tempfile
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import rerun_cli
 from rerun.experimental import ViewerClient
+from tornado.websocket import websocket_connect
 
+import bench
+from bench import recording
+from bench.plots.content import gather_content
+from bench.plots.tabs import TABS
+from bench.recording import layout
 from bench.recording.drawing import TIMELINE
+from bench.workbench import web_page
+from bench.workbench.viewer import free_port
 
 WIDTH = 1440
 """Of a picture [pixels]."""
+
+_DRAWN = 60.0  # the viewer in a browser without a graphics card, on two processors [s]
 
 
 def find_problem() -> str:
@@ -69,14 +87,98 @@ def show_tabs(viewer: Any, at: float) -> Iterator[tuple[str, bytes]]:
         yield fields["display_name"], viewer.take_screenshot(max_size=WIDTH)
 
 
-def main(recording: str, folder: str, at: str = "0") -> None:
-    out = Path(folder)
-    out.mkdir(parents=True, exist_ok=True)
-    with open_viewer(Path(recording)) as viewer:
-        for name, picture in show_tabs(viewer, float(at)):
-            path = out / f"{re.sub(r'[^a-z0-9]+', '-', name.lower())}.png"
-            path.write_bytes(picture)
-            print(path)
+def show_in_browser(folder: Path, scratch: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield the name of each tab of a results folder, and a picture of it as `bench view --web` serves it."""
+    result = bench.load(folder)
+    content = gather_content(result)
+    assert content is not None
+    names = ["Overview", *(tab.name for tab in TABS if any(map(any, tab.plots(content).values())))]
+    for k, name in enumerate(names):
+
+        def choose(*arguments: Any, tab: int = k, make: Any = layout.make_blueprint) -> Any:
+            blueprint = make(*arguments)
+            blueprint.root_container.active_tab = tab
+            return blueprint
+
+        path = scratch / f"{k}.rrd"
+        with mock.patch.object(layout, "make_blueprint", choose):
+            recording.write(path, result.name, result)
+        port, inner = free_port(0), free_port(0)
+        with web_page.serve(path, port, inner) as page:
+            tool = str(Path(rerun_cli.__file__).parent / "rerun")
+            options = ["--serve-web", "--web-viewer-port", str(inner), "--bind", web_page.LOCAL]
+            viewer = subprocess.Popen([tool, page, *options], stderr=subprocess.DEVNULL)
+            try:
+                time.sleep(2.0)
+                yield name, take_picture(f"{page}&renderer=webgl", scratch, WIDTH, 810, _DRAWN)
+            finally:
+                viewer.kill()
+                viewer.wait()
+
+
+def take_picture(address: str, scratch: Path, width: int, height: int, wait: float = 2.0) -> bytes:
+    """Return a picture of a page in Chromium after a while [s]; a mouse moves, for which the viewer waits."""
+    options = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--remote-allow-origins=*"]
+    command = ["chromium", *options, f"--user-data-dir={scratch / 'user'}", "about:blank"]
+    browser = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert browser.stderr is not None
+        told = next(line for line in browser.stderr if "DevTools listening" in line)
+        (port,) = re.findall(r"ws://127\.0\.0\.1:(\d+)/", told)
+        return asyncio.run(_photograph(port, address, width, height, wait))
+    finally:
+        browser.kill()
+        browser.wait()
+
+
+async def _photograph(port: str, address: str, width: int, height: int, wait: float) -> bytes:
+    """Return a picture by the browser whose tools listen at a port of this machine."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
+        page = next(one for one in json.load(answer) if one["type"] == "page")
+    socket_ = await websocket_connect(page["webSocketDebuggerUrl"], max_message_size=2**27)
+
+    async def call(method: str, **params: Any) -> dict[str, Any]:
+        await socket_.write_message(json.dumps({"id": 1, "method": method, "params": params}))
+        while True:
+            found = json.loads(await socket_.read_message() or "{}")
+            if found.get("id") == 1:
+                return dict(found["result"])
+
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    await call("Emulation.setDeviceMetricsOverride", **size)
+    await call("Emulation.setFocusEmulationEnabled", enabled=True)
+    await call("Page.navigate", url=address)
+    for k in range(round(wait)):
+        await asyncio.sleep(1.0)
+        await call("Input.dispatchMouseEvent", type="mouseMoved", x=width - 20 - k % 2, y=50)
+    picture = (await call("Page.captureScreenshot"))["data"]
+    return base64.b64decode(picture)
+
+
+def show_report(folder: Path, scratch: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield the width of a page [pixels] and a picture of the report in it."""
+    for width in (390, WIDTH):
+        yield width, take_picture((folder / "report.html").absolute().as_uri(), scratch, width, 6000)
+
+
+def main(folder: str, out: str, at: str = "0") -> None:
+    to = Path(out)
+    to.mkdir(parents=True, exist_ok=True)
+
+    def write(kind: str, name: object, picture: bytes) -> None:
+        path = to / f"{kind}-{re.sub(r'[^a-z0-9]+', '-', str(name).lower())}.png"
+        path.write_bytes(picture)
+        print(path)
+
+    with tempfile.TemporaryDirectory() as scratch:
+        for width, picture in show_report(Path(folder), Path(scratch)):
+            write("report", width, picture)
+        with open_viewer(Path(folder) / "flight.rrd") as viewer:
+            for name, picture in show_tabs(viewer, float(at)):
+                write("native", name, picture)
+        for name, picture in show_in_browser(Path(folder), Path(scratch)):
+            write("web", name, picture)
 
 
 if __name__ == "__main__":

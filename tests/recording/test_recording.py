@@ -696,6 +696,13 @@ def test_summary_gives_the_numbers_and_what_the_filter_leaves_out(run):
     assert "drift did not converge: covariance is not finite" in summary
 
 
+def test_a_hostile_title_is_text(run):
+    title = "# [x](http://a) ![i](http://b/c.png) <b>`|*_\u202e\x1b[2J"
+    result = make_result({**run, "profile": {**run["profile"], "title": title}})
+    first, *_ = words.make_summary(result).splitlines()
+    assert first == "# \\# \\[x\\](http://a) \\!\\[i\\](http://b/c.png) \\<b\\>\\`\\|\\*\\_??\\[2J"
+
+
 def test_events_are_told_in_order_of_time(run, flight):
     from rerun.chunk import RrdReader
 
