@@ -103,5 +103,5 @@ def _make_parameter(key: str, field: Any) -> Callable[[Any], Any]:
         shown = ",".join(map(str, default)) if isinstance(default, tuple) else f"{default}"
         words = f"{words}  [default: {shown.removesuffix('.0')}]"
     kind = click.Choice(get_args(field.annotation)) if chosen else None
-    metavar = None if chosen else "LIST" if isinstance(default, tuple) else "X"
+    metavar = None if chosen else "LIST" if "tuple" in str(field.annotation) else "X"
     return click.option(f"--{flag}", key, type=kind, metavar=metavar, help=words)

@@ -55,6 +55,9 @@ def _draw(plot: Plot) -> Figure:
     first, last = float(min(low for low, _ in ends)), float(max(high for _, high in ends))
     if first == last:
         first, last = (0.5 * first, 2.0 * last) if "x" in plot.log else (first - 1.0, last + 1.0)
+    if any(line.marks for line in plot.series):  # whole dots at the ends, too
+        margin = (last / first) ** 0.03 if "x" in plot.log else 0.03 * (last - first)
+        first, last = (first / margin, last * margin) if "x" in plot.log else (first - margin, last + margin)
     figure = page.make_figure(plot, (first, last), ())
     return figure._replace(title=f"{plot.title} over {plot.over} [{plot.across}]")
 

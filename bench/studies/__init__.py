@@ -18,17 +18,17 @@ class Entry(NamedTuple):
 
 
 STUDIES: Mapping[str, Entry] = {
-    "mechanizations": Entry(
-        "bench.studies.mechanization_costs",
-        "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
-    ),
-    "register": Entry(
-        "bench.studies.register",
-        "Which rows of the sources' register hold here, and by what number?",
-    ),
     "requirements": Entry(
         "bench.studies.requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",
+    ),
+    "outages": Entry(
+        "bench.studies.outage_drift",
+        "How far does the position drift without GNSS, by unit and by phase of flight?",
+    ),
+    "sensitivity": Entry("bench.studies.sensitivity", "How much does one value of a profile matter?"),
+    "sensors": Entry(
+        "bench.studies.unit_table", "Which IMU of the catalog is good enough, and of which class?"
     ),
     "budget": Entry(
         "bench.studies.budget",
@@ -41,6 +41,14 @@ STUDIES: Mapping[str, Entry] = {
     "observability": Entry(
         "bench.studies.observability",
         "What do turns tell of heading and biases, and what stays unknown?",
+    ),
+    "mechanizations": Entry(
+        "bench.studies.mechanization_costs",
+        "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
+    ),
+    "register": Entry(
+        "bench.studies.register",
+        "Which rows of the sources' register hold here, and by what number?",
     ),
 }
 """Name of a study -> its module and its question, in a line."""

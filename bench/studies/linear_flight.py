@@ -10,7 +10,7 @@ Phi = I + F + F^2 / 2 in the middle of the step. Biases walk by 1e-3 of their si
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -154,16 +154,22 @@ class LinearFlight:
 
     def predict_sd(self, grade: Grade, seconds: int) -> FloatArray:
         """Return standard deviations (seconds + 1, 22) after every second, SI, the first two in metres."""
-        P = self.start(grade)
-        unit = np.ones(process_model.SIZE)
-        unit[:2] = self.reduced
-        out = [np.sqrt(np.diag(P)) / unit]
-        for k in range(1, seconds + 1):
+        covariances = [self.start(grade), *self.carry(grade, self.start(grade), 0, seconds)]
+        return self.take_sd(covariances)
+
+    def carry(self, grade: Grade, P: FloatArray, after: int, to: int) -> Iterator[FloatArray]:
+        """Yield P (22, 22) after every second from one on up to another, from that at the first."""
+        for k in range(after + 1, to + 1):
             Phi, G = self.move(grade.sigmas, k)
             P = Phi @ P @ Phi.T + G @ G.T
             P = update(P, *self.measure(grade.sigmas, k))[2]
-            out.append(np.sqrt(np.diag(P)) / unit)
-        return np.array(out)
+            yield P
+
+    def take_sd(self, covariances: Sequence[FloatArray]) -> FloatArray:
+        """Return standard deviations (N, 22), SI, the first two in metres."""
+        unit = np.ones(process_model.SIZE)
+        unit[:2] = self.reduced
+        return np.array([np.sqrt(np.diag(P)) / unit for P in covariances])
 
 
 def update(P: FloatArray, H: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -20,6 +20,7 @@ from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.plots.series import Plot
 from bench.studies import STUDIES, Entry
+from bench.units import unit_of
 from bench.wording import as_toml, describe_error, suggest
 
 _Item = TypeVar("_Item")
@@ -71,6 +72,15 @@ class StudyTable:
     title: str
     columns: Mapping[str, Sequence[Any]]  # name, which ends in its unit -> values (N,); None: no value
     units: Mapping[str, str] = field(default_factory=dict)  # of the columns that have one
+
+
+def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> StudyTable:
+    """Return a table of rows; a column gets the unit in which its name ends."""
+    values = {
+        key: [one if one is None or isinstance(one, str | int) else float(one) for one in column]
+        for key, column in zip(columns, zip(*rows, strict=True), strict=True)
+    }
+    return StudyTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,38 @@
+"""A swept value: what is linear in it is."""
+
+from __future__ import annotations
+
+import pytest
+
+import bench
+from bench.errors import ConfigError
+from bench.places import PACKAGE
+from bench.studies.sensitivity import Options, find_values
+from bench.studies.study import read_options
+
+
+def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_path):
+    """A-2.4.7, the same draws: twice the bias makes twice the error, but for what the rest of it makes."""
+    text = (PACKAGE / "profiles" / "static.toml").read_text().replace("rate_hz  = 200", "rate_hz = 100")
+    short = tmp_path / "rest.toml"
+    short.write_text(text.replace("duration_s = 600.0", "duration_s = 150.0"))
+    key = "sensors.imu.gyro.turn_on_bias_sd_deg_h"
+    asked = {"key": key, "values": "300,600", "estimators": "free-inertial", "draws": 2}
+    result = bench.study("sensitivity", profile=str(short), jobs=1, **asked)
+    table = result.tables["sensitivity"].columns
+    error = [v for v, name in zip(table["value"], table["metric"], strict=True) if name == "pos_rmse_h_m"]
+    assert error[1] / error[0] == pytest.approx(2.0, rel=0.1)
+    given = "--values 300,600 --estimators free-inertial --draws 2"
+    assert result.command == f"bench study sensitivity {short} {key} {given}"
+    assert result.figures["pos_rmse_h_m"].across == "deg/h"
+
+
+def test_the_values_are_around_the_own_one_unless_given():
+    def values(key, **more):
+        return find_values(read_options("sensitivity", Options, {"profile": "s-turns", "key": key, **more}))
+
+    assert values("sensors.gnss.rate_hz") == [0.25, 0.5, 1.0, 2.0, 4.0]
+    assert values("leg.1.duration_s", values="1,2") == [1, 2]
+    assert values("sensors.imu", values="stim300,vn-100") == ["stim300", "vn-100"]
+    with pytest.raises(ConfigError, match="no number of its own in s-turns; give --values"):
+        values("aircraft")
