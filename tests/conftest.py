@@ -42,6 +42,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.name not in SLOWEST)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip the tests of an estimator of gtsam where that is not installed."""
+    chosen = getattr(getattr(item, "callspec", None), "params", {}).values()
+    if "invariant-ekf" in [one for one in chosen if isinstance(one, str)]:
+        pytest.importorskip("gtsam", reason="the extra 'graph' is not installed")
+
+
 @pytest.fixture(scope="session")
 def session_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder that all workers of this session share."""

@@ -21,6 +21,7 @@ from bench.navigation.options import (
     ComplementaryOptions,
     FusionOptions,
     GnssOnlyOptions,
+    InvariantOptions,
     LeastSquaresOptions,
     Options,
     SmootherOptions,
@@ -169,6 +170,12 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         f"{_GIVEN_GAINS}:LeastSquares",
         LeastSquaresOptions,
         _NO_FORM,
+    ),
+    "invariant-ekf": BuiltIn(
+        "invariant EKF on SE2(3) of gtsam, nine states, fixes only, slow",
+        "bench.navigation.graph.invariant_ekf:InvariantEkf",
+        InvariantOptions,
+        {},
     ),
 }
 

@@ -300,6 +300,15 @@ class LeastSquaresOptions(ClassicOptions):
     """Age at which a measurement weighs 1/e of a new one [s]."""
 
 
+class InvariantOptions(GateOptions):
+    """Options of the invariant filter."""
+
+    bias_time: NotNegative = 10.0
+    """How long an error of the IMU lasts that acts as noise [s]; 0: the IMU has none."""
+    flat: bool = False
+    """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
+
+
 _O = TypeVar("_O", bound=Options)
 
 

@@ -47,8 +47,8 @@ def sigmas(specs: AssumedSpecs) -> Sigmas:
     Sensor errors are random walks (A-5.1.8): a bias instability of standard deviation s and correlation tau
     starts with the turn-on bias and s together and walks with s sqrt(2 / tau).
     """
-    eps, eps_walk = _walk(specs.imu.gyro)
-    da, da_walk = _walk(specs.imu.accel)
+    eps, eps_walk = bias_and_walk(specs.imu.gyro)
+    da, da_walk = bias_and_walk(specs.imu.accel)
     b, g = specs.baro, specs.gnss
     none = (0.0, 0.0, 0.0)
     return Sigmas(
@@ -69,7 +69,8 @@ def sigmas(specs: AssumedSpecs) -> Sigmas:
     )
 
 
-def _walk(triad: TriadSpec) -> tuple[float, float]:
+def bias_and_walk(triad: TriadSpec) -> tuple[float, float]:
+    """Return the standard deviation of a bias at the start and the density of its random walk (A-5.1.8)."""
     if triad.instability_sd == 0:
         return triad.turn_on_bias_sd, 0.0
     start = math.hypot(triad.turn_on_bias_sd, triad.instability_sd)

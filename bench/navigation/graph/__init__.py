@@ -1,0 +1,5 @@
+"""The invariant EKF of gtsam on SE2(3), wrapped.
+
+gtsam navigates over a flat, resting Earth: a frame whose axes stay those of north, east and down at the
+start, with one vector of gravity. What is missing is supplied (`bench.navigation.graph.flat_frame`).
+"""

@@ -1,0 +1,91 @@
+"""The invariant filter of gtsam: its frame, its answer with fixes and without, what flatness costs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import earth, rotation, sensors
+from bench.errors import EstimatorError
+from bench.evaluation.error_series import error_series
+from bench.navigation.estimator import load
+from bench.navigation.graph.flat_frame import FlatFrame
+from tests.weaving import DEG, IMU, units, weaving
+
+FINE = replace(
+    IMU,
+    gyro=replace(IMU.gyro, random_walk=1e-7, bias_instability=0.0, turn_on_bias_sd=0.0),
+    accel=replace(IMU.accel, random_walk=1e-6, bias_instability=0.0, turn_on_bias_sd=0.0),
+)
+
+
+def test_the_frame_keeps_place_velocity_and_covariance():
+    """There and back at a place 50 km from the origin, to a nanometre."""
+    frame = FlatFrame.at(np.array([0.83, 0.2, 400.0]), supply=True)
+    rng = np.random.default_rng(1)
+    A = rng.standard_normal((9, 9))
+    truth = weaving(1.0)
+    start = sensors.sense(truth, units(), 1, 0).initial
+    start = replace(start, lla=np.array([0.838, 0.201, 900.0]), cov=A @ A.T)
+    C_tb, p_t, v_t, P = frame.begin(start)
+    state, cov = frame.answer(C_tb, p_t, v_t, P)
+    assert_allclose(earth.difference_n(state[:3], start.lla), 0.0, atol=2e-8)
+    assert_allclose(state[3:6], start.vel_n, atol=1e-12)
+    assert_allclose(rotation.matrix(state[6:]), rotation.matrix(start.q_nb), atol=1e-12)
+    assert_allclose(cov, start.cov, atol=1e-12)
+    assert np.linalg.norm(frame.gravity(p_t) - frame.g_t) > 0.05  # 50 km: the vertical has turned by 8 mrad
+
+
+@pytest.mark.parametrize("name", ["invariant-ekf"])
+def test_earth_and_gravity_are_supplied(name):
+    """A minute without fixes: within decimetres; over a flat, resting Earth metres are lost."""
+    spec = replace(
+        units(FINE), initial_pos_sd=(1e-6,) * 3, initial_vel_sd=(1e-6,) * 3, initial_tilt_sd=1e-9,
+        initial_heading_sd=1e-9, output_rate=1.0,
+    )  # fmt: skip
+    truth = weaving(60.0, rate=100.0)
+    sensed = sensors.sense(truth, spec, 1, 0)
+    data = replace(sensed.data, fixes=None, baro=None)
+    ours, flat = (
+        error_series(truth, load(name, {"flat": flat}).run(data, sensed.initial)).pos_n[-1]
+        for flat in (False, True)
+    )
+    assert np.linalg.norm(ours) < 0.5  # the noise of the unit, and one rate a sample without coning
+    assert np.linalg.norm(flat) > 10 * np.linalg.norm(ours)
+
+
+@pytest.mark.parametrize("name", ["invariant-ekf"])
+def test_they_fly_with_fixes(name):
+    """Two minutes of the weaving unit: no more than twice the NEES of nine states, 15 m and 3 deg."""
+    truth = weaving(120.0, rate=50.0)
+    spec = replace(units(), output_rate=1.0)
+    for run in range(2):
+        sensed = sensors.sense(truth, spec, 3, run)
+        found = error_series(truth, load(name, {}).run(sensed.data, sensed.initial))
+        late = found.t > 30.0
+        assert found.nees[late].mean() < 20.0
+        assert np.linalg.norm(found.pos_n[late], axis=1).max() < 15.0
+        assert np.abs(found.phi_n[late]).max() < 3 * DEG
+
+
+def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
+    monkeypatch.setattr("bench.navigation.graph.flat_frame.find_spec", lambda name: None)
+    with pytest.raises(EstimatorError, match=r"pip install 'ins-gnss-bench\[graph\]'"):
+        load("invariant-ekf", {}).run(sensed.data, sensed.initial)
+
+
+def test_gtsam_is_imported_by_a_run_alone():
+    """One door: neither the list of estimators nor their construction pays for the import."""
+    code = (
+        "import sys\nfrom bench.navigation.estimator import BUILT_IN, load\n"
+        "[load(name, {}) for name in BUILT_IN]\nsys.exit('gtsam' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+FLIGHT, UNITS = (5.0,), units()
