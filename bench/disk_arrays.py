@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from bench.places import cache_folder
 
-LARGE = 16 << 20
-"""From this size on an array lies on disk [byte]: gyros of two hours at 100 Hz do, of one hour do not."""
+LARGE = 4 << 20
+"""From this size on an array lies on disk [byte]: gyros of an hour at 100 Hz do, of half an hour not."""
 
 ROWS = 1 << 16
 """Rows of a record that are worked on at a time."""
@@ -77,10 +77,12 @@ def map_file(path: Path) -> NDArray[Any]:
     return array
 
 
-def take(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+def take(array: NDArray[Any], rows: NDArray[np.int64] | slice) -> NDArray[Any]:
     """Return ``array[rows]`` of rising rows; little of the array is in memory at once."""
     if len(array) <= ROWS:
         return array[rows]
+    if isinstance(rows, slice):
+        rows = np.arange(len(array))[rows]
     taken = empty((len(rows), *array.shape[1:]), array.dtype.type)
     for block in blocks(len(array)):
         first, stop = np.searchsorted(rows, [block.start, block.stop])

@@ -55,23 +55,25 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
     """
     present = claimed_blocks(solution)
     counted = np.repeat([name in present for name in BLOCKS], 3)
-    error, heading, nees = np.empty((len(solution), 9)), np.empty(len(solution)), np.empty(len(solution))
+    pos_n, vel_error_n, phi_n = (disk_arrays.empty((len(solution), 3)) for _ in BLOCKS)
+    heading, nees = np.empty(len(solution)), np.empty(len(solution))
     for rows in disk_arrays.blocks(len(solution)):
         lla, vel_n, q_nb = interpolate_truth(truth, solution.t[rows])
         estimate, cov = solution.q_nb[rows], solution.cov[rows]
         with np.errstate(over="ignore", invalid="ignore"):  # a diverged solution is a result, not a warning
-            error[rows, 0:3] = earth.difference_n(solution.lla[rows], lla)
-            error[rows, 3:6] = solution.vel_n[rows] - vel_n
-            error[rows, 6:9] = rotation.to_rotvec(rotation.multiply(estimate, rotation.conjugate(q_nb)))
+            pos_n[rows] = earth.difference_n(solution.lla[rows], lla)
+            vel_error_n[rows] = solution.vel_n[rows] - vel_n
+            phi_n[rows] = rotation.to_rotvec(rotation.multiply(estimate, rotation.conjugate(q_nb)))
             difference = rotation.to_heading(estimate) - rotation.to_heading(q_nb)
             heading[rows] = np.pi - np.mod(np.pi - difference, 2 * np.pi)
             claimed = cov if counted.all() else cov[:, counted][:, :, counted]
-            nees[rows] = normalized_squares(error[rows][:, counted], claimed)
+            error = np.hstack([pos_n[rows], vel_error_n[rows], phi_n[rows]])
+            nees[rows] = normalized_squares(error[:, counted], claimed)
     return ErrorSeries(
         t=solution.t,
-        pos_n=error[:, 0:3],
-        vel_n=error[:, 3:6],
-        phi_n=error[:, 6:9],
+        pos_n=pos_n,
+        vel_n=vel_error_n,
+        phi_n=phi_n,
         heading=heading,
         nees=nees,
         states=int(counted.sum()),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import (
     AirData,
@@ -22,7 +23,7 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
-from bench.plots.series import Colour, Rows, estimator_colours
+from bench.plots.series import Colour, Rows, estimator_colours, shorten
 from bench.run_result import RunResult
 
 
@@ -106,4 +107,13 @@ class Tab:
 
     name: str
     place: int  # tabs stand in the order of it
-    plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the estimator; "": of none
+    all_plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the estimator; "": of none
+
+    def plots(self, content: Content) -> Mapping[str, Rows]:
+        """Return the plots by the label of the estimator; of a long flight what a screen can show."""
+        shown = {
+            label: [[replace(plot, series=tuple(map(shorten, plot.series))) for plot in row] for row in rows]
+            for label, rows in self.all_plots(content).items()
+        }
+        disk_arrays.release()
+        return shown

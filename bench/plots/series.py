@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -147,6 +147,14 @@ def select_rows(series: Series) -> IntArray:
             part = np.searchsorted(edges, found, "right")
             kept.append(found[np.unique(part, return_index=True)[1]])
     return np.unique(np.concatenate([[0], *kept, [len(rows) - 1]]))
+
+
+def shorten(series: Series) -> Series:
+    """Return a series with only the rows that a screen can show, if it is of a long flight."""
+    if len(range(len(series.t))[thin(series.t, series.most)]) <= MOST_POINTS:
+        return series
+    rows = select_rows(series)
+    return replace(series, t=series.t[rows], values=series.values[rows])
 
 
 def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:

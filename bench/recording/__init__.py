@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from bench import store
+from bench import disk_arrays, store
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, NothingToShowError
 from bench.plots import series
@@ -61,6 +61,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
         known = result.truth is not None
         stream.send_recording_name(f"{name}, seed {result.seed}, run {result.run}" if known else name)
         space.send(stream, result.more.get("scene", {}), content)
+        disk_arrays.release()
         words.send(stream, result, content)
         for by_label in plots.values():
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):

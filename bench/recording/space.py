@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Trajectory
 from bench.plots.content import Content
@@ -58,13 +58,14 @@ class Scene:
 def make_scene(content: Content) -> Scene:
     """Make the scene of the views in space; all estimators except the first are hidden."""
     truth = content.motion
-    path = earth.local_ned(truth.lla[thin(truth.t)], truth.lla[0])
+    lla = disk_arrays.take(truth.lla, thin(truth.t))
+    path = earth.local_ned(lla, truth.lla[0])
     others = list(content.solutions)[1:]
     return Scene(
         end=float(truth.t[-1]),
         low=path.min(axis=0),
         high=path.max(axis=0),
-        lat=float(truth.lla[:, 0].mean()),
+        lat=float(lla[:, 0].mean()),
         fixes=("/world/gnss/fixes", "/map/gnss/fixes") if content.sensed.data.fixes is not None else (),
         hidden=tuple(
             entity(root, "estimators", label, "path") for root in ("world", "map") for label in others
@@ -82,7 +83,7 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     truth, solutions, colours = content.motion, content.solutions, content.colours
     origin = truth.lla[0]
     keep = thin(truth.t, limit_rate(truth.t, MOST_ROWS))
-    t, lla = truth.t[keep], truth.lla[keep]
+    t, lla, q_nb = (disk_arrays.take(column, keep) for column in (truth.t, truth.lla, truth.q_nb))
     pos = earth.local_ned(lla, origin)
     size = float(np.ptp(pos[:, :2], axis=0).max())
     stream.log("/world", rr.ViewCoordinates.FRD, static=True)
@@ -109,7 +110,7 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     time = [rr.TimeColumn(TIMELINE, duration=t)]
     vehicle = "truth/aircraft" if isinstance(truth, Trajectory) else "vehicle"
     _send_vehicle(stream, f"/world/{vehicle}", mesh, size)
-    q_sb = _convert_to_start_frame(truth.q_nb[keep], lla, origin)
+    q_sb = _convert_to_start_frame(q_nb, lla, origin)
     stream.send_columns(
         f"/world/{vehicle}",
         time,
@@ -125,8 +126,8 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     slow = thin(truth.t, limit_rate(truth.t, SLOW))
     stream.send_columns(
         f"/map/{vehicle}",
-        [rr.TimeColumn(TIMELINE, duration=truth.t[slow])],
-        rr.GeoPoints.columns(positions=np.rad2deg(truth.lla[slow, :2])),
+        [rr.TimeColumn(TIMELINE, duration=disk_arrays.take(truth.t, slow))],
+        rr.GeoPoints.columns(positions=np.rad2deg(disk_arrays.take(truth.lla, slow)[:, :2])),
     )
 
     fixes = content.sensed.data.fixes
@@ -165,7 +166,7 @@ def _send_estimate(
         time,
         rr.Transform3D.columns(translation=pos, quaternion=rotation.to_scalar_last(q_sb)),
     )
-    cov = solution.cov[rows, :3, :3]
+    cov = disk_arrays.take(solution.cov, rows)[:, :3, :3]
     known = np.isfinite(cov).all(axis=(1, 2))
     if not known.any():
         return
@@ -200,7 +201,7 @@ def _send_wind(stream: Any, truth: Trajectory, origin: FloatArray, size: float) 
         [rr.TimeColumn(TIMELINE, duration=air.t[keep])],
         rr.Arrows3D.columns(
             vectors=air.wind_n[keep] * (0.012 * max(size, 8.0)),
-            origins=earth.local_ned(truth.lla[at], origin),
+            origins=earth.local_ned(disk_arrays.take(truth.lla, at), origin),
         ),
     )
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bench
-from bench import earth, store
+from bench import disk_arrays, earth, store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
@@ -271,9 +271,8 @@ def make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[se
 def _draw_track(content: Content) -> str:
     origin = content.motion.lla[0]
     known = isinstance(content.motion, Trajectory)
-    paths = (
-        [("truth", series.TRUTH, earth.local_ned(content.motion.lla[::20], origin)[:, :2])] if known else []
-    )
+    lla = disk_arrays.take(content.motion.lla, slice(None, None, 20))
+    paths = [("truth", series.TRUTH, earth.local_ned(lla, origin)[:, :2])] if known else []
     for label, solution in content.solutions.items():
         good = np.isfinite(solution.lla).all(axis=1)
         if good.any():

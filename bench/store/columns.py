@@ -44,6 +44,8 @@ def layout_of(record: object) -> Layout:
 def flatten(record: object) -> tuple[object, Layout]:
     """Return an object with one field for each column of a record, and the layout of these columns."""
     layout = layout_of(record)
+    if not isinstance(record, Trajectory | SensorTruth | Innovations):
+        return record, layout
     return take_block(record, layout, slice(0, None)), layout
 
 

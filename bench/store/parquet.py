@@ -18,7 +18,7 @@ from bench.store.columns import Layout, layout_of, take_block
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_GROUP = 1 << 22  # values of a table that are written and read at a time
+_GROUP = 1 << 21  # values of a table that are written and read at a time
 PART = ".part"
 """Ending of the name of a table that is being written by :func:`write_table`."""
 

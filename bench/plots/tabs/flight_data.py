@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
+from bench import disk_arrays, rotation
 from bench.data import Trajectory
 from bench.instruments import INSTRUMENTS, Instrument
 from bench.plots.content import Content, Tab
@@ -23,21 +23,24 @@ from bench.plots.series import (
     Series,
     draw_dots,
     draw_line,
+    thin,
 )
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
     truth, sensed = content.motion, content.sensed
-    t, vel_n = truth.t, truth.vel_n
+    keep = thin(truth.t)
+    motion = (truth.t, truth.lla, truth.vel_n, truth.q_nb)
+    t, lla, vel_n, q_nb = (disk_arrays.take(column, keep) for column in motion)
     air, controls, fixes = truth.air, truth.controls, sensed.data.fixes
     measured: dict[str, list[Series]] = {}
     for name, record in sensed.data.instruments.items():
         measured.setdefault(INSTRUMENTS[name].trace.plot, []).extend(_trace(INSTRUMENTS[name], record))
-    euler = np.rad2deg(np.column_stack(rotation.to_euler(truth.q_nb)))
+    euler = np.rad2deg(np.column_stack(rotation.to_euler(q_nb)))
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
     what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
-    altitude = [draw_line(what, t, truth.lla[:, 2], f"{what} (ellipsoidal)", colour)]
+    altitude = [draw_line(what, t, lla[:, 2], f"{what} (ellipsoidal)", colour)]
     altitude += measured.pop("altitude", [])
     if fixes is not None:
         altitude.append(draw_dots("gnss", fixes.t, fixes.lla[:, 2], "GNSS antenna", FIX))
