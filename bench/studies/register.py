@@ -56,7 +56,8 @@ def run(options: Options, work: Work) -> Findings:
         for key, value in told.items():
             columns.setdefault(key, []).append(value)
     verdicts = [
-        f"Of {len(rows)} rows {states['yes']} are computed here and hold, {states['test']} are held by tests."
+        f"Of {len(rows)} rows, {states['yes']} computed here and holding, {states['test']} held by a test, "
+        f"{states['no']} not holding, {states['open']} open."
     ]
     verdicts += [f"Does not hold: {text}." for text in failed]
     if opened:

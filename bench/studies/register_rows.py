@@ -143,7 +143,7 @@ ROWS: tuple[Row, ...] = (
         _FIXES + "48_an_ins_carries_on_between_fixes_where_a_receiver_alone_cannot"),
     Row(49, "heading needs turns", "A-1", "", "0.0075 deg after an S-turn, 0.31 without",
         "tests/register/test_linear_flight.py::test_49_71_tilt_converges_and_heading_needs_turns"),
-    Row(50, "rates of GNSS", "A-1", "", "within 10 % from 1 to 10 Hz",
+    Row(50, "rates of GNSS", "A-1", "", "within 10 % from 1 to 10 Hz; V_D gains 25 %",
         "tests/register/test_linear_flight.py::test_50_the_rate_of_the_receiver_changes_little"),
     Row(51, "skewed triad", "B-0", "no formula", "noise gains 2 %",
         _TERMS + "a_skewed_triad_gives_the_force_back_and_the_noise_gains_of_the_register"),

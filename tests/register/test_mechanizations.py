@@ -68,7 +68,7 @@ def test_1_an_hour_at_rest_is_below_a_centimetre():
     C_bn = rotation.matrix(q_nb).T
     w = C_bn @ [earth.EARTH_RATE * np.cos(0.9), 0.0, -earth.EARTH_RATE * np.sin(0.9)]
     f = -C_bn @ earth.gravity_n(0.9, 200.0)
-    n, dt = 14_400, 0.25
+    n, dt = 28_800, 0.125
     end = navigate("nhe", start, dt, np.tile(w * dt, (n, 1)), np.tile(f * dt, (n, 1)))
     assert np.abs(errors(end, start)[0]).max() < 0.01
 
