@@ -76,7 +76,7 @@ class _LinkedBlueprint(rrb.Blueprint):
     def _log_to_stream(self, stream: Any) -> None:
         super()._log_to_stream(stream)
         edge = rrb.TimeRangeBoundary.absolute
-        whole = rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.01 * self.end))
+        whole = rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=1.03 * self.end))
         stream.log(SHARED_TIME_AXIS, rrb.TimeAxis(view_range=whole))
 
 

@@ -45,8 +45,8 @@ _MARKS = {
 _BAD = ("bad", "✗")
 _INTRODUCTIONS = {
     "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
-    "Position": "Estimate minus truth, and ±3σ as the filter claims it: an honest filter stays inside.",
-    "Velocity": "Estimate minus truth, and ±3σ as the filter claims it.",
+    "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
+    "Velocity": "Estimate minus {against}, and ±3σ as the filter claims it.",
     "Attitude": "Error angles about north, east and down, and ±3σ as the filter claims it.",
     "Biases": "Biases as estimated, with ±3σ, and as they were drawn.",
     "Innovations": "Measured minus expected, with ±3√S. NIS and NEES, with the central 95 % of chi-square.",
@@ -108,7 +108,7 @@ def make_page(name: str, result: RunResult) -> str:
     profile = result.profile
     shades = series.shades(result.events) if content is not None else ()
     window = (float(content.motion.t[0]), float(content.motion.t[-1])) if content else (0.0, 1.0)
-    sections = list(_draw_sections(content, window, shades)) if content else []
+    sections = list(_draw_sections(content, window, shades, _name_standard(result))) if content else []
     key_figures = list_key_figures(result.metrics)
     return render(
         "page.html.jinja",
@@ -212,6 +212,13 @@ def list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
             yield key.replace("_", " "), "-" if value is None else str(value)
 
 
+def _name_standard(result: RunResult) -> str:
+    """Return what errors are relative to."""
+    if "log" not in result.more:
+        return "truth"
+    return "the reference" if "reference" in result.profile else "the fixes that were kept from the filters"
+
+
 def _find_command(result: RunResult) -> str:
     """Return the command that makes the same result again."""
     name = result.provenance.get("profile")
@@ -226,7 +233,7 @@ def _find_command(result: RunResult) -> str:
 
 
 def _draw_sections(
-    content: Content, window: tuple[float, float], shades: tuple[series.Shade, ...]
+    content: Content, window: tuple[float, float], shades: tuple[series.Shade, ...], against: str
 ) -> Iterable[dict[str, Any]]:
     for tab in TABS:
         groups = [
@@ -235,7 +242,7 @@ def _draw_sections(
             if any(rows)
         ]
         if groups:
-            introduction = _INTRODUCTIONS.get(tab.name, "")
+            introduction = _INTRODUCTIONS.get(tab.name, "").format(against=against)
             yield {"name": tab.name, "introduction": introduction, "groups": groups}
 
 

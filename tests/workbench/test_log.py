@@ -504,6 +504,8 @@ def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_pat
     assert not (out / "flight.rrd").exists()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "a log without truth" in page
+    assert "Estimate minus the fixes that were kept from the filters" in page
+    assert "minus truth" not in page
     assert page.count('<svg class="plot"') > 3
 
 
