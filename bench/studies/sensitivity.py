@@ -176,4 +176,4 @@ def _plot(options: Options, values: Sequence[Any], by_label: dict[str, list[Outc
             known = find_metric(name)
             across = (unit_of(options.key) if numbers else "") or "1"
             title = f"{name} [{known.unit if known else ''}]"
-            yield Plot(("sensitivity", name), title, tuple(lines), across=across, over=over)
+            yield Plot(("sensitivity", name), title, tuple(lines), across=across, over=over, log="y")
