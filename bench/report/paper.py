@@ -26,6 +26,7 @@ COLUMN_MM = 88.0
 
 _INCH_MM = 25.4
 _ROW_MM = 32.0  # height of a plot [mm]
+_INSIDE = 70  # letters of all names of a legend for which there is room in a plot
 _MOST_NAMES = 6  # in a legend; a line for each satellite has none
 _DARKER = 0.72  # of the colours of the viewer, for white paper
 _SHADES = {"outage": (0.9, 0.9, 0.9), "fault": (0.94, 0.87, 0.94)}
@@ -139,10 +140,19 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
         for axes, plot in zip(rows, plots, strict=True):
             names = _draw_plot(axes, plot, shades)
             if not names <= told and len(names) <= _MOST_NAMES:
-                axes.legend(fontsize=6, frameon=False, ncols=3, loc="upper right", borderaxespad=0.1)
+                _add_legend(figure, axes, names)
             told |= names
         rows[-1].set_xlabel(f"{plots[-1].over} [{plots[-1].across}]")
     return figure
+
+
+def _add_legend(figure: Figure, axes: Axes, names: set[str]) -> None:
+    """Put the legend into a plot, or below all where its names are too long for that."""
+    if sum(map(len, names)) <= _INSIDE:
+        axes.legend(fontsize=6, frameon=False, ncols=3, loc="upper right", borderaxespad=0.1)
+    else:
+        lines = axes.get_legend_handles_labels()
+        figure.legend(*lines, fontsize=6, frameon=False, ncols=2, loc="outside lower center")
 
 
 def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> set[str]:

@@ -210,7 +210,8 @@ def _plot(budget: Budget, label: str) -> list[Plot]:
         by_source = _stack(budget.variance, quantity)
         whole = by_source.sum(axis=1, keepdims=True)
         share = 100.0 * np.divide(by_source, whole, out=np.zeros_like(by_source), where=whole > 0)
-        order = np.argsort(-share.mean(axis=0), kind="stable").tolist()
+        weight = share.mean(axis=0) + 100.0 * by_source.sum(axis=0) / whole.sum()  # mostly, and at its worst
+        order = np.argsort(-weight, kind="stable").tolist()
         layers = [(budget.sources[s], share[:, s]) for s in order[:_SHOWN]]
         _give_colours(colours, [name for name, _ in layers])
         if len(order) > _SHOWN:

@@ -195,9 +195,8 @@ def _tell_reference(table: StudyTable) -> list[str]:
     texts = []
     for name in _SHOWN:
         before, after, _, straight = rows[name]
-        words = name if name == "MEMS" else f"grade {name}"
         texts.append(
-            f"{words} from {before:.2g} to {after:.2g} deg, where straight flight ends at {straight:.2g} deg"
+            f"{name} from {before:.2g} to {after:.2g} deg, where straight flight ends at {straight:.2g} deg"
         )
     return [f"Heading needs turns: an S-turn of the reference flight takes it, {'; '.join(texts)}."]
 
