@@ -59,7 +59,9 @@ def record(name: str) -> dict[str, Any]:
     profile = load_profile(name)
     if name == EVERY_ESTIMATOR:
         named = {choice.use for choice in profile.estimators}
-        others = (EstimatorChoice(use, use) for use in BUILT_IN if use not in named)
+        others = (
+            EstimatorChoice(use, use) for use, row in BUILT_IN.items() if use not in named and not row.package
+        )
         profile = replace(profile, estimators=(*profile.estimators, *others))
     streams: set[str] = set()
     drawn = np.random.SeedSequence

@@ -75,6 +75,7 @@ class BuiltIn:
     place: str  # "module:Class"
     options: type[Options]
     fixed: Mapping[str, Any]  # options that make it what it is
+    package: str | None = None  # that has to be installed beside bench
 
     def wrong(self, given: Mapping[str, Any]) -> list[str]:
         """Return a line for each option of a profile that is wrong."""
@@ -176,6 +177,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         "bench.navigation.graph.invariant_ekf:InvariantEkf",
         InvariantOptions,
         {},
+        package="gtsam",
     ),
 }
 

@@ -28,7 +28,7 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
     Parameters
     ----------
     name : str or None
-        A profile; None: every sensor and every built-in estimator.
+        A profile; None: every sensor and every built-in estimator that needs no other package.
     console : Console
         Where to print how many kernels were compiled, how long it took, and the folder.
     estimators : tuple of str or None
@@ -40,7 +40,8 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
         If there is no such profile, or it has no built-in estimator.
     """
     base = config.load_profile(_EVERY_SENSOR)
-    chosen = estimators or (tuple(BUILT_IN) if name is None else None)
+    own = tuple(use for use, row in BUILT_IN.items() if row.package is None)
+    chosen = estimators or (own if name is None else None)
     profile = config.load_profile(name or _EVERY_SENSOR, estimators=chosen, allow_code=True)
     built_in = tuple(choice for choice in profile.estimators if choice.use in BUILT_IN)
     if not built_in:
