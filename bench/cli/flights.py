@@ -116,10 +116,11 @@ def list_all(kind: str | None, as_json: bool) -> int:
     aircraft also say what is known of each, where from, and what no source states,
     bench list legs the keys of each, what they may be, and their defaults.
     """
-    from bench.store import to_json
     from bench.workbench.show import list_catalog, print_catalog
 
     if as_json:
+        from bench.store import to_json
+
         rows = {name: [entry.as_dict() for entry in entries] for name, entries in list_catalog(kind).items()}
         click.echo(to_json(rows), nl=False)
     else:

@@ -11,7 +11,6 @@ from typing import Any
 
 import bench
 from bench.errors import BenchError, ConfigError
-from bench.evaluation.metrics import find_metric
 from bench.files import check_file
 from bench.store import parquet
 
@@ -63,6 +62,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the entries of ``result.json`` that are of another type, and what they must be."""
+    from bench.evaluation.metrics import find_metric  # not before there is one to check
+
     profile, metrics = summary["profile"], summary["metrics"]
     if not (isinstance(profile, dict) and isinstance(profile.get("title"), str)):
         yield "profile.title", "a text"

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import api, config
+from bench import config
 from bench.config.datasheets import SENSORS
 from bench.config.library import CatalogEntry, KeyEntry
 from bench.navigation.estimator import BUILT_IN
@@ -73,6 +73,13 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def list_exports() -> list[CatalogEntry]:
+    """Return every format of `bench.api.list_exports`."""
+    from bench.exchange.exports import FORMATS
+
+    return [CatalogEntry(name, found.title, "export") for name, found in FORMATS.items()]
+
+
 def list_studies() -> list[CatalogEntry]:
     """Return every study that `bench.study` runs, with its question."""
     return [CatalogEntry(name, entry.question, "study") for name, entry in STUDIES.items()]
@@ -87,7 +94,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
         "use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...'",
         config.list_estimators,
     ),
-    "exports": ("bench export RUN --to NAME", api.list_exports),
+    "exports": ("bench export RUN --to NAME", list_exports),
     "studies": ("bench study NAME", list_studies),
 }
 """Kind that `bench list` shows -> how it is selected, and the function that lists its entries."""
