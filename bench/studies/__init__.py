@@ -50,5 +50,9 @@ STUDIES: Mapping[str, Entry] = {
         "bench.studies.register",
         "Which rows of the sources' register hold here, and by what number?",
     ),
+    "rnp": Entry(
+        "bench.studies.rnp",
+        "Are accuracy, integrity, continuity and availability those that a procedure requires?",
+    ),
 }
 """Name of a study -> its module and its question, in a line."""

@@ -1,0 +1,153 @@
+"""Protection levels on fixes by least squares, where every covariance has a closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import binom
+
+from bench.evaluation.protection import (
+    Influence,
+    deviations,
+    multipliers,
+    protect_by_separation,
+    protect_fault_free,
+)
+from bench.evaluation.required_performance import (
+    Watched,
+    bound_per_hour,
+    count_detected,
+    estimate_availability,
+    estimate_discontinuity,
+)
+from tests.evaluation.solutions import weaving_truth, wrong_solution
+
+SIGHT = np.array(
+    [
+        [0, 0, -1],
+        [0.9, 0, -0.44],
+        [-0.5, 0.8, -0.33],
+        [-0.6, -0.7, -0.39],
+        [0.3, -0.9, -0.3],
+        [0.1, 0.8, -0.6],
+    ]
+)
+G = np.hstack([-SIGHT / np.linalg.norm(SIGHT, axis=1)[:, None], np.ones((6, 1))])
+SD = np.array([2.0, 3.0, 2.5, 4.0, 3.0, 2.0])
+
+
+def solve(keep):
+    """How the ranges move a fix by least squares (3, 6), and its covariance."""
+    weight = keep / SD**2
+    inverse = np.linalg.inv(G.T @ (weight[:, None] * G))
+    return (inverse @ (G.T * weight))[:3], inverse[:3, :3]
+
+
+def draw(draws, bias, seed):
+    """Fixes with all satellites and without each, of ranges with errors of SD and a bias on the first."""
+    rng = np.random.default_rng(seed)
+    errors = rng.normal(size=(draws, 6)) * SD
+    errors[:, 1] += bias
+    truth = weaving_truth(duration=0.01 * (draws - 1))
+    nothing = np.zeros((9, 9))
+
+    def fixed(keep):
+        return wrong_solution(truth, every=1, pos_n=errors @ solve(keep)[0].T, cov=nothing)
+
+    everything = np.ones(6)
+    subsets = [everything - np.eye(6)[s] for s in range(6)]
+    response, _ = solve(everything)
+    whole = G / SD[:, None]
+    leverage = np.einsum("ij,jk,ik->i", whole, np.linalg.inv(whole.T @ whole), whole)
+    influence = Influence(np.tile(response.T, (draws, 1, 1)), SD, np.tile(leverage, (draws, 1)))
+    size = errors @ response.T
+    return fixed(everything), [fixed(keep) for keep in subsets], influence, size
+
+
+def test_the_multipliers_are_those_of_do_229():
+    assert_allclose([multipliers(5e-9)[0], multipliers(1e-7)[1]], [6.18, 5.33], atol=5e-3)
+
+
+def test_response_and_leverage_give_the_covariance_of_every_subset():
+    *_, influence, _ = draw(3, 0.0, 1)
+    spread = influence.spread()[0]
+    _, whole = solve(np.ones(6))
+    assert_allclose(spread.sum(axis=0), whole, rtol=1e-9, atol=1e-12)
+    for s in range(6):
+        _, without = solve(np.ones(6) - np.eye(6)[s])
+        separation = spread[s] / (1.0 - influence.leverage[0, s])
+        assert_allclose(whole + separation, without, rtol=1e-9, atol=1e-9)
+
+
+def test_alarms_without_a_fault_are_no_more_frequent_than_asked():
+    """The bound is on the sum of all subfilters, by the major axis; vertical and horizontal share it."""
+    draws, asked = 4000, 0.05
+    full, subsets, influence, _ = draw(draws, 0.0, 2)
+    alarms = int(protect_by_separation(full, subsets, influence, asked).alarm.sum())
+    assert 0 < alarms <= binom.ppf(0.999, draws, 2 * asked)
+    small = Influence(0.5 * influence.response, influence.sd, influence.leverage)
+    assert protect_by_separation(full, subsets, small, asked).alarm.sum() > binom.ppf(0.999, draws, 2 * asked)
+
+
+@pytest.mark.parametrize("bias", [10.0, 20.0, 30.0, 60.0])
+def test_a_faulty_satellite_misleads_no_more_often_than_asked(bias):
+    draws, missed = 4000, 1e-2
+    full, subsets, influence, error = draw(draws, bias, 3)
+    found = protect_by_separation(full, subsets, influence, 1e-3, missed)
+    size = np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])])
+    misled = (~found.alarm[:, None] & (size > found.level)).sum(axis=0)
+    assert (misled <= binom.ppf(0.999, draws, missed)).all()
+    if bias == 60.0:
+        assert found.alarm.mean() > 0.99
+        without_alarm = protect_fault_free(wrong_solution(weaving_truth(), every=1, cov=padded(influence)))
+        assert (size[:, 1] > without_alarm.level[0, 1]).mean() > missed  # fault-free levels do not hold
+
+
+def padded(influence):
+    cov = np.zeros((9, 9))
+    cov[:3, :3] = influence.spread()[0].sum(axis=0)
+    return cov
+
+
+def test_the_major_axis_is_the_larger_eigenvalue():
+    cov = np.array([[[4.0, 1.5, 0.0], [1.5, 2.0, 0.0], [0.0, 0.0, 9.0]]])
+    largest = np.linalg.eigvalsh(cov[0, :2, :2]).max()
+    assert_allclose(deviations(cov), [[np.sqrt(largest), 3.0]])
+
+
+def watch(error, level, alarm=None, limit=10.0):
+    error, level = np.array(error, float), np.array(level, float)
+    alarm = np.zeros(error.shape, bool) if alarm is None else np.array(alarm, bool)
+    return Watched(1.0, error, level, alarm, limit)
+
+
+def test_the_parts_of_the_stanford_diagram():
+    watched = watch([[1, 6, 12, 12, np.nan, 12]], [[5, 5, 15, 8, 5, 8]], [[0, 0, 0, 0, 0, 1]])
+    assert watched.alert.tolist() == [[False, False, True, False, False, True]]
+    assert watched.misleading.tolist() == [[False, True, False, True, True, False]]
+    assert watched.hazardous.tolist() == [[False, False, False, True, True, False]]
+    twice = watch(np.ones((2, 4)), [[5, 5, 5, 50], [5, 50, 5, 50]])
+    assert estimate_availability(twice).value == pytest.approx(5 / 8)
+
+
+def test_an_error_is_told_in_time_or_not():
+    error = [[1, 20, 20, 20, 1, 20, 20, 20]]
+    alarm = [[0, 0, 1, 1, 0, 0, 0, 0]]
+    watched = watch(error, np.full((1, 8), 5.0), alarm)
+    assert count_detected(watched, 1.0) == (2, 1)
+    assert count_detected(watched, 0.0) == (2, 0)
+
+
+def test_continuity_counts_windows_that_may_be_begun():
+    level = np.full((2, 9), 5.0)
+    level[0, 4] = level[1, 3:6] = 50.0  # the first run loses its second window, the other never begins it
+    lost = estimate_discontinuity(watch(np.ones((2, 9)), level), 3.0)
+    assert lost is not None
+    assert lost.value == pytest.approx(1 / 5)
+    assert estimate_discontinuity(watch(np.ones((2, 9)), level), 20.0) is None
+
+
+def test_300_000_hours_without_an_event_show_1e_5_per_hour():
+    assert bound_per_hour(0, -np.log(0.05) / 1e-5) == pytest.approx(1e-5)
+    assert bound_per_hour(1, 1.0) > bound_per_hour(0, 1.0)
