@@ -37,7 +37,6 @@ _COSTS = "tests/studies/test_mechanizations_study.py::test_"
 _TERMS = "tests/sensors/test_imu_terms.py::test_"
 _FIXES = "tests/navigation/test_gnss_only.py::test_"
 _TRUTH = "tests/flight/test_recorder.py::test_"
-_STUDY = "needs a study"
 
 ROWS: tuple[Row, ...] = (
     Row(1, "NHE mechanization", "A-2.2.2", "V x w: 1.8 km in 300 s",
