@@ -8,10 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bench import store
-from bench.arrays import FloatArray
 from bench.baselines.baseline_file import Baseline, EstimatorValues, get_name
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import (
@@ -25,7 +22,7 @@ from bench.baselines.experiments import (
 from bench.baselines.verdict_rows import ERROR, SAME, Candidate, Verdict, Word, compare, decide
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
-from bench.evaluation import ensemble
+from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.run_result import RunResult
 
@@ -215,7 +212,7 @@ def _compare_sides(first: Side, other: Side) -> Compared:
         )
     candidates: list[Candidate] = []
     differences: list[str] = []
-    sentences: list[str] = []
+    shown: dict[tuple[str, str], str] = {}  # profile and estimator of a row -> as a sentence names them
     for one, two in pairs:
         old, new, labels = _match(first, other, one, two)
         differences += _list_differences(first, other, one, two)
@@ -225,13 +222,16 @@ def _compare_sides(first: Side, other: Side) -> Compared:
         candidates += [
             replace(row, row=replace(row.row, estimator=labels[row.row.estimator])) for row in found
         ]
-        sentences += [_describe(old, new, label, shown, first, other) for label, shown in labels.items()]
+        place = f" on {one}" if len(pairs) > 1 else ""
+        shown |= {(one, label): f"{label}{place}" for label in labels.values()}
+    verdicts = tuple(decide(candidates, ERROR))
+    rows = {(row.profile, row.estimator): row for row in verdicts if row.metric == "pos_rmse_h_m"}
     return Compared(
         first.name,
         other.name,
         tuple(dict.fromkeys(differences)),
-        tuple(decide(candidates, ERROR)),
-        tuple(sentences),
+        verdicts,
+        tuple(_describe(name, rows.get(key), first.name, other.name) for key, name in shown.items()),
     )
 
 
@@ -296,31 +296,17 @@ def _compare_single(old: Baseline, new: Baseline, name: str) -> Iterator[Candida
             yield Candidate(row, certain=True)
 
 
-def _describe(old: Baseline, new: Baseline, label: str, shown: str, first: Side, other: Side) -> str:
-    """Return which side has the smaller horizontal error, and by how much."""
-    metric = "pos_rmse_h_m"
-    before, after = (_get_values(side, label, metric) for side in (old, new))
-    if old.truth == new.truth and old.sensors == new.sensors:
-        good = np.isfinite(before) & np.isfinite(after)
-        before, after = before[good], after[good]
-        if len(before) > 1:
-            found = ensemble.compare_rmse((first.name, other.name), before, after, "m")
-            return f"{shown}: {found.sentence}, by {len(before)} pairs of horizontal errors"
-    before, after = before[np.isfinite(before)], after[np.isfinite(after)]
-    if not (len(before) and len(after)):
-        return f"{shown}: no horizontal error to compare"
-    one, two = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-    counts = "one draw each" if len(before) == len(after) == 1 else f"{len(before)} and {len(after)} draws"
-    return (
-        f"{shown}: horizontal error {one:.4g} m in {first.name}, {two:.4g} m in {other.name}; "
-        f"{counts}, which do not tell chance from a difference"
-    )
-
-
-def _get_values(side: Baseline, label: str, metric: str) -> FloatArray:
-    """Return the values of a metric by draw, NaN where there is none."""
-    values = side.estimators[label].metrics.get(metric, ())
-    return np.array([np.nan if value is None else value for value in values], np.float64)
+def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> str:
+    """Return the row of the horizontal error in words: the sentence says no more than the table."""
+    if row is None:
+        return f"{estimator}: no horizontal error to compare"
+    old, new = (f"{format_number(value)} m in {name}" for value, name in ((row.old, first), (row.new, other)))
+    values = f"{estimator}: horizontal error {old}, {new}"
+    if row.note == ONE_DRAW:
+        return f"{values}; one draw each, which do not tell chance from a difference"
+    word = f"{other} is {row.word}" if row.word in ("better", "worse") else row.word
+    change = f"{row.format_change()} by {row.draws} {'pairs' if row.paired else 'draws each'}"
+    return ", ".join(filter(None, [f"{values}: {word}", change if row.change is not None else "", row.note]))
 
 
 def _list_differences(first: Side, other: Side, one: str, two: str) -> list[str]:

@@ -37,7 +37,7 @@ def make_page(result: StudyResult) -> str:
         figures=[_draw(plot) for plot in result.findings.figures],
         tables=[_fill(table) for table in result.findings.tables],
         command=result.command,
-        options=[(key, str(value)) for key, value in result.options.items()],
+        options=[(key, _say(value)) for key, value in result.options.items() if value is not None],
         provenance=list(page.list_provenance(result.provenance)),
     )
 
@@ -48,6 +48,10 @@ def _list_facts(result: StudyResult) -> list[str]:
         f"{draws} noise draws behind each interval" if draws else "nothing is drawn: the same each time",
         f"{result.wall_s:.1f} s",
     ]
+
+
+def _say(value: object) -> str:
+    return ", ".join(map(_say, value)) if isinstance(value, list | tuple) else f"{value}".removesuffix(".0")
 
 
 def _draw(plot: Plot) -> Figure:

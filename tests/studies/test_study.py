@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
+import io
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 import bench
 from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
 from bench.plots.series import Plot, draw_line
-from bench.report import svg
+from bench.report import study_page, svg
+from bench.report.study_page import format_cell
 from bench.studies import STUDIES
-from bench.studies.study import find_study, make_command, read_options
+from bench.studies.study import StudyTable, find_study, make_command, read_options
+from bench.workbench import study_verb
 
 SHORT = {"outages_s": (60, 300)}
 
@@ -63,6 +69,41 @@ def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
     assert page.count('<svg class="plot"') == len(read.figures)
     written = bench.write_figures(folder, tmp_path / "figures", "svg")
     assert [path.stem for path in written] == list(read.figures)
+
+
+def test_options_left_out_are_not_listed(folder):
+    read = bench.load_study(folder)
+    chosen = {"alert_limit_m": None, "draws": 20, "outages_s": [60.0, 300.0]}
+    page = study_page.make_page(dataclasses.replace(read, options=chosen))
+    options = dict(re.findall("<dt>(.*?)</dt><dd>(.*?)</dd>", page))
+    assert (options["draws"], options["outages_s"]) == ("20", "60, 300")
+    assert "alert_limit_m" not in options
+
+
+@pytest.mark.parametrize("width", [80, 200])
+def test_a_wide_table_is_divided_and_nothing_is_cut(width):
+    """Twelve columns; the first three name a row, and the second of them is not needed for it."""
+    names = ["stim300", "adis16475", "a-unit-with-a-long-name"]
+    columns = {
+        "unit": [name for name in names for _ in range(2)],
+        "class": [f"grade {name}" for name in names for _ in range(2)],
+        "estimator": ["loose-15", "loose-full"] * 3,
+        **{f"horizontal_rms_{k}_m": [1000.0 + 10 * k + row for row in range(6)] for k in range(8)},
+        "remark": ["word " * 12] * 6,
+    }
+    file = io.StringIO()
+    study_verb._print_table(Console(file=file, width=width), StudyTable("t", "The title", columns))
+    lines = file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    assert "…" not in file.getvalue()
+    words = file.getvalue().split()
+    values = [text for name in columns if name.startswith("h") for text in map(format_cell, columns[name])]
+    assert sorted(word for word in words if word[:2] in ("10", "11")) == sorted(values)
+    assert words.count("word") == 6 * 12
+    parts = sum("─" in line for line in lines)
+    assert (parts > 1) == (width == 80)
+    assert words.count("a-unit-with-a-long-name") == 2 * (parts + 1)  # in "class", too
+    assert words.count("loose-full") == 3 * parts
 
 
 @pytest.mark.parametrize(
