@@ -279,7 +279,34 @@ LASER = AidingSensor(
     },
 )
 
+STUDY = Toy(
+    new={
+        "bench/studies/coin.py": """
+from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Work
+
+
+class Options(StudyOptions):
+    tosses: Count = 3
+    \"\"\"how often\"\"\"
+
+
+def run(options: Options, work: Work) -> Findings:
+    table = StudyTable("coin", "Heads", {"toss": list(range(options.tosses))})
+    return Findings(("It is a coin.",), (table,), ())
+"""
+    },
+    inserted={
+        "bench/studies/__init__.py": [
+            (
+                '    "requirements": Entry(\n',
+                '    "coin": Entry("bench.studies.coin", "Is it a coin?"),\n',
+            )
+        ]
+    },
+)
+
 TOYS = {
+    "a study": STUDY,
     "a metric": METRIC,
     "a recording tab": TAB,
     "an export format": EXPORT,
@@ -410,6 +437,7 @@ print(json.dumps({
     "counts": json.loads((counts / "counts.json").read_text()),
     "rows": len(laser),
     "listed": [entry.name for entry in bench.list_exports()],
+    "tosses": list(bench.study("coin", tosses=5, jobs=1).tables["coin"].columns["toss"]),
 }))
 """
 
@@ -450,6 +478,10 @@ def fly_toys(folder: Path) -> dict[str, Any]:
 
 def test_the_metric_is_in_the_result(flown):
     assert flown["metrics"]["loose-15"]["pos_mean_h_m"] == pytest.approx(flown["mean"], rel=1e-9)
+
+
+def test_the_study_is_run(flown):
+    assert flown["tosses"] == [0, 1, 2, 3, 4]
 
 
 def test_the_leg_is_flown(flown):

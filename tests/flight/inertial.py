@@ -6,15 +6,25 @@ geodetic latitude, the integration and the attitude are its own.
 
 from __future__ import annotations
 
+from typing import Any
+
+import numba
 import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray, read_only
-from bench.compiled import kernel
+from bench.compiled import choose_cache
 from bench.data import Trajectory
 from bench.earth import EARTH_RATE, WGS84, gravity_kernel, matrix_en, to_ecef
 
 _A, _E2 = WGS84.a, WGS84.e2
+
+choose_cache()
+
+
+def kernel(function: Any) -> Any:
+    """Compile a function that may make arrays, unlike those of `bench.compiled`."""
+    return numba.njit(cache=True, error_model="numpy")(function)
 
 
 @kernel

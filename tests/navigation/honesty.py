@@ -268,13 +268,17 @@ def judge_ratio(row: dict[str, Any]) -> tuple[float, str]:
 
 def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
     """Yield the lines of a table of the guide, a line for each profile or unit (``key``)."""
-    yield f"| {key} | draws | `loose-full` | twin | ratio | 10 % | NIS out of its band |"
-    yield "|---|---|---|---|---|---|---|"
+    yield f"| {key} | draws | `loose-full` | twin | ratio | 10 % |"
+    yield "|---|---|---|---|---|---|"
+    out = []
     for row in rows:
         half, word = judge_ratio(row)
         cells = [f"`{row[key]}`", str(row["draws"]), f"{row['mean']:.2f}", f"{row['twin']:.2f}"]
-        cells += [f"{row['ratio']:.3f} ± {half:.3f}", word, ", ".join(row["nis"])]
-        yield "| " + " | ".join(cells).rstrip() + " |"
+        yield "| " + " | ".join([*cells, f"{row['ratio']:.3f} ± {half:.3f}", word]) + " |"
+        if row["nis"]:
+            out.append(f"`{row[key]}` {', '.join(row['nis'])}")
+    yield ""
+    yield f"Mean NIS out of its band: {'; '.join(out) or 'none'}."
 
 
 def main() -> None:
