@@ -63,9 +63,9 @@ _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
 class Measurements(NamedTuple):
     """Measurements of all kinds except satellites."""
 
-    values: FloatArray  # (R, 6)
+    values: FloatArray  # (R, 9); columns 6 to 8 of a fix: its antenna [m], b
     variance: FloatArray  # (R, 6)
-    antenna_b: FloatArray  # (3,) [m], b
+    antenna_b: FloatArray  # (3,) of the satellites [m], b
     field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
     field_lla: FloatArray  # (3,)
 
@@ -243,11 +243,11 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def place_kernel(now: FilterState, data: Measurements, index: Index, work: Work) -> None:
+def place_kernel(now: FilterState, antenna_b: FloatArray, index: Index, work: Work) -> None:
     """Fill ``work.lever`` with the lever arm, estimated if the layout has it, and ``work.C`` with C_nb."""
     at = index.antenna_b
     for i in range(3):
-        work.lever[i] = now.state[at + 1 + i] if at >= 0 else data.antenna_b[i]
+        work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
     matrix_kernel(now.state, work.C)
 
 
@@ -256,12 +256,12 @@ def _fix_kernel(
     row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
 ) -> int:
     state, values = now.state, data.values[row]
-    place_kernel(now, data, index, work)
+    place_kernel(now, values[6:], index, work)
     for i in range(6):
         code = i // 3
         _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
-    antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:], H, z)
+    antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:6], H, z)
     if index.antenna_b >= 0:
         lever_kernel(work.C, work.w_ib_b, index.antenna_b, H)
     if index.gnss_pos >= 0:

@@ -288,7 +288,7 @@ class ForwardRun:
         visible = int(np.diff(sky.epoch_start).max(initial=0))
         self.pending = grown(self.pending, plan.slots, 2 * visible + 6)
         self.gate = with_channels(self.gate, len(names), self.initial.t)
-        size = 7 * len(plan.values) + 2 * len(sky.t)
+        size = 7 * len(plan.variance) + 2 * len(sky.t)
         log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
         m = len(plan.outputs)
         at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
@@ -322,7 +322,7 @@ class ForwardRun:
                 self.interval,
             ),
             Measurements(
-                plan.values, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
+                plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
             ),
             sky,
             self.pending,

@@ -114,10 +114,10 @@ def _rounding(spec: BaroSpec | RadarSpec | OdometerSpec) -> FloatArray:
 
 
 def _read_fixes(
-    fixes: GnssFixes, gnss: GnssSpec, _: SensorData, __: InitialState, layout: StateLayout
+    fixes: GnssFixes, gnss: GnssSpec, sensors: SensorData, _: InitialState, layout: StateLayout
 ) -> tuple[FloatArray, FloatArray]:
     variance = fix_variance(gnss, gnss_markov=layout.has("gnss_pos"))
-    return np.hstack([fixes.lla, fixes.vel_n]), variance
+    return np.hstack([fixes.lla, fixes.vel_n, np.tile(sensors.antenna_b, (len(fixes), 1))]), variance
 
 
 def fix_errors(gnss: GnssSpec) -> Errors:

@@ -98,7 +98,9 @@ class PieceFilter:
         piece : SensorData
             The IMU samples of the next stretch, all measurements that arrived during it, and in ``output_t``
             the instants of it at which an answer is wanted. A boundary may fall anywhere. The first piece
-            says which sensors there are: one that has said nothing yet is a record without rows.
+            says which sensors there are: one that has said nothing yet is a record without rows. A receiver
+            that has gone over to another antenna gives its fixes from then on in a piece with another
+            ``antenna_b``; those of earlier pieces that still wait keep theirs.
 
         Returns
         -------
@@ -199,11 +201,30 @@ class PieceFilter:
                 f"the piece holds {', '.join(has) or 'no aiding'}, the first {', '.join(have) or 'none'}; "
                 "a sensor that is silent is a record without rows"
             )
-        same = head.date == piece.date and head.ground_alt == piece.ground_alt
-        if not (same and np.array_equal(head.antenna_b, piece.antenna_b)):
-            raise EstimatorError("antenna, ground height and date must be those of the first piece")
+        if not (head.date == piece.date and head.ground_alt == piece.ground_alt):
+            raise EstimatorError("ground height and date must be those of the first piece")
         if head.specs != without_orbits(piece.specs):
             raise EstimatorError("the datasheets assumed must be those of the first piece")
+        if not np.array_equal(head.antenna_b, piece.antenna_b):
+            self._go_over(piece.antenna_b)
+
+    def _go_over(self, antenna_b: FloatArray) -> None:
+        """Take what comes from now on for that of another antenna (3,) [m], b."""
+        options = self.estimator.options
+        if options.gnss and options.tight:
+            raise EstimatorError(f"{self.use!r} cannot go over to another antenna: the filters of fixes can")
+        if options.lever_arm_sd > 0:
+            raise EstimatorError(
+                f"lever_arm_sd = {options.lever_arm_sd:g} estimates one antenna and cannot go over "
+                "to another; leave it out"
+            )
+        if self.passage is None:
+            raise EstimatorError(
+                f"{self.use!r} cannot go over to another antenna before it has found its start"
+            )
+        assert self.head is not None
+        self.head = replace(self.head, antenna_b=antenna_b)
+        self.passage.run.antenna_b = antenna_b
 
     def _copy(self) -> PieceFilter:
         """Return a filter that goes on from here by itself."""

@@ -182,7 +182,7 @@ def satellites_kernel(
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
     state, C, H, z = now.state, work.C, pending.H, pending.z
     n, at = now.P.shape[0], index.clock_offset
-    place_kernel(now, data, index, work)
+    place_kernel(now, data.antenna_b, index, work)
     # the last six rows of the slot hold position and velocity of the antenna
     last = first + pending.width - 6
     for j in range(last, last + 6):

@@ -37,7 +37,8 @@ class Plan(NamedTuple):
     entries: IntArray  # (E, 5) as `bench.navigation.forward` takes them
     ahead: FloatArray  # (A,) part of the next step that an answer lies ahead [1]
     slots: int  # that hold all which waits
-    values: FloatArray  # (R, 6) of all measurements but satellites
+    measured: FloatArray  # (R, 9) values, and of a fix its antenna [m], b, of all but satellites
+    values: FloatArray  # (R, 6) of them the values
     variance: FloatArray  # (R, 6)
     outputs: IntArray  # (A,) rows of ``output_t`` that are answered
     left: dict[int, Rows]  # what waits afterwards
@@ -186,10 +187,10 @@ class Schedule:
         record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
         values, white = sensor.read(record, spec, sensors, initial, layout)
         white = white + more
-        variance = np.broadcast_to(white, values.shape)
-        needed = values
         if isinstance(record, GnssFixes):
             variance, needed = weigh_fixes(record, white, self._accuracy), record.lla
+        else:
+            variance, needed = np.broadcast_to(white, values.shape), values
         sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
         sound &= np.isfinite(needed).all(axis=1)
         rows, t, arrival = self._admit(sensor.kind, sensor.spec, record.t, record.t_arrival, sound)
@@ -289,10 +290,10 @@ class Schedule:
         number: IntArray | None = None,
     ) -> None:
         """Let measurements wait for their step."""
-        wide = np.zeros((2, len(t), 6))
-        wide[0, :, : values.shape[1]], wide[1, :, : variance.shape[1]] = values, variance
+        wide, spread = np.zeros((len(t), 9)), np.zeros((len(t), 6))
+        wide[:, : values.shape[1]], spread[:, : variance.shape[1]] = values, variance
         none = np.zeros(len(t), np.int64)
-        rows = Rows(t, arrival, wide[0], wide[1], none, none if number is None else number)
+        rows = Rows(t, arrival, wide, spread, none, none if number is None else number)
         before = self._kinds.get(kind)
         self._kinds[kind] = rows if before is None else before.joined(rows)
 
@@ -325,7 +326,7 @@ class Schedule:
             go_to = int(np.searchsorted(steps.t, self.imu_t[known][-1])) if known.any() else -1
         parts: list[tuple[Any, ...]] = []
         left: dict[int, Rows] = {}
-        base, tables = 0, [(np.zeros((0, 6)), np.zeros((0, 6)))]
+        base, tables = 0, [(np.zeros((0, 9)), np.zeros((0, 6)))]
         uses = [self._step_at(steps.t, rows.arrival) for _, rows in every]
         measures = []
         for (_, rows), use in zip(every, uses, strict=True):
@@ -358,10 +359,9 @@ class Schedule:
             parts.append((np.array([go_to]), GO_ON, 100, 0, 0))
         schedule = np.concatenate([np.column_stack(np.broadcast_arrays(*part)) for part in parts])
         schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
-        values, variance = (np.concatenate(one) for one in zip(*tables, strict=True))
-        return Plan(
-            steps, np.ascontiguousarray(schedule), ahead, most, values, variance, outputs, left, go_to
-        )
+        wide, variance = (np.concatenate(one) for one in zip(*tables, strict=True))
+        entries, values = np.ascontiguousarray(schedule), wide[:, :6]
+        return Plan(steps, entries, ahead, most, wide, values, variance, outputs, left, go_to)
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""

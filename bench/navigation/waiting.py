@@ -18,7 +18,7 @@ class Rows(NamedTuple):
 
     t: FloatArray  # (M,) validity [s]
     arrival: FloatArray  # (M,) [s]
-    values: FloatArray  # (M, 6); of satellites nothing
+    values: FloatArray  # (M, 9), of a fix with its antenna; of satellites nothing
     variance: FloatArray  # (M, 6)
     slot: IntArray  # (M,) where it waits, measured but not used; 0: not yet measured
     number: IntArray  # (M,) of satellites: the epoch in the sky

@@ -103,7 +103,7 @@ ROWS: tuple[Row, ...] = (
     Row(29, "output datum", "A-2.1", "", "156.3 m; round trip < 1e-3 m; PROJ 1 cm",
         "tests/exchange/test_datums.py::test_sk42_equals_proj", measure.shift_datum),
     Row(30, "antenna switching", "A-2.1", "", "no innovation step > 3 sigma",
-        open_because="needs a receiver with two antennas: a record has one lever arm"),
+        "tests/register/test_antenna_switching.py::test_30_no_innovation_steps_where_the_antenna_changes"),
     Row(31, "acceleration steps", "A-2.1", "", "NIS in bounds through 2 g",
         "tests/register/test_acceleration_step.py::test_31_nis_stays_in_its_band_through_a_step_of_2_g"),
     Row(32, "GNSS error sources", "A-2.1.7", "", "RMS of each 5 %",

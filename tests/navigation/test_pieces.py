@@ -210,7 +210,7 @@ def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing()
         "order of arrival": replace(piece, fixes=old),
         "a record without rows": replace(piece, baro=None),
         "datasheets": replace(piece, specs=replace(piece.specs, baro=replace(BARO, white_sd=9.0))),
-        "antenna": replace(piece, antenna_b=np.zeros(3)),
+        "ground height": replace(piece, ground_alt=1e3),
         "gap of 1": replace(piece, imu=take(piece.imu, piece.imu.t > 7.0)),
     }
     for words, bad in wrong.items():
