@@ -101,9 +101,9 @@ def format_bounds(name: str, values: Mapping[str, Any]) -> str:
     return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
 
 
-def format_number(value: Any) -> str:
-    """Return a number with four digits; a dash for None."""
-    return "-" if value is None else _format(value, 4)
+def format_number(value: Any, digits: int = 4) -> str:
+    """Return a number with so many digits; a dash for None."""
+    return "-" if value is None else _format(value, digits)
 
 
 def _format(value: float, digits: int) -> str:

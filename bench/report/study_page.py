@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from bench.plots.series import Plot
 from bench.report import page
 from bench.report.page import Figure
 from bench.studies.study import StudyResult, StudyTable
+
+_LONG = 40  # text in a cell that is broken into lines
 
 
 def write(path: Path, result: StudyResult) -> None:
@@ -67,13 +70,21 @@ def _draw(plot: Plot) -> Figure:
 
 
 def _fill(table: StudyTable) -> dict[str, Any]:
-    """Return title, heads and rows of a table."""
-    columns = [list(values) for values in table.columns.values()]
+    """Return title, heads with their class, and rows of a table."""
+    columns = [[format_cell(value) for value in values] for values in table.columns.values()]
+    kinds = [_find_kind(values, cells) for values, cells in zip(table.columns.values(), columns, strict=True)]
     return {
         "title": table.title,
-        "heads": list(table.columns),
-        "rows": [[format_cell(value) for value in row] for row in zip(*columns, strict=True)],
+        "heads": list(zip(table.columns, kinds, strict=True)),
+        "rows": [list(zip(row, kinds, strict=True)) for row in zip(*columns, strict=True)],
     }
+
+
+def _find_kind(values: Sequence[object], cells: Sequence[str]) -> str:
+    """Return the class of a column: text stands on the left, long text on several lines."""
+    if not any(isinstance(value, str) for value in values):
+        return "number"
+    return "words" if max(map(len, cells)) > _LONG else "text"
 
 
 def format_cell(value: object) -> str:

@@ -24,12 +24,23 @@ from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import accel_bias_drift, drift_sd, gyro_bias_drift
 from bench.evaluation.ensemble import Estimate, pool_rmse
+from bench.evaluation.key_figures import format_number
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.specs import Profile
 from bench.studies.catalog_units import Unit, find_units
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
-from bench.studies.study import Count, Durations, Findings, StudyOptions, StudyTable, Words, Work, make_table
+from bench.studies.study import (
+    Count,
+    Durations,
+    Findings,
+    StudyOptions,
+    StudyTable,
+    Words,
+    Work,
+    format_estimate,
+    make_table,
+)
 from bench.units import SAME_INSTANT
 
 _PRELUDE_S = 131.0  # of the legs before [s]
@@ -255,9 +266,10 @@ def _tell(options: Options, drifts: dict[tuple[str, str], Drift], elapsed: Seque
         for unit in options.units:
             drift = drifts[unit, phase]
             rms = drift.rms[k]
-            text = f"{rms.value:.3g} m ({rms.low:.3g} to {rms.high:.3g})" if rms else "no two runs"
-            parts.append(f"{unit} {text}, claimed {drift.claimed[k]:.3g}, law {drift.law[k]:.3g}")
-        yield f"After {elapsed[k]:g} s without GNSS, {phase}: {'; '.join(parts)}."
+            claimed, law = (format_number(one[k], 3) for one in (drift.claimed, drift.law))
+            text = format_estimate(rms) if rms else "no two runs"
+            parts.append(f"{unit} {text}, claimed {claimed}, law {law}")
+        yield f"After {elapsed[k]:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
     outside = Counter(
         unit
         for (unit, _), drift in drifts.items()

@@ -19,12 +19,21 @@ from bench.config import load_profile
 from bench.config.library import find_datasheet
 from bench.config.tables import read_toml
 from bench.errors import ConfigError
-from bench.evaluation.ensemble import Estimate, compare_rmse
+from bench.evaluation.ensemble import compare_rmse
 from bench.evaluation.metrics import find_metric
 from bench.places import PACKAGE
 from bench.plots import series
 from bench.plots.series import Plot, Series
-from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Words, Work, make_table
+from bench.studies.study import (
+    Count,
+    Findings,
+    StudyOptions,
+    StudyTable,
+    Words,
+    Work,
+    format_estimate,
+    make_table,
+)
 from bench.units import unit_of
 
 _SHOWN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
@@ -132,10 +141,10 @@ def _tell(
                 np.array([second[run] for run in both]),
                 "",
             ).difference
+            low, high = (format_estimate(outcomes[k].errors[name]) for k in (least, most))
             yield (
-                f"{label}: {name} from {_format(outcomes[least].errors[name])} at {values[least]} {unit} to "
-                f"{_format(outcomes[most].errors[name])} at {values[most]} {unit}; on the same draws "
-                f"{change.value:.3g} ({change.low:.3g} to {change.high:.3g}) apart."
+                f"{label}: {name} from {low} at {values[least]} {unit} to {high} at {values[most]} {unit}; "
+                f"on the same draws {format_estimate(change)} apart."
             )
         lost = [str(value) for value, one in zip(values, outcomes, strict=True) if one.converged.value < 1.0]
         if lost:
@@ -146,10 +155,6 @@ def _select(runs: Sequence[Mapping[str, Any]], label: str, condition: int, name:
     """Return a metric of the runs of a condition that converged, by the number of the run."""
     mine = (row for row in runs if row["estimator"] == label and row["condition"] == condition)
     return {row["run"]: row[name] for row in mine if row["converged"] and row.get(name) is not None}
-
-
-def _format(found: Estimate) -> str:
-    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
 
 
 def _plot(options: Options, values: Sequence[Any], by_label: dict[str, list[Outcome]]) -> Iterator[Plot]:

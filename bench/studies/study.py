@@ -18,6 +18,8 @@ from bench.campaigns.pools import ExecutorPool, ProcessPool, open_pool
 from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
+from bench.evaluation.ensemble import Estimate
+from bench.evaluation.key_figures import format_number
 from bench.plots.series import Plot
 from bench.studies import STUDIES, Entry
 from bench.units import unit_of
@@ -81,6 +83,12 @@ def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Seq
         for key, column in zip(columns, zip(*rows, strict=True), strict=True)
     }
     return StudyTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
+
+
+def format_estimate(found: Estimate) -> str:
+    """Return a value with its interval, as a sentence has it."""
+    value, low, high = (format_number(one, 3) for one in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
 
 
 @dataclass(frozen=True)

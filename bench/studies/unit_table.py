@@ -22,7 +22,16 @@ from bench.places import PACKAGE
 from bench.plots import series
 from bench.plots.series import Plot
 from bench.studies.catalog_units import CLASSES, Unit, find_units
-from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Words, Work, make_table
+from bench.studies.study import (
+    Count,
+    Findings,
+    StudyOptions,
+    StudyTable,
+    Words,
+    Work,
+    format_estimate,
+    make_table,
+)
 
 _LAW_S = 60.0  # of the expected drift [s]
 _MANY = 8  # figures that no source states
@@ -162,8 +171,7 @@ def _tell(rows: Sequence[_Row], units: Mapping[str, Unit], options: Options) -> 
             figure, what = _choose_figure(here)
             values = {row["unit"]: row[figure] for row in here}
             told = [
-                f"{name} ({units[name].grade}) {values[name].value:.3g} ({values[name].low:.3g} to "
-                f"{values[name].high:.3g})"
+                f"{name} ({units[name].grade}) {format_estimate(values[name])}"
                 for name in find_front(here, units, figure)
             ]
             yield f"{profile}, {label}, {what}: beaten by no unit of its class or below: {'; '.join(told)}."

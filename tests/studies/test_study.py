@@ -18,11 +18,12 @@ import bench
 from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
+from bench.evaluation.ensemble import Estimate
 from bench.plots.series import Plot, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.studies import STUDIES
-from bench.studies.study import StudyTable, find_study, make_command, read_options
+from bench.studies.study import StudyTable, find_study, format_estimate, make_command, read_options
 from bench.workbench import study_verb
 
 SHORT = {"outages_s": (60, 300)}
@@ -78,6 +79,21 @@ def test_options_left_out_are_not_listed(folder):
     options = dict(re.findall("<dt>(.*?)</dt><dd>(.*?)</dd>", page))
     assert (options["draws"], options["outages_s"]) == ("20", "60, 300")
     assert "alert_limit_m" not in options
+
+
+def test_text_stands_on_the_left_of_its_column_and_numbers_on_the_right(folder):
+    columns = {"grade": ["one"], "gyro_deg_h": [0.5], "unit": ["deg/h"], "remark": ["word " * 12]}
+    read = bench.load_study(folder)
+    found = dataclasses.replace(read.findings, tables=(StudyTable("t", "Title", columns),))
+    page = study_page.make_page(dataclasses.replace(read, findings=found))
+    heads = dict(re.findall(r'<th scope="col" class="(\w+)">(\w+)</th>', page))
+    assert heads == {"text": "unit", "number": "gyro_deg_h", "words": "remark"}
+    assert re.findall(r'<td class="(\w+)">', page) == ["text", "number", "text", "words"]
+
+
+def test_an_estimate_in_a_sentence_has_three_digits_and_no_power_of_ten():
+    assert format_estimate(Estimate(2031.4, 1091.2, 3793.0)) == "2030 (1090 to 3790)"
+    assert format_estimate(Estimate(0.03014, 0.01625, 12.0)) == "0.0301 (0.0163 to 12)"
 
 
 @pytest.mark.parametrize("width", [80, 200])
