@@ -96,6 +96,7 @@ class Work(NamedTuple):
     rows: FloatArray  # (3, n)
     var: FloatArray  # (3,)
     lever: FloatArray  # (3,)
+    slope: FloatArray  # (6,) of gyros and accelerometers along their axes
     ahead: FilterState  # of a filter that goes ahead for an answer
 
 
@@ -133,6 +134,7 @@ def work_for(n: int, drives: int) -> Work:
         rows=np.zeros((3, n)),
         var=np.zeros(3),
         lever=np.zeros(3),
+        slope=np.ones(6),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )
 
@@ -199,32 +201,42 @@ def warmth_kernel(T: float, thermal: FloatArray, height: float, known: FloatArra
 
 @inner
 def increments_kernel(
-    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray
-) -> None:
+    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
+    slope: FloatArray,
+) -> None:  # fmt: skip
     """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
 
-    Scale factors divide: those of the accelerometers before what the specific force drives, those of the
-    gyros last.
+    What an axis measures of a small rate or force along itself is its slope, scale factor and nonlinearity
+    together. All other errors are in the measured units, too, so the slope divides them: states that tell the
+    same in steady motion then stay exchangeable whatever the slope, as the covariance takes them to be.
     """
     for i in range(3):
         dth[i] -= state[GYRO + 1 + i] * dt
         dv[i] -= state[GYRO + 4 + i] * dt
+    if drives.shape[0] == 0:
+        return
+    for i in range(6):
+        slope[i] = 1.0
     for d in range(drives.shape[0]):
         error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if error == by and error >= 3:
-            dv[error - 3] /= 1.0 + state[drives[d, 0] + 1]
+        if by == error:
+            slope[error] += state[drives[d, 0] + 1]
+        elif by == CUBE + error:
+            slope[error] -= 3.0 * state[drives[d, 0] + 1]
+    for i in range(3):
+        dth[i] /= slope[i]
+        dv[i] /= slope[3 + i]
     for d in range(drives.shape[0]):
         error, by = drives[d, 1] - GYRO, drives[d, 2]
         if error != by:
-            part = state[drives[d, 0] + 1] * factor_kernel(by, dt, dth, dv, known)
+            part = factor_kernel(by, dt, dth, dv, known)
+            if by == CUBE + error:
+                part += 3.0 * factor_kernel(error, dt, dth, dv, known)
+            part *= state[drives[d, 0] + 1] / slope[error]
             if error < 3:
                 dth[error] -= part
             else:
                 dv[error - 3] -= part
-    for d in range(drives.shape[0]):
-        error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if error == by and error < 3:
-            dth[error] /= 1.0 + state[drives[d, 0] + 1]
 
 
 @inner
@@ -321,7 +333,7 @@ def advance_kernel(
         work.before, work.w_ib_b, work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3],
         work.vectors[4], work.vectors[5], work.vectors[6], work.vectors[7], work.lost,
     )  # fmt: skip
-    known = work.known
+    known, slope = work.known, work.slope
     driven = drives.shape[0]
     n = P.shape[0]
     waiting = False
@@ -347,7 +359,7 @@ def advance_kernel(
             for i in range(3):
                 dth[i] = dtheta_b[row, i] * share
                 dv[i] = dvel_b[row, i] * share
-            increments_kernel(state, dt, drives, known, dth, dv)
+            increments_kernel(state, dt, drives, known, dth, dv, slope)
             for i in range(3):
                 w_ib_b[i] = dth[i] / dt
             if driven > 0:

@@ -18,7 +18,7 @@ from bench.navigation.error_state import GYRO
 from bench.navigation.fusion import Loose
 from bench.navigation.imu_blocks import EVERY_ERROR
 from bench.navigation.measurements import AIDING
-from bench.navigation.states import STEADY, Block, States
+from bench.navigation.states import CUBE, STEADY, WARMTH, Block, States
 from bench.sensors import imu
 from bench.specs import ImuSpec, TriadSpec, stream
 from tests.builders import first_rows
@@ -91,8 +91,29 @@ def test_a_steady_drive_is_taken_off_the_increments_as_the_bias_is():
     state[10:16], state[16:22] = rng.normal(size=6), rng.normal(size=6)
     dth, dv = rng.normal(size=3), rng.normal(size=3)
     wanted = np.concatenate([dth, dv]) - (state[10:16] + state[16:22]) * 0.02
-    plain(cycle.increments_kernel)(state, 0.02, drives, np.zeros(3), dth, dv)
+    plain(cycle.increments_kernel)(state, 0.02, drives, np.zeros(3), dth, dv, np.ones(6))
     np.testing.assert_allclose(np.concatenate([dth, dv]), wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("error", [2, 5])
+def test_states_that_tell_the_same_in_steady_motion_are_exchangeable_whatever_their_size(error):
+    """Far below the range a nonlinearity is a scale factor of -3 times its size, and warmth is a bias.
+
+    Moved from one to the other the increments stay; a product of two such states would be a false rate.
+    """
+    drives = np.array([[15 + k, GYRO + error, by] for k, by in enumerate((error, CUBE + error, WARMTH))])
+    measured = np.array([1e-3, 2e-3, 6e-3, 0.02, -0.03, -0.2])
+    found = []
+    for moved in (0.0, 0.01):
+        state = np.zeros(19)
+        state[10 + error] = 0.03 + 20.0 * moved
+        state[16:] = -0.02 + 3.0 * moved, 0.016 + moved, 0.004 - moved
+        dth, dv = measured[:3].copy(), measured[3:].copy()
+        known = np.array([20.0, 1e6, 1e6])
+        plain(cycle.increments_kernel)(state, 0.02, drives, known, dth, dv, np.ones(6))
+        found.append(np.concatenate([dth, dv]))
+    assert abs(found[0][error] - measured[error]) > 0.05 * abs(measured[error])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +148,7 @@ def test_an_error_of_the_datasheet_is_taken_off_as_the_sensor_adds_it(figure_eig
     left = []
     for k in range(4900, 5000):
         dth, dv = record.dtheta_b[k].copy(), record.dvel_b[k].copy()
-        plain(cycle.increments_kernel)(state, record.dt[k], model.process.drives, known, dth, dv)
+        plain(cycle.increments_kernel)(state, record.dt[k], model.process.drives, known, dth, dv, np.ones(6))
         left.append(np.concatenate([dth, dv]) - exact[k])
     added = np.abs(with_error - exact)[4900:].max()
     assert added > 0

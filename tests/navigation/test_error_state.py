@@ -260,7 +260,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
             state[:10] = nav
             state[begin[name] + index] = sign * size
             dth, dv = w_ib_b * dt, f_b * dt
-            correction(state, dt, drives, np.zeros(3), dth, dv)
+            correction(state, dt, drives, np.zeros(3), dth, dv, np.ones(6))
             rates = long_zeros(6)
             ends.append(one_step(nav, dv / dt, dth / dt, rates, dt))
         return (difference(ends[0], nav) - difference(ends[1], nav)) / (2 * size) / dt
