@@ -67,9 +67,9 @@ class ImuSheet(Sheet):
 
     gyro: _make_triad_table("gyro") = Field(default_factory=dict)  # type: ignore[valid-type]
     accel: _make_triad_table("accel") = Field(default_factory=dict)  # type: ignore[valid-type]
-    thermal: _Thermal = _Thermal()  # type: ignore[valid-type]
-    vibration: _Vibration = _Vibration()  # type: ignore[valid-type]
-    layout: LayoutTable = LayoutTable()
+    thermal: _Thermal = Field(default_factory=_Thermal)  # type: ignore[valid-type]
+    vibration: _Vibration = Field(default_factory=_Vibration)  # type: ignore[valid-type]
+    layout: LayoutTable = Field(default_factory=LayoutTable)
 
 
 class GnssSheet(Sheet):

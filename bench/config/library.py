@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import Field
 
@@ -39,8 +39,9 @@ class _Position(Table):
     right_m: Annotated[float, between(-100, 100)]
     down_m: Annotated[float, between(-100, 100)]
 
-
-_AT_CG = _Position(forward_m=0.0, right_m=0.0, down_m=0.0)
+    @classmethod
+    def at_cg(cls) -> Self:
+        return cls(forward_m=0.0, right_m=0.0, down_m=0.0)
 
 
 class _Trim(Table):
@@ -57,9 +58,9 @@ class _AircraftTable(Table):
     assumed: Annotated[tuple[str, ...], ROWS] = ()
     limits: make_table_type(AircraftSpec)  # type: ignore[valid-type]
     trim: Annotated[tuple[_Trim, ...], ROWS] = ()
-    imu: _Position = _AT_CG
+    imu: _Position = Field(default_factory=_Position.at_cg)
     antenna: _Position
-    static_port: _Position = _AT_CG
+    static_port: _Position = Field(default_factory=_Position.at_cg)
     runway: make_table_type(RunwaySpec) | None = None  # type: ignore[valid-type]
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
     guidance: dict[str, float] = Field(default_factory=dict)
@@ -196,7 +197,7 @@ def _make_aircraft(
         antenna_b=_from_imu(table.antenna, imu),
         category=table.category,
         foreign=foreign,
-        imu_b=_from_imu(imu, _AT_CG),
+        imu_b=_from_imu(imu, _Position.at_cg()),
         static_port_b=_from_imu(table.static_port, imu),
         trims=tuple((float(row.alt_m), float(row.speed_mps)) for row in table.trim),
         runway=RunwaySpec(**convert_figures(RunwaySpec, table.runway)) if table.runway else None,

@@ -145,9 +145,9 @@ class LogTable(Table):
     baro: BaroTable | None = None
     reference: ReferenceTable | None = None
     sensors: LogSensorsTable
-    alignment: LogAlignmentTable = LogAlignmentTable()
+    alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
-    evaluation: LogEvaluationTable = LogEvaluationTable()
+    evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from bench.config.profile_tables import (
     ExperimentTable,
     ProfileTable,
     TrajectoryTable,
+    choose_usual_units,
     make_profile_table,
 )
 from bench.config.sheet import convert_figures
@@ -104,7 +105,7 @@ def load_profile(
     aircraft = _find_aircraft(document, beside, f"{shown}: ", wrong) if external is None else None
     units = document.get("sensors")
     if units is None and external is not None:
-        units = external[0].model_fields["sensors"].default.model_dump()
+        units = choose_usual_units().model_dump()
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
     assumed_names = changes.name_assumed(units)
     assumed = _find_sensors(

@@ -109,7 +109,6 @@ _AIDING: dict[str, Any] = dict.fromkeys(("gnss", *INSTRUMENTS), (str | None, Non
 
 if TYPE_CHECKING:
     SensorsTable = Any
-    USUAL_UNITS: Any
 else:
     AssumedTable = create_model("AssumedTable", __base__=Table, imu=(str | None, None), **_AIDING)
     """The datasheets that the filters assume, where they differ from the sensors on board."""
@@ -119,11 +118,14 @@ else:
         imu=(str, ...),
         **_AIDING,
         qnh_hpa=(Annotated[float, between(850, 1100)] | None, None),
-        assumed=(AssumedTable, AssumedTable()),
+        assumed=(AssumedTable, Field(default_factory=AssumedTable)),
     )
     """The sensors on board, each a catalog name or the path of a datasheet."""
-    USUAL_UNITS = SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
-    """Sensors of a profile with an external truth that names none."""
+
+
+def choose_usual_units() -> SensorsTable:
+    """Return the sensors of a profile with an external truth that names none."""
+    return SensorsTable(imu="adis16475", gnss="l1-code", baro="bmp388")
 
 
 class OutageTable(Table):
@@ -187,10 +189,10 @@ class ExperimentTable(Table):
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
     fault: Annotated[tuple[Annotated[FaultTable, Field(discriminator="kind")], ...], ROWS] = ()
-    initial_error_sd: InitialErrorSdTable = InitialErrorSdTable()
-    alignment: AlignmentTable = AlignmentTable()
+    initial_error_sd: InitialErrorSdTable = Field(default_factory=InitialErrorSdTable)
+    alignment: AlignmentTable = Field(default_factory=AlignmentTable)
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
-    evaluation: EvaluationTable = EvaluationTable()
+    evaluation: EvaluationTable = Field(default_factory=EvaluationTable)
 
 
 class ProfileTable(ExperimentTable):
@@ -201,7 +203,7 @@ class ProfileTable(ExperimentTable):
     turbulence_seed: Seed | None = None
     start: StartTable
     runway: RunwayTable | None = None  # type: ignore[valid-type]
-    wind: WindTable = WindTable()
+    wind: WindTable = Field(default_factory=WindTable)
     gust: Annotated[tuple[GustTable, ...], ROWS] = ()
     leg: tuple[DeclaredTable, ...]
 
@@ -215,11 +217,11 @@ def make_profile_table(legs: tuple[type[Leg], ...]) -> type[ProfileTable]:
 class _ExternalTable(ExperimentTable):
     """A profile with an external truth; it has default sensors."""
 
-    sensors: SensorsTable = USUAL_UNITS
-    estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = (
-        EstimatorTable(use="loose-15"),
+    sensors: SensorsTable = Field(default_factory=choose_usual_units)
+    estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)] = Field(
+        default_factory=lambda: (EstimatorTable(use="loose-15"),)
     )
-    antenna: AntennaTable = AntennaTable()
+    antenna: AntennaTable = Field(default_factory=AntennaTable)
 
 
 class ScriptTable(_ExternalTable):

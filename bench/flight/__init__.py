@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from bench.data import Trajectory
-from bench.flight import recorder
-from bench.flight.child_process import fly_in_child
 from bench.flight.summary import Summary, summarise
 from bench.moved import moved_from
 from bench.specs import FlightSpec, ScriptSpec
@@ -28,9 +26,13 @@ def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None 
 def fly_pieces(
     spec: FlightSpec | ScriptSpec,
     progress: Callable[[float], None] | None = None,
-    seconds: float = recorder.PIECE,
+    seconds: float | None = None,
 ) -> Iterator[Trajectory]:
-    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds."""
+    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds; None: `recorder.PIECE`."""
+    from bench.flight import recorder
+    from bench.flight.child_process import fly_in_child
+
+    seconds = recorder.PIECE if seconds is None else seconds
     if isinstance(spec, ScriptSpec):
         return fly_in_child(spec, f"script {spec.name}", progress, seconds)
     if spec.aircraft.foreign is not None:
