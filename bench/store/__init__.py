@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.store.arrow import to_arrow, to_pandas
+from bench.store.arrow import leave_out_pandas, to_arrow, to_pandas
 from bench.store.cache_size import LIMIT, measure_cache, trim_cache
 from bench.store.damage import RESULT, TRUTH, read_summary, report_damage
 from bench.store.folders import (
@@ -69,6 +69,7 @@ __all__ = [
     "hash_spec",
     "join_pieces",
     "keep_folder",
+    "leave_out_pandas",
     "list_solutions",
     "list_versions",
     "load",

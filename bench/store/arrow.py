@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,32 @@ def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> A
     except ImportError:
         raise BenchError("bench.to_pandas needs pandas: pip install pandas") from None
     return to_arrow(result, record, estimator).to_pandas()
+
+
+class _WithoutPandas:
+    """A finder of modules that says there is no pandas."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        """Raise ModuleNotFoundError for pandas."""
+        if name == "pandas":
+            raise ModuleNotFoundError("pandas is left out", name=name)
+
+
+def leave_out_pandas() -> None:
+    """Keep pyarrow from importing pandas to ask of every array whether it is one of its: a tenth of a run.
+
+    For a process of the command line alone, for pyarrow asks once: from then on it takes a Series for a plain
+    sequence, until its own conversion to pandas is called. Without effect once pandas is imported.
+    """
+    import pyarrow as pa
+
+    if "pandas" not in sys.modules:
+        sys.meta_path.insert(0, _WithoutPandas)
+        try:
+            pa.array([])
+        finally:
+            sys.meta_path.remove(_WithoutPandas)
 
 
 def _to_table(record: object) -> pa.Table:

@@ -47,6 +47,7 @@ def run(
     begun = time.perf_counter()
     with _show_progress(profile) as progress:
         result = api.run(profile, run=draw, bound=bound, progress=progress)
+    store.leave_out_pandas()
     api.save(result, folder, recording=recording, report=report, force=force)
     result_table.print_result(console, profile, result)
     result_table.print_bound(console, result.metrics)

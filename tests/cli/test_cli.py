@@ -539,6 +539,7 @@ def test_a_cached_run_imports_only_what_it_uses(here, capsys):
     assert say(capsys, "fly", "short.toml")[0] == 0
     loaded = modules(["run", "short.toml", "--no-rrd"], here)
     assert "bench.navigation.fusion" in loaded
+    assert "pandas" not in modules(["run", "short.toml", "--force"], here)
     heavy = {"jsbsim", "rerun", "matplotlib", "filterpy", "scipy.stats", "scipy.optimize", "pandas"}
     assert not loaded & heavy
 
