@@ -58,7 +58,7 @@ def count_independent(deviation: FloatArray) -> float:
     length = _fast_length(2 * count - 1)
     spectrum = np.fft.rfft(deviation / largest, length)
     correlation = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, length)[:count]
-    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1) / correlation[0]
+    pairs = (correlation[0 : count - 1 : 2] + correlation[1:count:2]) / correlation[0]
     ended = np.flatnonzero(pairs <= 0.0)
     length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0
     return float(np.clip(count / max(length, 1.0), 1.0, count))

@@ -29,7 +29,7 @@ from bench.evaluation.error_series import (
     select_epochs,
 )
 from bench.evaluation.failures import FAILED, describe_failure
-from bench.evaluation.poses import Poses
+from bench.evaluation.poses import Poses, lengths
 from bench.specs import AssumedSpecs, Fault
 from bench.units import SAME_INSTANT, unit_of
 
@@ -73,7 +73,7 @@ def rmse(block: str, case: Case) -> Values:
     """Root mean square of the error of a block by axis, horizontal and 3D [m or m/s]."""
     error_n = getattr(case, f"{block}_n")
     by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
-    return by_axis | {"h": _rms(_horizontal_norm(error_n)), "3d": _rms(np.linalg.norm(error_n, axis=1))}
+    return by_axis | {"h": _rms(_horizontal_norm(error_n)), "3d": _rms(lengths(error_n))}
 
 
 def phi_rmse(case: Case) -> Values:
@@ -108,7 +108,7 @@ def pos_max_v(case: Case) -> float:
 
 def vel_max(case: Case) -> float:
     """Largest velocity error, 3D [m/s]."""
-    return float(np.linalg.norm(case.vel_n, axis=1).max())
+    return float(lengths(case.vel_n).max())
 
 
 def _horizontal_norm(error_n: FloatArray) -> FloatArray:

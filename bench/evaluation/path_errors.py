@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.evaluation.case import Case
-from bench.evaluation.poses import Poses, align
+from bench.evaluation.poses import Poses, align, lengths
 from bench.units import DEG
 
 TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
@@ -37,7 +37,7 @@ def ape_aligned(case: Case) -> float | None:
     if case.poses is None:
         return None
     apart = align(case.poses.estimate_e, case.poses.truth_e) - case.poses.truth_e
-    return _rms(np.linalg.norm(apart, axis=1))
+    return _rms(lengths(apart))
 
 
 def _relative(
