@@ -34,6 +34,10 @@ def _guess_rate(rate: FloatArray) -> str:
     return "deg_s" if float(np.nanquantile(np.abs(rate), 0.99)) > 3.5 else "rad_s"
 
 
+def _guess_turn(dtheta: FloatArray) -> str:
+    return "deg" if float(np.nanquantile(np.abs(dtheta), 0.99)) > 0.2 else "rad"
+
+
 def _guess_force(force: FloatArray) -> str:
     size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
     return "g" if size < 3.0 else "m_s2" if size < 100.0 else "mg"
@@ -59,26 +63,35 @@ def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Qu
 
 
 _TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|tow|sec(onds?)?",), _guess_time)
+_INCREMENTS = (
+    _TIME,
+    _name_axes("dtheta", "d(elta_?)?theta", _guess_turn),
+    _name_axes("dvel", "d(elta_?)?v(el|elocity)?", lambda _: "m_s"),
+)
 _VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
-_KINDS: Mapping[str, tuple[_Quantity, ...]] = {
-    "imu": (
-        _TIME,
-        _name_axes("gyro", r"gyro?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
-        _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
+_RATES = (
+    _TIME,
+    _name_axes("gyro", r"gyro?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
+    _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
+)
+_FIX = (
+    _TIME,
+    _Quantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
+    _Quantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
+    _Quantity(
+        ("vel_n", "vel_e", "vel_d"),
+        tuple(_VELOCITY.format(word) for word in ("n|north", "e|east", "d|down")),
+        lambda _: "mps",
+        needed=False,
     ),
-    "gnss": (
-        _TIME,
-        _Quantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
-        _Quantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
-        _Quantity(
-            ("vel_n", "vel_e", "vel_d"),
-            tuple(_VELOCITY.format(word) for word in ("n|north", "e|east", "d|down")),
-            lambda _: "mps",
-            needed=False,
-        ),
-    ),
-    "baro": (_TIME, _Quantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m")),
+)
+_HEIGHT = (_TIME, _Quantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
+_KINDS: Mapping[str, tuple[tuple[_Quantity, ...], ...]] = {
+    "imu": (_RATES, _INCREMENTS),
+    "gnss": (_FIX,),
+    "baro": (_HEIGHT,),
 }
+"""The sets of columns of each sensor, one of which a table has."""
 
 
 class _Found(NamedTuple):
@@ -139,7 +152,8 @@ def _find_tables(path: Path) -> dict[str, _Found]:
     for kind in _KINDS:
         for place in (path, *beside) if kind != "imu" else (path,):
             try:
-                match = _match_columns(place, kind)
+                ways = (_match_columns(place, quantities) for quantities in _KINDS[kind])
+                match = next((way for way in ways if way is not None), None)
             except ConfigError:
                 if place == path:
                     raise
@@ -157,7 +171,7 @@ def _find_tables(path: Path) -> dict[str, _Found]:
     return found
 
 
-def _match_columns(path: Path, kind: str) -> _Found | None:
+def _match_columns(path: Path, quantities: tuple[_Quantity, ...]) -> _Found | None:
     """Return the columns of a sensor in a table; None if it has not all that are needed."""
     names = list_columns(path)
     plain = {
@@ -165,7 +179,7 @@ def _match_columns(path: Path, kind: str) -> _Found | None:
     }
     columns: dict[str, str] = {}
     guessed: list[str] = []
-    for quantity in _KINDS[kind]:
+    for quantity in quantities:
         theirs = [_find_name(pattern, plain, columns) for pattern in quantity.patterns]
         known = [name for name in theirs if name is not None]
         if len(known) < len(theirs):

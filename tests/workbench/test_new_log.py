@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
+import bench
 from bench.cli import main
 from bench.config.log import load_log
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
+from tests.exchange.exported import make_run
 
 
 def write(folder, style):
@@ -46,6 +48,20 @@ def test_the_log_reads_what_was_recorded(tmp_path, style, capsys):
     assert "mounting_deg" in text
     assert ("taken as deg_s by the values" in said) == (style == "theirs")
     assert ("taken as ms by the values: right?" in text) == (style == "theirs")
+
+
+def test_an_export_of_the_bench_is_found(tmp_path):
+    """Its IMU has increments, their length and a flag; its fixes are in radians."""
+    _, sensed = make_run(tmp_path / "run")
+    bench.export_run(tmp_path / "run", "csv", out=tmp_path / "out")
+    assert main(["new", "log", str(tmp_path / "out" / "imu.csv")]) == 0
+    log = load_log(str(tmp_path / "out" / "imu.toml"))
+    found, data = read_records(log), sensed.data
+    assert_array_equal(found.imu.dtheta_b, data.imu.dtheta_b)
+    assert_array_equal(found.imu.dvel_b, data.imu.dvel_b)
+    assert_array_equal(found.imu.dt, data.imu.dt)
+    assert_allclose(found.fixes.lla, data.fixes.lla, atol=1e-12)
+    assert log.assumed.baro is not None
 
 
 def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):
