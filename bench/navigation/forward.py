@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
@@ -163,7 +164,7 @@ def _fusion_kernel(
         if keep:
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
             node += 1
-            while e < schedule.shape[0] and schedule[e, 0] == until:
+            while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] == OUTPUT:
                 _answer_kernel(now, output, stores)
                 output += 1
                 e += 1
@@ -171,14 +172,29 @@ def _fusion_kernel(
 
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """A forward run at the instants of its measurements and outputs, for a smoother."""
+    """A forward run, or a stretch of one, at the instants of its measurements and outputs, for a smoother."""
 
     layout: StateLayout
     t: FloatArray  # (N,) [s]
     state: FloatArray  # (N, 2, n + 1) before and after: nav state (10), gyro bias, accelerometer bias, extra
     P: FloatArray  # (N, 2, n, n) before and after
     Phi: FloatArray  # (N, n, n) transition of the errors from the node before
-    output: IntArray  # (M,) node of each instant of the solution, -1 outside the record
+    output: IntArray  # (M,) node of each instant of its solution, -1 outside the record
+
+
+def join_nodes(stretches: list[Nodes]) -> Nodes:
+    """Return stretches of a run, in their order, as one."""
+    if len(stretches) == 1:
+        return stretches[0]
+    firsts = np.cumsum([0, *(len(one.t) for one in stretches)])
+    output = [
+        np.where(one.output >= 0, one.output + first, -1)
+        for one, first in zip(stretches, firsts[:-1], strict=True)
+    ]
+    t, state, P, Phi = (
+        np.concatenate([getattr(one, name) for one in stretches]) for name in ("t", "state", "P", "Phi")
+    )
+    return Nodes(stretches[0].layout, t, state, P, Phi, np.concatenate(output))
 
 
 class ForwardRun:
@@ -199,7 +215,7 @@ class ForwardRun:
     interval : float
         Of the covariance step [s]; 0: every sample.
     keep : bool
-        Store the nodes of a smoother; the record has to come as one piece.
+        Store the nodes of a smoother, on disk if the record comes in pieces.
     """
 
     def __init__(
@@ -291,15 +307,17 @@ class ForwardRun:
         size = 7 * len(plan.variance) + 2 * len(sky.t)
         log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
         m = len(plan.outputs)
-        at = np.unique(entries[:, 0]) if keep else np.empty(0, np.int64)
+        at = np.unique(entries[entries[:, 1] != GO_ON, 0]) if keep else np.empty(0, np.int64)
+        whole = schedule.last and start == self.initial.t
+        empty = np.empty if whole else disk_arrays.empty
         stores = Stores(
             np.empty((m, n + 1)),
             np.empty((m, 9, 9)),
             np.empty((m, n - 9)),
             np.empty(len(at)),
-            np.empty((len(at), 2, n + 1)),
-            np.empty((len(at), 2, n, n)),
-            np.empty((len(at), n, n)),
+            empty((len(at), 2, n + 1)),
+            empty((len(at), 2, n, n)),
+            empty((len(at), n, n)),
         )
         work = self.work
         if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample

@@ -84,11 +84,12 @@ class Fusion:
 
     def forward(
         self, sensors: SensorData, initial: InitialState, *, keep: bool, gyro_sd: float | None = None
-    ) -> tuple[NavSolution, Nodes]:
+    ) -> tuple[NavSolution, list[Nodes]]:
         """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over.
 
-        There are none where the heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro
-        biases are known at a start that is given; None: as the datasheet says.
+        They come in stretches, in their order; a record that is not long is one. There are none where the
+        heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro biases are known at a
+        start that is given; None: as the datasheet says.
         """
         initial, events = alignment.complete(sensors, initial)
         if not hypotheses.heading_is_unknown(initial):
@@ -108,22 +109,25 @@ class Fusion:
         events: list[EventRow],
         keep: bool,
         gyro_sd: float | None = None,
-    ) -> tuple[NavSolution, Nodes]:
+    ) -> tuple[NavSolution, list[Nodes]]:
         """Return what :meth:`forward` does, from a complete initial state."""
         passage = Passage(self, sensors, initial, events, keep=keep, gyro_sd=gyro_sd)
-        if keep or self.of_the_whole or not in_blocks.is_long(sensors):
+        if self.of_the_whole or not in_blocks.is_long(sensors):
             passage.take(sensors, last=True)
-            return passage.go()
+            solution, nodes = passage.go()
+            return solution, [nodes]
         joined, wait = in_blocks.JoinedSolution(sensors.output_t), in_blocks.longest_wait(sensors)
+        stretches = list[Nodes]()
         for piece, last in in_blocks.cut_record(sensors):
             passage.take(piece, last=last)
             if last or passage.can_go(wait):
                 solution, nodes = passage.go(wait)
                 joined.add(solution)
+                stretches.append(nodes)
         seen, empty = sensors.observations, list[EventRow]()
         if seen is not None and SATELLITES in passage.used:
             empty = empty_epochs(seen.t, seen.epoch_start, initial.t, passage.schedule.end)
-        return joined.solution(empty), nodes
+        return joined.solution(empty), stretches
 
     @property
     def of_the_whole(self) -> list[str]:
@@ -220,7 +224,7 @@ class Passage:
     events : list of (t, t_end, kind, text)
         What went before.
     keep : bool
-        Store the nodes of a smoother; the record has to be one piece.
+        Store the nodes of a smoother.
     gyro_sd : float or None
         As in :meth:`Fusion.forward`.
     """

@@ -375,8 +375,10 @@ class Schedule:
         """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
         t = self.output_t
         if self._cut:
-            due = np.flatnonzero((t >= self.start - TIME_TOLERANCE) & (t <= self.end + TIME_TOLERANCE))
-            return due, self._step_at(steps.t, t[due]), np.zeros(len(due))
+            inside = (t >= self.start - TIME_TOLERANCE) & (t <= self.end + TIME_TOLERANCE)
+            step = self._step_at(steps.t, t)
+            due = np.flatnonzero(inside & (step <= go_to))
+            return due, step[due], np.zeros(len(due))
         at = np.searchsorted(steps.t, t - TIME_TOLERANCE)
         last = at >= len(steps.t)
         there, span = np.zeros(len(t), np.bool_), np.ones(len(t))

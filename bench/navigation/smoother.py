@@ -13,21 +13,24 @@ other, and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
-from bench.data import InitialState, NavSolution, SensorData
+from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.navigation import in_blocks
 from bench.navigation.error_state import difference_kernel, feedback_kernel
-from bench.navigation.forward import Nodes, solution
+from bench.navigation.forward import Nodes, answers, spread
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.restart import run_between_gaps
 from bench.navigation.rough_heading import add_arm
 from bench.specs import AssumedSpecs
-from bench.wide_rows import add_row, set_row, wide
+from bench.wide_rows import LANES, add_row, set_row, wide
 
 _ROUNDING = 1e-14  # of a scaled variance: what is left of it is rounding
 
@@ -50,16 +53,18 @@ class Smoother:
         return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        forward, nodes = self.filter.forward(sensors, initial, keep=True)
-        if not len(nodes.t):
+        forward, stretches = self.filter.forward(sensors, initial, keep=True)
+        if not any(len(nodes.t) for nodes in stretches):
             return forward
-        state, P = smooth(nodes)
-        served = nodes.output >= 0
-        x = np.full((len(forward), state.shape[1]), np.nan)
-        cov = np.full((len(forward), *P.shape[1:]), np.nan)
-        x[served], cov[served] = state[nodes.output[served]], P[nodes.output[served]]
-        add_arm(cov, sensors.antenna_b)
-        return solution(forward.t, nodes.layout, x, cov, forward.innovations, forward.events)
+        smooth(stretches)
+        found, begin = in_blocks.JoinedSolution(forward.t), 0
+        for nodes in stretches:
+            end = begin + len(nodes.output)
+            found.add(_answer(forward.t[begin:end], nodes, sensors.antenna_b))
+            begin = end
+            if len(stretches) > 1:
+                disk_arrays.release()
+        return replace(found.solution(), innovations=forward.innovations, events=forward.events)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -71,11 +76,24 @@ class Smoother:
         return self.filter.unmodelled(specs)
 
 
+def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
+    """Return smoothed nodes as answers at the instants t (M,) that they serve."""
+    rows = np.flatnonzero(nodes.output >= 0)
+    at = nodes.output[rows]
+    state, cov = nodes.state[at, 1], nodes.P[at, 1, :9, :9]
+    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:]
+    if len(rows) != len(t):
+        state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
+    add_arm(cov, antenna_b)
+    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]))
+
+
 class SmootherWork(NamedTuple):
-    """Memory of the kernels; the matrices that are made row by row are wide."""
+    """Memory of the kernels; matrices are wide."""
 
     scale: FloatArray  # (n,) one over the standard deviations of P^-, 0 for a state without variance
-    L: FloatArray  # (n, n) Cholesky factor of P^-, scaled
+    inverse: FloatArray  # (n,) one over the diagonal of R, 0 where no variance is left
+    R: FloatArray  # (n, n) upper Cholesky factor of P^-, scaled: R'R
     P: FloatArray  # (n, n)
     D: FloatArray  # (n, n) P^s - P^-
     gain: FloatArray  # (n, n) C'
@@ -84,43 +102,47 @@ class SmootherWork(NamedTuple):
     e: FloatArray  # (n,) less C d
 
 
-def smooth(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
-    """Return the smoothed states (N, n + 1) and covariances (N, n, n) at the nodes of a forward run."""
-    state, P = nodes.state[:, 1].copy(), nodes.P[:, 1].copy()
-    n = P.shape[-1]
+def smooth(stretches: list[Nodes]) -> None:
+    """Smooth the states and covariances after the measurements at the nodes of a forward run, in place."""
+    stretches = [nodes for nodes in stretches if len(nodes.t)]
+    n = stretches[0].layout.size
     square = (n, n)
     work = SmootherWork(
-        np.zeros(n), np.zeros(square), wide(square), np.zeros(square), wide(square), wide(square),
+        np.zeros(n), np.zeros(n), wide(square), wide(square), wide(square), wide(square), wide(square),
         np.zeros(n), np.zeros(n),
     )  # fmt: skip
-    _smooth_kernel(nodes.state, nodes.P, nodes.Phi, state, P, work)
-    return state, P
+    later: Nodes | None = None
+    for nodes in reversed(stretches):
+        if later is not None:  # the last node from the one that follows on it
+            state, P, Phi = (
+                np.concatenate([a[-1:], b[:1]])
+                for a, b in ((nodes.state, later.state), (nodes.P, later.P), (nodes.Phi, later.Phi))
+            )
+            _smooth_kernel(state, P, Phi, work)
+            nodes.state[-1], nodes.P[-1] = state[0], P[0]
+            disk_arrays.release()
+        _smooth_kernel(nodes.state, nodes.P, nodes.Phi, work)
+        later = nodes
 
 
 @kernel
-def _smooth_kernel(
-    node_state: FloatArray,
-    node_P: FloatArray,
-    Phi: FloatArray,
-    state: FloatArray,
-    P: FloatArray,
-    work: SmootherWork,
-) -> None:
-    """Smooth states (N, n + 1) and P (N, n, n), those after the measurements, from the last node back."""
-    n, d, e = work.d.shape[0], work.d, work.e
+def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: SmootherWork) -> None:
+    """Smooth states (N, 2, n + 1) and P (N, 2, n, n) after the measurements, all but the last, going back."""
+    n, d, e, D = work.d.shape[0], work.d, work.e, work.D
     for j in range(state.shape[0] - 2, -1, -1):
-        difference_kernel(state[j + 1], node_state[j + 1, 0], d)
-        _gain_kernel(node_P[j + 1, 0], Phi[j + 1], P[j], work)
+        later, before = P[j + 1, 1], P[j + 1, 0]
+        difference_kernel(state[j + 1, 1], state[j + 1, 0], d)
+        _gain_kernel(before, Phi[j + 1], P[j, 1], work)
         for i in range(n):
             e[i] = 0.0
         for k in range(n):
             for i in range(n):
                 e[i] -= work.gain[k, i] * d[k]
-        feedback_kernel(state[j], e)
+        feedback_kernel(state[j, 1], e)
         for i in range(n):
             for k in range(n):
-                work.D[i, k] = P[j + 1, i, k] - node_P[j + 1, 0, i, k]
-        _correct_kernel(P[j], work)
+                D[i, k] = later[i, k] - before[i, k]
+        _correct_kernel(P[j, 1], work)
 
 
 @inner
@@ -128,43 +150,40 @@ def _gain_kernel(before: FloatArray, Phi: FloatArray, P: FloatArray, work: Smoot
     """Fill the gain C' = (P^-)^-1 Phi P, solved with each state scaled by its standard deviation.
 
     A state without variance (a process that is switched off) has no gain; nor has one that is, but for
-    rounding, the sum of others.
+    rounding, the sum of others. The factor R comes row by row, and with it what it solves.
     """
-    scale, L, gain = work.scale, work.L, work.gain
+    scale, inverse, R, gain = work.scale, work.inverse, work.R, work.gain
     n, width = P.shape[0], gain.shape[1]
     for i in range(n):
         scale[i] = 1.0 / np.sqrt(before[i, i]) if before[i, i] > 0.0 else 0.0
+    for i in range(n):
         for k in range(n):
             gain[i, k] = 0.0
             work.P[i, k] = P[i, k]
-    for i in range(n):
-        for k in range(i + 1):
-            s = before[i, k] * scale[i] * scale[k] if i != k else 1.0
-            for m in range(k):
-                s -= L[i, m] * L[k, m]
-            if i != k:
-                L[i, k] = s / L[k, k]
-            else:
-                L[i, i] = np.sqrt(s) if s > _ROUNDING else np.inf
+            R[i, k] = before[i, k] * scale[i] * scale[k]
+        R[i, i] = 1.0
     for k in range(n):
         for i in range(n):
             if Phi[i, k] != 0.0:
                 add_row(gain, i, Phi[i, k] * scale[i], work.P, k, 0, width)
     for k in range(n):
-        set_row(gain, k, 1.0 / L[k, k], gain, k, 0, width)
+        inverse[k] = 1.0 / np.sqrt(R[k, k]) if R[k, k] > _ROUNDING else 0.0
+        set_row(R, k, inverse[k], R, k, k - k % LANES, width)
+        set_row(gain, k, inverse[k], gain, k, 0, width)
         for i in range(k + 1, n):
-            add_row(gain, i, -L[i, k], gain, k, 0, width)
+            add_row(R, i, -R[k, i], R, k, i - i % LANES, width)
+            add_row(gain, i, -R[k, i], gain, k, 0, width)
     for k in range(n - 1, -1, -1):
-        set_row(gain, k, 1.0 / L[k, k], gain, k, 0, width)
+        set_row(gain, k, inverse[k], gain, k, 0, width)
         for i in range(k):
-            add_row(gain, i, -L[k, i], gain, k, 0, width)
+            add_row(gain, i, -R[i, k], gain, k, 0, width)
     for i in range(n):
         set_row(gain, i, scale[i], gain, i, 0, width)
 
 
 @inner
 def _correct_kernel(P: FloatArray, work: SmootherWork) -> None:
-    """Add C D C' to P (n, n); ``work`` holds a wide copy of it."""
+    """Add C D C' to P (n, n); ``work`` holds a wide copy of it, of which the upper part is made."""
     gain, product, copy = work.gain, work.product, work.P
     n, width = P.shape[0], gain.shape[1]
     for i in range(n):
@@ -174,7 +193,7 @@ def _correct_kernel(P: FloatArray, work: SmootherWork) -> None:
             add_row(product, i, work.D[i, k], gain, k, 0, width)
     for k in range(n):
         for i in range(n):
-            add_row(copy, i, gain[k, i], product, k, 0, width)
+            add_row(copy, i, gain[k, i], product, k, i - i % LANES, width)
     for i in range(n):
-        for k in range(n):
-            P[i, k] = 0.5 * (copy[i, k] + copy[k, i])
+        for k in range(i, n):
+            P[i, k], P[k, i] = copy[i, k], copy[i, k]

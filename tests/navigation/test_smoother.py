@@ -7,14 +7,17 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
 
-from bench import pipeline, rotation
+from bench import disk_arrays, pipeline, rotation
 from bench.config import load_profile
 from bench.data import GnssFixes
 from bench.navigation.error_state import StateLayout, moved_state, state_difference
 from bench.navigation.estimator import load
 from bench.navigation.forward import Nodes
 from bench.navigation.smoother import smooth
+from bench.navigation.waiting import take_observations
+from tests.builders import assert_same_solution, take
 from tests.navigation.test_layouts import RUNS, claims
+from tests.navigation.test_pieces import record
 
 BASE = np.concatenate(
     [[0.8, 0.2, 500.0], [20.0, 5.0, -1.0], rotation.from_euler(0.1, 0.2, 0.3), np.zeros(6), [0.0]]
@@ -50,10 +53,10 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
         Phi,
         np.arange(steps),
     )
-    state, P = smooth(nodes)
-    got = np.array([state_difference(row, BASE) for row in state])
+    smooth([nodes])
+    got = np.array([state_difference(row, BASE) for row in nodes.state[:, 1]])
     assert_allclose(got, wanted[:, :, 0], rtol=0, atol=1e-4 * size)
-    assert_allclose(P, wanted_P, rtol=1e-6, atol=1e-9 * size**2)
+    assert_allclose(nodes.P[:, 1], wanted_P, rtol=1e-6, atol=1e-9 * size**2)
 
 
 @pytest.mark.parametrize("markov", [False, True])
@@ -100,6 +103,26 @@ def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov
     north = (stepped.lla[:, 0] - sound.lla[:, 0]) * 6.37e6 / np.sqrt(sound.cov[:, 0, 0])
     assert np.abs(north[sound.t < 140.0]).max() < 1.0
     assert (stepped.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
+
+
+@pytest.mark.parametrize("over", ["loose", "tight"])
+def test_a_long_record_is_smoothed_in_blocks_with_the_bits_of_the_whole(over, monkeypatch):
+    """Fixes come late, three seconds of them and some samples of the IMU are missing."""
+    initial, data = record("tight" if over == "tight" else "loose-15")
+    seen = data.fixes.t if over == "loose" else data.observations.t
+    heard = (seen < 5.0) | (seen > 8.0)
+    if over == "loose":
+        data = replace(data, fixes=take(data.fixes, heard))
+    else:
+        data = replace(data, observations=take_observations(data.observations, heard))
+    expected = load("smoother", {"over": over}).run(data, initial)
+    assert np.isfinite(expected.cov).all()
+    for rows in (83, 290):
+        monkeypatch.setattr(disk_arrays, "ROWS", rows)
+        monkeypatch.setattr(disk_arrays, "LARGE", 0)
+        found = load("smoother", {"over": over}).run(data, initial)
+        assert_same_solution(found, expected)
+        assert sorted(found.events.rows()) == sorted(expected.events.rows())
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from bench.evaluation.linear.path import Path, make_path
 from bench.navigation.aiding import BARO, POSITION, SENSORS, VELOCITY, antenna_kernel
 from bench.navigation.blocks import Index, StateModel, state_model
 from bench.navigation.error_state import GYRO
-from bench.navigation.forward import Nodes
+from bench.navigation.forward import Nodes, join_nodes
 from bench.navigation.fusion import Fusion, Loose
 from bench.navigation.kalman import update_kernel
 from bench.navigation.turn_on import find_turn_on
@@ -70,7 +70,8 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
             "loose-full learns the turn-on bias of this IMU before it starts, which has no linear model; "
             "use loose-22 or loose-mems"
         )
-    solution, nodes = filter_.forward(data, sensed.initial, keep=True)
+    solution, stretches = filter_.forward(data, sensed.initial, keep=True)
+    nodes = join_nodes(stretches)
     table = solution.innovations
     model = state_model(sensed.initial, data.specs, filter_.blocks_for(data))
     path = make_path(truth, data.specs.imu, nodes.t)
