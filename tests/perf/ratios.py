@@ -24,6 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import bench
 from bench import config, earth, pipeline, rotation
 from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
@@ -31,8 +32,9 @@ from bench.flight.legs.turns import Turn
 from bench.navigation import estimator
 from bench.navigation.fusion import Loose
 from bench.navigation.mechanization import propagate
+from bench.report import page
 from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
-from tests.perf.dense import epoch_costs
+from tests.perf.dense import EPOCHS, dense, epoch_costs
 
 ROUNDS = 7
 
@@ -306,6 +308,13 @@ def against_python_ins(truth: Trajectory, sensed: Sensed, seconds: float = 60.0)
     return [Figure("python-ins / loose-15, 10 Hz covariance, 60 s", their_time / our_time, 300.0, "x", True)]
 
 
+def reporting(profile: Profile) -> list[Figure]:
+    """The report of a run with the estimators of its profile, in units of a slice of `tests.perf.dense`."""
+    result = bench.run(profile)
+    cost = ratio(lambda: page.make_page(profile.name, result), dense)
+    return [Figure(f"report of {profile.name} / {EPOCHS} epochs of dense", cost, 1.5, "x")]
+
+
 def commands() -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         there, cache = Path(folder), Path(folder) / "cache"
@@ -376,6 +385,7 @@ def main() -> None:
         *starting(truth),
         *sensing(profile, truth),
         *flying(profile),
+        *reporting(profile),
         *commands(),
     ]
     table = Table(title="Speed, as ratios inside one run")

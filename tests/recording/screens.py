@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,8 @@ from bench.workbench.viewer import free_port
 WIDTH = 1440
 """Of a picture [pixels]."""
 
-_DRAWN = 60.0  # the viewer in a browser without a graphics card, on two processors [s]
+_PATIENCE = 300.0  # with a viewer that draws without a graphics card on a busy machine [s]
+_EMPTY = 40_000  # the viewer's page with nothing in it is a smaller picture [bytes]
 
 
 def find_problem() -> str:
@@ -56,8 +57,36 @@ def open_viewer(recording: Path) -> Iterator[Any]:
     """Provide a viewer that shows a recording."""
     with _spawn() as viewer:
         viewer.open(str(recording.absolute()))
-        time.sleep(2.0)
+        wait_for(recording.name, lambda: _is_open(viewer))
         yield viewer
+
+
+def wait_for(what: str, ready: Callable[[], object]) -> None:
+    """Wait until something is so; TimeoutError if it never is."""
+    begun = time.monotonic()
+    while not ready():
+        if time.monotonic() - begun > _PATIENCE:
+            raise TimeoutError(f"{what}: not ready after {_PATIENCE:.0f} s")
+        time.sleep(0.1)
+
+
+def _is_open(viewer: Any) -> bool:
+    """Return whether a viewer has read all of its recording."""
+    state = viewer.get_state()
+    return bool(not state.loading and state.views and any(one.timelines for one in state.recordings))
+
+
+def _photograph_native(viewer: Any) -> bytes:
+    """Return a picture of a viewer as soon as two in a row are the same."""
+    pictures = [b""]
+
+    def is_still() -> bool:
+        time.sleep(0.4)
+        pictures.append(viewer.take_screenshot(max_size=WIDTH))
+        return pictures[-1] == pictures[-2]
+
+    wait_for("the picture", is_still)
+    return pictures[-1]
 
 
 @contextmanager
@@ -83,8 +112,14 @@ def show_tabs(viewer: Any, at: float) -> Iterator[tuple[str, bytes]]:
         container["active_tab"] = tab
         viewer.set_blueprint(blueprint, "recording")
         viewer.set_time(TIMELINE, duration=at, play_state="paused")
-        time.sleep(2.0)
-        yield fields["display_name"], viewer.take_screenshot(max_size=WIDTH)
+        wait_for(fields["display_name"], lambda tab=tab: _find_tab(viewer, tabs) == tab)
+        yield fields["display_name"], _photograph_native(viewer)
+
+
+def _find_tab(viewer: Any, tabs: str) -> str:
+    """Return the tab that is open."""
+    blueprint = viewer.get_blueprint().blueprint
+    return str(blueprint[f"/container/{tabs}"]["ContainerBlueprint"]["active_tab"])
 
 
 def show_in_browser(folder: Path, scratch: Path) -> Iterator[tuple[str, bytes]]:
@@ -109,15 +144,24 @@ def show_in_browser(folder: Path, scratch: Path) -> Iterator[tuple[str, bytes]]:
             options = ["--serve-web", "--web-viewer-port", str(inner), "--bind", web_page.LOCAL]
             viewer = subprocess.Popen([tool, page, *options], stderr=subprocess.DEVNULL)
             try:
-                time.sleep(2.0)
-                yield name, take_picture(f"{page}&renderer=webgl", scratch, WIDTH, 810, _DRAWN)
+                wait_for(page, lambda page=page: _answers(page))
+                yield name, take_picture(f"{page}&renderer=webgl", scratch, WIDTH, 810, _EMPTY)
             finally:
                 viewer.kill()
                 viewer.wait()
 
 
-def take_picture(address: str, scratch: Path, width: int, height: int, wait: float = 2.0) -> bytes:
-    """Return a picture of a page in Chromium after a while [s]; a mouse moves, for which the viewer waits."""
+def _answers(page: str) -> bool:
+    """Return whether a server sends a page."""
+    try:
+        with urllib.request.urlopen(page) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
+def take_picture(address: str, scratch: Path, width: int, height: int, least: int = 0) -> bytes:
+    """Return a picture of a page in Chromium that stays the same and has more than so many bytes."""
     options = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-angle=swiftshader"]
     options += ["--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--remote-allow-origins=*"]
     command = ["chromium", *options, f"--user-data-dir={scratch / 'user'}", "about:blank"]
@@ -126,13 +170,13 @@ def take_picture(address: str, scratch: Path, width: int, height: int, wait: flo
         assert browser.stderr is not None
         told = next(line for line in browser.stderr if "DevTools listening" in line)
         (port,) = re.findall(r"ws://127\.0\.0\.1:(\d+)/", told)
-        return asyncio.run(_photograph(port, address, width, height, wait))
+        return asyncio.run(_photograph(port, address, width, height, least))
     finally:
         browser.kill()
         browser.wait()
 
 
-async def _photograph(port: str, address: str, width: int, height: int, wait: float) -> bytes:
+async def _photograph(port: str, address: str, width: int, height: int, least: int) -> bytes:
     """Return a picture by the browser whose tools listen at a port of this machine."""
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
         page = next(one for one in json.load(answer) if one["type"] == "page")
@@ -149,11 +193,16 @@ async def _photograph(port: str, address: str, width: int, height: int, wait: fl
     await call("Emulation.setDeviceMetricsOverride", **size)
     await call("Emulation.setFocusEmulationEnabled", enabled=True)
     await call("Page.navigate", url=address)
-    for k in range(round(wait)):
+    begun, same, picture = time.monotonic(), 0, b""
+    while same < 3:
+        if time.monotonic() - begun > _PATIENCE:
+            raise TimeoutError(f"{address}: not drawn after {_PATIENCE:.0f} s")
         await asyncio.sleep(1.0)
-        await call("Input.dispatchMouseEvent", type="mouseMoved", x=width - 20 - k % 2, y=50)
-    picture = (await call("Page.captureScreenshot"))["data"]
-    return base64.b64decode(picture)
+        for k in (1, 0):  # the viewer waits for a mouse that moves
+            await call("Input.dispatchMouseEvent", type="mouseMoved", x=width - 20 - k, y=50)
+        last, picture = picture, base64.b64decode((await call("Page.captureScreenshot"))["data"])
+        same = same + 1 if picture == last and len(picture) > least else 0
+    return picture
 
 
 def show_report(folder: Path, scratch: Path) -> Iterator[tuple[int, bytes]]:

@@ -108,6 +108,15 @@ def figure_eight(tmp_path_factory) -> tuple[Path, str]:
     return folder / "runs" / "figure-eight-20260101", cache
 
 
+def test_recording_and_report_of_ten_minutes_are_as_small_as_promised(figure_eight):
+    folder, _ = figure_eight
+    summary = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert len(summary["metrics"]) == 3
+    assert summary["profile"]["duration_s"] == 600.0
+    assert (folder / "flight.rrd").stat().st_size <= 15e6
+    assert (folder / "report.html").stat().st_size <= 2e6
+
+
 @pytest.fixture
 def own_modules(tmp_path) -> Iterator[None]:
     """Forget the modules that a page wrote: the next page may write others of their names."""
