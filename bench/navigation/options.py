@@ -309,6 +309,15 @@ class InvariantOptions(GateOptions):
     """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
 
 
+class GraphOptions(GateOptions):
+    """Options of the smoother as a factor graph."""
+
+    passes: Count = 10
+    """Passes after which the fit ends even if it still moves."""
+    flat: bool = False
+    """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
+
+
 _O = TypeVar("_O", bound=Options)
 
 
