@@ -1,8 +1,9 @@
 """How far the position drifts without GNSS, by unit, grade and phase of flight, 10 to 600 s after its loss.
 
 Measured: an aerosonde flies a figure-eight and S-turns, then GNSS is lost while it flies straight, turns on
-and on, or climbs; the horizontal growth of the error over noise draws, with its interval. Beside it what the
-filter claims, and the closed form of the datasheet with a perfect start, along the headings that are flown.
+and on, or climbs; the horizontal growth of the error over noise draws, with its interval. Beside it the
+closed form of the datasheet with a perfect start, along the headings that are flown. The error itself, with
+what it was at the loss, is held against what the filter claims.
 By grade: the covariance of the 22-state filter on the flight of section 7.1, and what the bias of the grade
 alone would do if nothing had calibrated it (A-2.4.4, A-2.4.7, figures 2.4.1 and 2.4.2).
 """
@@ -90,7 +91,8 @@ class Drift:
     """The growth of the error of one unit in one phase over draws, at each time since the loss."""
 
     rms: tuple[Estimate | None, ...]  # horizontal [m]
-    claimed: FloatArray  # horizontal, root mean square over the draws [m]
+    error: tuple[Estimate | None, ...]  # the error itself, with what it was at the loss, horizontal [m]
+    claimed: FloatArray  # of the error, horizontal, root mean square over the draws [m]
     law: FloatArray  # horizontal, closed form [m]
     axes: FloatArray  # (D, 3) root mean square north, east, down [m]
     most: FloatArray  # largest horizontal [m]
@@ -150,7 +152,7 @@ def make_profile(unit: str, phase: str, longest: float, gnss: str, estimator: st
 
 
 def measure_growth(task: _Task) -> FloatArray:
-    """Return the growth (D, 4) of one run: north, east, down error [m], claimed horizontal variance [m^2]."""
+    """Return (D, 5) of one run: growth north, east, down [m]; horizontal error squared, as claimed [m^2]."""
     truth = get_truth(task.truth_key, task.profile)
     result = pipeline.run(task.profile, task.run, truth=truth)
     (label,) = result.metrics
@@ -159,18 +161,23 @@ def measure_growth(task: _Task) -> FloatArray:
     claimed = np.einsum("kii->ki", solution.cov)[np.searchsorted(solution.t, errors.t[rows] - SAME_INSTANT)]
     horizontal = claimed[:, 0] + claimed[:, 1]
     pos = errors.pos_n[rows]
-    return np.column_stack([pos[1:] - pos[0], np.maximum(horizontal[1:] - horizontal[0], 0.0)])
+    return np.column_stack([pos - pos[0], np.square(pos[:, :2]).sum(axis=1), horizontal])[1:]
 
 
 def summarize(runs: Sequence[FloatArray], profile: Profile, elapsed: Sequence[float]) -> Drift:
     """Return the statistics of the draws of one unit and phase."""
-    grown = np.stack(runs)  # (R, D, 4)
+    grown = np.stack(runs)  # (R, D, 5)
     good = grown[np.isfinite(grown).all(axis=(1, 2))]
     squares = np.square(good[:, :, :2]).sum(axis=2)
     truth = get_truth(store.truth_key(profile.flight), profile)
+
+    def pool(values: FloatArray) -> tuple[Estimate | None, ...]:
+        return tuple(pool_rmse(values[:, k]) if len(good) > 1 else None for k in range(len(elapsed)))
+
     return Drift(
-        rms=tuple(pool_rmse(squares[:, k]) if len(good) > 1 else None for k in range(len(elapsed))),
-        claimed=np.sqrt(good[:, :, 3].mean(axis=0)),
+        rms=pool(squares),
+        error=pool(good[:, :, 3]),
+        claimed=np.sqrt(good[:, :, 4].mean(axis=0)),
         law=np.array([_find_law(profile, truth, T) for T in elapsed]),
         axes=np.sqrt(np.square(good[:, :, :3]).mean(axis=0)),
         most=np.sqrt(squares.max(axis=0)),
@@ -230,20 +237,25 @@ def _grow(asked: tuple[str, int]) -> dict[str, FloatArray]:
 
 def _fill_drifts(
     drifts: dict[tuple[str, str], Drift], units: Mapping[str, Unit], elapsed: Sequence[float]
-) -> tuple[StudyTable, StudyTable]:
-    """Return the horizontal drift beside what is expected of it, and the drift by axis."""
-    rows, by_axis = [], []
+) -> tuple[StudyTable, ...]:
+    """Return the horizontal drift beside the closed form, the error beside the claim, the drift by axis."""
+    rows, claims, by_axis = [], [], []
     for (unit, phase), drift in drifts.items():
         for k, T in enumerate(elapsed):
-            rms = drift.rms[k]
-            measured = (rms.value, rms.low, rms.high) if rms else (None, None, None)
-            rows.append((unit, phase, T, *measured, drift.claimed[k], drift.law[k]))
+            rms, error = (
+                (one.value, one.low, one.high) if one else (None, None, None)
+                for one in (drift.rms[k], drift.error[k])
+            )
+            rows.append((unit, phase, T, *rms, drift.law[k]))
+            claims.append((unit, phase, T, *error, drift.claimed[k]))
             by_axis.append((unit, units[unit].grade, phase, T, *drift.axes[k], drift.most[k], drift.runs))
-    names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "claimed_m", "law_m")
+    names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "law_m")
+    claim = ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "claimed_m")
     more = ("unit", "class", "phase", "outage_s", "north_m", "east_m", "down_m", "largest_m", "runs")
-    title = "Horizontal drift since the loss of GNSS: RMS with its 95 % interval, claimed, closed form"
+    title = "Horizontal drift since the loss of GNSS: RMS with its 95 % interval, closed form"
     return (
         make_table("drift", title, names, rows),
+        make_table("claims", "Horizontal error: RMS with its 95 % interval, as claimed", claim, claims),
         make_table("axes", "RMS by axis, and the largest horizontal drift", more, by_axis),
     )
 
@@ -266,20 +278,19 @@ def _tell(options: Options, drifts: dict[tuple[str, str], Drift], elapsed: Seque
         for unit in options.units:
             drift = drifts[unit, phase]
             rms = drift.rms[k]
-            claimed, law = (format_number(one[k], 3) for one in (drift.claimed, drift.law))
             text = format_estimate(rms) if rms else "no two runs"
-            parts.append(f"{unit} {text}, claimed {claimed}, law {law}")
-        yield f"After {elapsed[k]:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
+            parts.append(f"{unit} {text}, law {format_number(drift.law[k], 3)}")
+        yield f"Drift after {elapsed[k]:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
     outside = Counter(
         unit
         for (unit, _), drift in drifts.items()
-        for rms, claimed in zip(drift.rms, drift.claimed, strict=True)
-        if rms is not None and not rms.low <= claimed <= rms.high
+        for error, claimed in zip(drift.error, drift.claimed, strict=True)
+        if error is not None and not error.low <= claimed <= error.high
     )
     total = len(drifts) * len(elapsed)
     missed = ", ".join(f"{unit} {count}" for unit, count in outside.items())
     yield (
-        f"What {options.estimator} claims lies in the 95 % interval of the measured drift in "
+        f"What {options.estimator} claims lies in the 95 % interval of the measured error in "
         f"{total - outside.total()} of {total} cases" + (f"; not in, by unit: {missed}." if missed else ".")
     )
 
@@ -302,10 +313,10 @@ def _plot_drifts(
         lines: list[Series] = []
         for unit in options.units:
             drift, colour = drifts[unit, phase], colours[unit]
-            values = np.array([(e.value, e.low, e.high) if e else (np.nan,) * 3 for e in drift.rms])
+            values = np.array([(e.value, e.low, e.high) if e else (np.nan,) * 3 for e in drift.error])
             lines.append(Series(unit, t, values, (unit,) * 3, (colour,) * 3, (1.5, 1.0, 1.0), band=(1, 2)))
             lines.append(series.draw_dots(f"{unit} claimed", t, drift.claimed, "claimed", colour, 3.0))
-        title = f"{phase}: horizontal drift, RMS with 95 % band [m]"
+        title = f"{phase}: horizontal error, RMS with 95 % band [m]"
         yield Plot(("outages", phase), title, tuple(lines), over="outage", log="xy")
     for phase in options.phases:
         lines = []

@@ -37,13 +37,13 @@ def test_47_monte_carlo_lies_in_the_band_of_the_covariance(matched):
 
     A claim of half the size leaves the 99.9 % band.
     """
-    columns = {name: np.array(values) for name, values in matched.tables["drift"].columns.items()}
-    ratio = np.square(columns["drift_m"] / columns["claimed_m"])
+    columns = {name: np.array(values) for name, values in matched.tables["claims"].columns.items()}
+    ratio = np.square(columns["error_m"] / columns["claimed_m"])
     low, high = stats.chi2.ppf([0.0005, 0.9995], DRAWS) / DRAWS
     assert ((low < ratio) & (ratio < high)).all(), ratio
     assert (4.0 * ratio > high).all()
-    assert (columns["low_m"] < columns["drift_m"]).all()
-    assert (columns["drift_m"] < columns["high_m"]).all()
+    assert (columns["low_m"] < columns["error_m"]).all()
+    assert (columns["error_m"] < columns["high_m"]).all()
 
 
 @pytest.mark.slow
