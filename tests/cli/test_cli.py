@@ -77,8 +77,8 @@ def here(tmp_path, monkeypatch, cache) -> Path:
 
 
 def left(here: Path) -> list[str]:
-    """What stands in the folder besides the profile, hidden files too."""
-    return sorted(path.name for path in here.iterdir() if path.name != "short.toml")
+    """What stands in the folder besides the profile and the bytecode of Python, hidden files too."""
+    return sorted(path.name for path in here.iterdir() if path.name not in ("short.toml", "__pycache__"))
 
 
 def say(capsys, *arguments: str) -> tuple[int, str, str]:
