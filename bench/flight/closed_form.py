@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE, gravity_n, radii
+from bench.units import STANDARD_GRAVITY
 
 _DEG = np.pi / 180
 
@@ -84,7 +85,7 @@ class STurns:
         s, c, v = np.sin(course), np.cos(course), self.speed
         velocity = np.column_stack([v * c, v * s, down])
         velocity_rate = np.column_stack([-v * turn * s, v * turn * c, down_rate])
-        lean = self.bank * v / 9.80665
+        lean = self.bank * v / STANDARD_GRAVITY
         bank, bank_rate = np.arctan(lean * turn), lean * turn_rate / (1.0 + (lean * turn) ** 2)
         pitch, pitch_rate = self.nod * np.sin(w_p * t), self.nod * w_p * np.cos(w_p * t)
         euler = np.column_stack([bank, pitch, course])

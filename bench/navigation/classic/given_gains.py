@@ -20,8 +20,8 @@ from bench.navigation.classic.navigator import Nav, ellipsoid, reduced
 from bench.navigation.classic.observation_model import measurement_matrix, measurement_noise
 from bench.navigation.classic.process_model import SIZE, Sigmas, model_van_loan, per_axis
 from bench.navigation.options import ComplementaryOptions, LeastSquaresOptions
+from bench.units import STANDARD_GRAVITY
 
-GRAVITY = 9.80665  # that a tilt turns into the horizontal [m/s^2]
 BIAS_TIME, SETTLED = 10.0, 300.0  # of the fixed gain: how long an error of the IMU lasts, and its flight [s]
 _NORTHWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # B of level flight to the north
 _MOTION, _IMU = range(3, 9), range(9, 15)  # states: velocity and attitude, errors of the IMU
@@ -152,7 +152,7 @@ class CompensatedDifferences(GivenGain):
             K[15, 3] = (1.0 - z) * (self.rates[1] > 0)
             K[3, 4] = K[4, 5] = K[5, 6] = 1.0 - z * z
             slow = (1.0 - z) ** 2 / T
-            K[7, 4], K[6, 5] = -slow / GRAVITY, slow / GRAVITY
+            K[7, 4], K[6, 5] = -slow / STANDARD_GRAVITY, slow / STANDARD_GRAVITY
             K[12:15, 6] = slow * nav.B[2]
         return K[:, rows]
 
