@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner
 from bench.data import ImuData
 from bench.navigation.blocks import Index
 from bench.navigation.cycle import FilterState, Work
 from bench.navigation.error_state import GYRO, PHI, VEL
+from bench.navigation.imu_sampler import ImuSampler, sum_segments
 from bench.navigation.mechanization import matrix_kernel
 from bench.units import STANDARD_GRAVITY
 
@@ -37,42 +38,42 @@ SHAKING_SD = 0.05  # of the velocity of an axle on a paved road, sideways and ve
 AIR_SD = 0.3  # of the velocity through the air, sideways and along the third axis: gusts below a second [m/s]
 
 
-def samples(imu: ImuData, rows: IntArray, *, flying: bool) -> tuple[IntArray, FloatArray]:
-    """Return where a vehicle is sampled, and how it turned and was pushed there.
+class VehicleSampler(ImuSampler):
+    """Samples the motion of a vehicle at the ends of intervals of `INTERVAL` or `AIR_INTERVAL`.
+
+    Values are, as measured, the mean rate over `RATE_SPAN` [rad/s], b, and of the mean force over `LEAN` the
+    push [m/s^2] and the side [1].
 
     Parameters
     ----------
-    imu : ImuData
-        Record.
-    rows : (K,) array of int
-        Rows in use.
+    start : float
+        Instant of the initial state [s].
     flying : bool
         On wings, not on wheels.
-
-    Returns
-    -------
-    last : (W,) array of int
-        Index into ``rows`` of the last sample of each interval of `INTERVAL` or `AIR_INTERVAL`.
-    motion_b : (W, 5) array
-        As measured: mean rate over 0.1 s [rad/s], b; push [m/s^2] and side [1] of the mean force over `LEAN`.
     """
-    interval = AIR_INTERVAL if flying else INTERVAL
-    t, dt = imu.t[rows], imu.dt[rows]
-    if len(t) == 0:
-        return np.empty(0, np.int64), np.empty((0, 5))
-    number = np.floor((t - t[0]) / interval + 1e-6)
-    last = np.flatnonzero(np.diff(number) > 0)
-    sums = np.cumsum(np.column_stack([dt, imu.dtheta_b[rows], imu.dvel_b[rows]]), axis=0)
 
-    def mean(span: float) -> FloatArray:
-        first = np.searchsorted(t, t[last] - span + 1e-6) - 1
-        total = sums[last] - np.where(first[:, None] >= 0, sums[first], 0.0)
-        return np.asarray(total[:, 1:] / total[:, :1])
+    def __init__(self, start: float, *, flying: bool) -> None:
+        super().__init__(start, AIR_INTERVAL if flying else INTERVAL)
+        self.flying = flying
 
-    force = mean(LEAN)[:, 3:]
-    push = force[:, 2] + STANDARD_GRAVITY if flying else force[:, 0]
-    side = np.zeros(len(last)) if flying else force[:, 1] / SLIP_FORCE
-    return last, np.column_stack([mean(RATE_SPAN)[:, :3], push, side])
+    def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return that all samples count, their values (W, 5) and variances (6,)."""
+
+        def mean(increment: FloatArray, span: float) -> FloatArray:
+            first = np.searchsorted(imu.t, imu.t[last] - span + 1e-6)
+            total = sum_segments(np.column_stack([imu.dt, increment]), first, last + 1)
+            return np.asarray(total[:, 1:] / total[:, :1])
+
+        force = mean(imu.dvel_b, LEAN)
+        push = force[:, 2] + STANDARD_GRAVITY if self.flying else force[:, 0]
+        side = np.zeros(len(last)) if self.flying else force[:, 1] / SLIP_FORCE
+        white = AIR_SD if self.flying else SHAKING_SD
+        motion_b = np.column_stack([mean(imu.dtheta_b, RATE_SPAN), push, side])
+        return np.ones(len(last), np.bool_), motion_b, np.full(6, white**2)
+
+    def first_needed(self, imu: ImuData, last: IntArray) -> int:
+        """Return the first sample that the next mean may hold."""
+        return int(np.searchsorted(imu.t, imu.t[-1] - LEAN))
 
 
 @inner

@@ -22,11 +22,13 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.navigation import aiding, alignment, constraints, hypotheses, in_blocks, ranging, standstill
+from bench.navigation import aiding, alignment, hypotheses, in_blocks, ranging
 from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
+from bench.navigation.constraints import VehicleSampler
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import ForwardRun, Nodes
+from bench.navigation.imu_sampler import ImuSampler
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import (
     AIDING,
@@ -39,14 +41,16 @@ from bench.navigation.measurements import (
     records_needed,
     unmodelled,
 )
+from bench.navigation.moved_fixes import MovedFixes
 from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import Schedule
+from bench.navigation.standstill import StandstillDetector
 from bench.navigation.states import Block
 from bench.navigation.timeline import empty_epochs
 from bench.navigation.turn_on import run_from_turn_on
 from bench.navigation.waiting import columns
-from bench.specs import AssumedSpecs
+from bench.specs import AssumedSpecs, ImuSpec
 
 _NEVER = np.iinfo(np.int64).max
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
@@ -112,7 +116,7 @@ class Fusion:
     ) -> tuple[NavSolution, list[Nodes]]:
         """Return what :meth:`forward` does, from a complete initial state."""
         passage = Passage(self, sensors, initial, events, keep=keep, gyro_sd=gyro_sd)
-        if self.of_the_whole or not in_blocks.is_long(sensors):
+        if not in_blocks.is_long(sensors):
             passage.take(sensors, last=True)
             solution, nodes = passage.go()
             return solution, [nodes]
@@ -128,14 +132,6 @@ class Fusion:
         if seen is not None and SATELLITES in passage.used:
             empty = empty_epochs(seen.t, seen.epoch_start, initial.t, passage.schedule.end)
         return joined.solution(empty), stretches
-
-    @property
-    def of_the_whole(self) -> list[str]:
-        """The options that look at a whole record at once, as a profile has them."""
-        options = self.options
-        asked = ("standstill", "nonholonomic", "coordinated")
-        whole = [f"{name} = true" for name in asked if getattr(options, name)]
-        return whole + ['integrity = ["velocity"]'] * ("velocity" in options.integrity)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -181,6 +177,15 @@ class Fusion:
             used=np.full(channels, start),
             level=np.ones(len(SENSORS)),
         )
+
+    def samplers(self, start: float, imu: ImuSpec) -> dict[int, ImuSampler]:
+        """Return what makes measurements from the samples of the IMU, by their kind."""
+        options, found = self.options, dict[int, ImuSampler]()
+        if options.standstill:
+            found[aiding.STANDSTILL_ROWS] = StandstillDetector(start, imu)
+        if options.nonholonomic or options.coordinated:
+            found[aiding.VEHICLE_ROWS] = VehicleSampler(start, flying=options.coordinated)
+        return found
 
     def aiding(self) -> list[AidingSensor]:
         """Return the aiding sensors that the options ask for."""
@@ -247,15 +252,19 @@ class Passage:
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
         model = state_model(initial, specs, filter_.blocks_for(first), gyro_sd)
+        watch = None
+        if "velocity" in options.integrity and specs.gnss is not None:
+            watch = MovedFixes(specs.gnss, options.gate_probability)
         self.schedule = Schedule(
             initial.t,
             specs.imu,
             compensate=options.compensate_latency,
             accuracy=options.fix_accuracy,
-            false_alarm=options.gate_probability if "velocity" in options.integrity else None,
+            watch=watch,
             cut=keep,
         )
         self.schedule.events += events
+        self.samplers = filter_.samplers(initial.t, specs.imu)
         self.channels = ranging.Channels()
         field = np.zeros((4, 3))
         if MAGNETOMETER in self.used:
@@ -272,8 +281,8 @@ class Passage:
 
     def take(self, piece: SensorData, *, last: bool) -> None:
         """Take the next piece; nothing comes after the ``last``."""
-        options, specs, schedule = self.filter.options, piece.specs, self.schedule
-        schedule.take(piece, last=last)
+        specs, schedule = piece.specs, self.schedule
+        samples = schedule.take(piece, last=last)
         if SATELLITES in self.used and piece.observations is not None:
             seen, lat = piece.observations, float(self.initial.lla[0])
             channel = self.channels.of_satellites(seen)
@@ -282,15 +291,8 @@ class Passage:
             if sensor is not SATELLITES:
                 more = self.filter.more(sensor, specs)
                 schedule.add(sensor, piece, self.initial, self.run.model.layout, more)
-        if options.standstill:
-            last_row, rate_b = standstill.windows(schedule.imu, schedule.rows, specs.imu)
-            variance = np.repeat([standstill.VELOCITY_SD**2, standstill.rate_variance(specs.imu)], 3)
-            schedule.add_samples(aiding.STANDSTILL_ROWS, last_row, rate_b, variance)
-        flying = options.coordinated
-        if options.nonholonomic or flying:
-            last_row, motion_b = constraints.samples(schedule.imu, schedule.rows, flying=flying)
-            white = constraints.AIR_SD if flying else constraints.SHAKING_SD
-            schedule.add_samples(aiding.VEHICLE_ROWS, last_row, motion_b, np.full(6, white**2))
+        for kind, sampler in self.samplers.items():
+            schedule.add_samples(kind, *sampler.take(samples))
         if last:
             schedule.events += self._absent(piece)
 
@@ -310,6 +312,7 @@ class Passage:
         other = copy(self)
         other.schedule, other.run, other.channels = self.schedule.copy(), self.run.copy(), copy(self.channels)
         other.channels.names = list(self.channels.names)
+        other.samplers = {kind: copy(sampler) for kind, sampler in self.samplers.items()}
         return other
 
     def state(self) -> dict[str, Any]:
@@ -318,6 +321,7 @@ class Passage:
             "schedule": self.schedule.state(),
             "run": self.run.state(),
             "channels": self.channels.names,
+            "samplers": {str(kind): sampler.state() for kind, sampler in self.samplers.items()},
             "initial": columns(self.initial),
         }
 
@@ -326,6 +330,8 @@ class Passage:
         self.schedule.restore(state["schedule"])
         self.run.restore(state["run"])
         self.channels.names = list(state["channels"])
+        for kind, sampler in self.samplers.items():
+            sampler.restore(state["samplers"][str(kind)])
 
     def _absent(self, piece: SensorData) -> list[EventRow]:
         """Return an event for each sensor that is asked for and not there."""

@@ -9,15 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import GnssFixes
-from bench.earth import matrix_en, to_ecef
-from bench.specs import GnssSpec
+from bench.arrays import FloatArray
 
-WINDOWS = (10.0, 30.0, 100.0)
-"""Times over which positions are compared with velocities [s]; a slow ramp shows over a long one."""
-_NEAR = 5  # fixes whose median stands for one, so that a bad one that passed does no harm
-_JERK = 10.0  # [m/s^3]: what the sum of velocities a step apart leaves out
 SCHULER_RADIUS = 6_371_000.0  # sphere of the Schuler loop, R3 [m], equations 1.5
 SCHULER_GRAVITY = 9.80665  # g0 [m/s^2], equations section 4
 
@@ -77,81 +70,6 @@ def tolerance(
     reach = max_acceleration * interval if order == 1 else 0.5 * max_acceleration * interval**2
     bound: FloatArray = reach + sigmas * np.asarray(sd, float)
     return bound
-
-
-def find_moved_fixes(fixes: GnssFixes, variance: FloatArray, gnss: GnssSpec, false_alarm: float) -> BoolArray:
-    """Return which positions (M,) moved otherwise than the velocities of the receiver say.
-
-    The way from an earlier fix less the sum of the velocities in between has to fit its variance: by white
-    and Markov errors of both ends and of the velocities. The earlier fix is the median of the last few that
-    passed, and of the first within each of `WINDOWS`; one that failed is no measure, so a ramp is told until
-    it ends. Fixes without velocity pass; the test begins anew after a gap.
-
-    Parameters
-    ----------
-    fixes : GnssFixes
-        In order of time.
-    variance : (M, 6) array
-        White variances of position [m^2] and velocity [m^2/s^2], n.
-    gnss : GnssSpec
-        For the Markov errors.
-    false_alarm : float
-        Chance that a sound fix is told.
-    """
-    moved = np.zeros(len(fixes), np.bool_)
-    limit = nis_limit(3, false_alarm / (len(WINDOWS) + 1))
-    rows = np.flatnonzero(fixes.valid & np.isfinite(np.hstack([fixes.lla, fixes.vel_n])).all(axis=1))
-    steps = np.diff(fixes.t[rows])
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    for part in np.split(rows, np.flatnonzero(steps > 2.5 * usual) + 1):
-        if len(part) > 1:
-            moved[part] = _find_moved(fixes.take(part), variance[part], gnss, limit)
-    return moved
-
-
-def _find_moved(fixes: GnssFixes, variance: FloatArray, gnss: GnssSpec, limit: float) -> BoolArray:
-    """Return what :func:`find_moved_fixes` does, of fixes without a gap."""
-    t, dt = fixes.t, np.diff(fixes.t)
-    C_en = matrix_en(*fixes.lla[:, :2].T)
-    vel_e, pos_e = np.einsum("kij,kj->ki", C_en, fixes.vel_n), to_ecef(fixes.lla)
-    change = np.diff(vel_e, axis=0)
-    way = np.cumsum(0.5 * (vel_e[1:] + vel_e[:-1]) * dt[:, None], axis=0)
-    rest = pos_e - pos_e[0]  # position less the sum of velocities, by Euler and Maclaurin
-    rest[1:] += change * dt[:, None] / 12.0 - way
-    rest_n = rest @ C_en[0]
-    speed = float(np.linalg.norm(fixes.vel_n, axis=1).mean())
-    decay = gnss.pos_decay_time + speed * gnss.pos_decay_distance
-    markov = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
-    jump = np.square([gnss.pos_h_jump_sd, gnss.pos_h_jump_sd, gnss.pos_v_jump_sd])
-    left = np.full(len(t), _JERK * float(np.median(dt)) ** 3 / 24.0)  # by the sum of velocities [m]
-    bend = np.linalg.norm(np.diff(change, axis=0), axis=1) * dt[1:] / 12.0
-    left[1:-1] += bend
-    left[2:] += bend
-    ends, slow = variance[:, :3] + jump + np.square(left)[:, None], gnss.vel_decay_time
-    summed = np.cumsum(np.vstack([np.zeros(3), variance[1:, 3:] * np.square(dt)[:, None]]), axis=0)
-
-    def passes(k: int, rest_0: FloatArray, j: int) -> bool:
-        T = abs(float(t[k] - t[j]))
-        wander = T * T if slow * T < 1e-3 else 2.0 * (slow * T - 1.0 + np.exp(-slow * T)) / slow**2
-        var = ends[k] + ends[j] + 2.0 * markov * -np.expm1(-decay * T)
-        var += np.abs(summed[k] - summed[j]) + gnss.vel_markov_sd**2 * wander
-        return bool(np.sum(np.square(rest_n[k] - rest_0) / var) <= limit)
-
-    first = int(np.searchsorted(t, t[0] + WINDOWS[0]))
-    middle = np.median(rest_n[:first], axis=0)
-    good = [k for k in range(first) if passes(k, middle, first // 2)] or [0]
-    moved = np.ones(len(t), np.bool_)
-    moved[good] = False
-    for k in range(first, len(t)):
-        begins = np.searchsorted(t[good], t[k] - np.array(WINDOWS))
-        for b in {min(int(b), max(len(good) - _NEAR, 0)) for b in (*begins, len(good))}:
-            some = good[b : b + _NEAR]
-            if not passes(k, np.median(rest_n[some], axis=0), some[len(some) // 2]):
-                break
-        else:
-            good.append(k)
-            moved[k] = False
-    return moved
 
 
 def correction_period(admissible: float, start: float, gyro: float, accel: float) -> float:

@@ -70,11 +70,6 @@ class PieceFilter:
                 f"{use!r} cannot run in pieces: the compiled filters loose-*, tight, baro-inertial and "
                 "free-inertial can"
             )
-        if whole := estimator.of_the_whole:
-            raise EstimatorError(
-                f"{use!r} cannot run in pieces with {' and '.join(whole)}, which looks at the whole record; "
-                "leave it out"
-            )
         self.use, self.options, self.estimator = use, options, estimator
         self.initial, self.look_back = initial, look_back
         self.head: SensorData | None = None

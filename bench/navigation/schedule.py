@@ -15,11 +15,12 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
-from bench.navigation import integrity, ranging, timeline
+from bench.navigation import ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
 from bench.navigation.blocks import assumed
 from bench.navigation.error_state import StateLayout
 from bench.navigation.measurements import AidingSensor, fix_variance, weigh_fixes
+from bench.navigation.moved_fixes import MovedFixes
 from bench.navigation.options import FixAccuracy
 from bench.navigation.timeline import TIME_TOLERANCE, ImuIntake, Steps
 from bench.navigation.waiting import Rows, columns, give_slots, join_rows, take_rows
@@ -58,9 +59,8 @@ class Schedule:
         Measure at the instant of validity, not at that of arrival.
     accuracy : str
         What the variance of a fix comes from, see :func:`bench.navigation.measurements.weigh_fixes`.
-    false_alarm : float or None
-        Chance of :func:`bench.navigation.integrity.find_moved_fixes`, whose positions are left out; None: no
-        such test. It needs the whole record.
+    watch : MovedFixes or None
+        Leaves out positions that moved otherwise than the velocities say; None: no such test.
     cut : bool
         End a step at every answer: a smoother has a node there.
     """
@@ -72,12 +72,12 @@ class Schedule:
         *,
         compensate: bool,
         accuracy: FixAccuracy = "datasheet",
-        false_alarm: float | None = None,
+        watch: MovedFixes | None = None,
         cut: bool = False,
     ) -> None:
         self.start, self.t = start, start
         self._spec, self._compensate, self._cut = imu, compensate, cut
-        self._accuracy, self._false_alarm = accuracy, false_alarm
+        self._accuracy, self._watch = accuracy, watch
         self._intake = ImuIntake(start)
         self.events: list[EventRow] = []
         nothing = np.empty(0)
@@ -96,6 +96,7 @@ class Schedule:
         other = copy(self)
         other._intake, other.events = copy(self._intake), list(self.events)
         other._kinds, other._newest, other._names = dict(self._kinds), dict(self._newest), dict(self._names)
+        other._watch = copy(self._watch)
         return other
 
     def state(self) -> dict[str, Any]:
@@ -113,6 +114,7 @@ class Schedule:
             "newest": {str(kind): list(times) for kind, times in self._newest.items()},
             "names": {str(kind): name for kind, name in self._names.items()},
             "sky": self.sky._asdict(),
+            "watch": None if self._watch is None else self._watch.state(),
             "events": [list(row) for row in self.events],
         }
 
@@ -127,6 +129,8 @@ class Schedule:
         self._newest = {int(kind): (t, arrival) for kind, (t, arrival) in state["newest"].items()}
         self._names = {int(kind): name for kind, name in state["names"].items()}
         self.sky = ranging.Sky(**state["sky"])
+        if self._watch is not None:
+            self._watch.restore(state["watch"])
         self.events = [(t, t_end, *texts) for t, t_end, *texts in state["events"]]
 
     @property
@@ -144,8 +148,13 @@ class Schedule:
         """The same, -inf without a sample."""
         return self.end if self.end > self.start else -np.inf
 
-    def take(self, sensors: SensorData, *, last: bool) -> None:
+    def take(self, sensors: SensorData, *, last: bool) -> ImuData:
         """Take the IMU samples of the next piece and the instants at which it asks for answers.
+
+        Returns
+        -------
+        ImuData
+            Those samples that are in use.
 
         Raises
         ------
@@ -159,12 +168,14 @@ class Schedule:
         rows, span, events, again = self._intake.take(imu, self._spec, last=last)
         self.events += events
         self._again = take_rows(imu, again) if len(again) else None
+        taken = imu if len(rows) == len(imu) else take_rows(imu, rows)
         if len(self.imu):
             rows = np.append(self.rows, rows + len(self.imu))
             imu, span = join_rows(self.imu, imu), np.append(self.span, span)
         self.imu, self.rows, self.span, self.last = imu, rows, span, last
         self.imu_t = take_increasing(imu.t, rows)
         self.output_t = np.append(self.output_t, sensors.output_t)
+        return taken
 
     def add(
         self,
@@ -196,17 +207,16 @@ class Schedule:
         rows, t, arrival = self._admit(sensor.kind, sensor.spec, record.t, record.t_arrival, sound)
         if isinstance(record, GnssFixes):
             self.events += timeline.without_velocity(record, rows)
-            if self._false_alarm is not None:
+            if self._watch is not None:
                 values = np.array(values)
                 own = weigh_fixes(record, fix_variance(spec, gnss_markov=True), self._accuracy)[rows]
-                moved = integrity.find_moved_fixes(record.take(rows), own, spec, self._false_alarm)
+                moved, events = self._watch.take(record.take(rows), own, last=self.last)
                 values[rows[moved], :3] = np.nan
-                self.events += _list_moved(record.t[rows], moved)
+                self.events += events
         self._wait(sensor.kind, t, arrival, values[rows], variance[rows])
 
-    def add_samples(self, kind: int, last: IntArray, values: FloatArray, variance: FloatArray) -> None:
-        """Take measurements made from the IMU at the samples ``last``: values (M, m), variance (6,)."""
-        t = self.imu_t[last]
+    def add_samples(self, kind: int, t: FloatArray, values: FloatArray, variance: FloatArray) -> None:
+        """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
         self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
     def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channel: IntArray) -> None:
@@ -421,15 +431,6 @@ class Schedule:
         """Return the step that ends at each instant t (M,) [s], -1 at the start."""
         at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
         return np.where(t < self.t + TIME_TOLERANCE, -1, at)
-
-
-def _list_moved(t: FloatArray, moved: BoolArray) -> list[EventRow]:
-    """Return an event for each stretch of fixes whose position moved otherwise than their velocity."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], moved.astype(np.int8), [0]]))).reshape(-1, 2)
-    words = "positions moved otherwise than the velocities of the receiver"
-    return [
-        (float(t[a]), float(t[b - 1]), "integrity", f"{b - a} {words}", "gnss_position") for a, b in edges
-    ]
 
 
 def _whole(parts: list[IntArray]) -> IntArray:

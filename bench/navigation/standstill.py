@@ -9,64 +9,72 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ImuData
 from bench.earth import EARTH_RATE, GAMMA_E
+from bench.navigation.imu_sampler import ImuSampler, sum_segments
 from bench.specs import ImuSpec, TriadSpec
 
 WINDOW = 1.0  # [s]
 VELOCITY_SD = 0.02  # of an aircraft that stands and rocks in the wind [m/s]
 RATE_SD = 2e-5  # the same [rad/s]
 _NOISY = 1.5  # sd of the samples over that of their noise: 200 samples stay below 1.2
+_FEWEST = 4  # samples that tell their noise
 _SIGMAS = 4.0  # of the biases, granted to the means
 _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2]
 
 
-def windows(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[IntArray, FloatArray]:
-    """Return where the unit stood still: the last sample of each window, and the mean rate over it.
+class StandstillDetector(ImuSampler):
+    """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
+
+    Values are the measured mean rate over each window [rad/s], b; variances those of the velocity, which is
+    zero, and of the rate.
 
     Parameters
     ----------
-    imu : ImuData
-        Record.
-    rows : (K,) array of int
-        Rows in use.
+    start : float
+        From where the windows count [s].
     spec : ImuSpec
         The unit assumed.
-
-    Returns
-    -------
-    last : (W,) array of int
-        Index into ``rows``.
-    rate_b : (W, 3) array
-        Measured mean rate [rad/s], b.
     """
-    t, dt = imu.t[rows], imu.dt[rows]
-    count = max(round(WINDOW / float(np.median(dt))), 4) if len(t) else 4
-    whole = len(t) // count
-    if whole == 0:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    shape = (whole, count)
-    steps = dt[: whole * count].reshape(shape)
-    last = np.arange(1, whole + 1) * count - 1
-    spans = t[last] - (t[last - count + 1] - steps[:, 0])
-    still = np.abs(spans - steps.sum(axis=1)) < 0.5 * steps[:, 0]  # no gap in the window
-    means = []
-    for increment, triad, extra in (
-        (imu.dtheta_b, spec.gyro, spec.vibration.engine_gyro),
-        (imu.dvel_b, spec.accel, spec.vibration.engine_accel),
-    ):
-        rate = increment[rows[: whole * count]].reshape(*shape, 3) / steps[:, :, None]
-        noise = _sample_sd(triad, float(np.median(dt)), extra)
-        still &= (rate.std(axis=1) < _NOISY * noise).all(axis=1)
-        means.append(rate.mean(axis=1))
-    turn, force = means
-    by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
-    still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
-    size = np.linalg.norm(force, axis=1)
-    allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
-    still &= np.abs(size - GAMMA_E) < allowed
-    return last[still], turn[still]
+
+    def __init__(self, start: float, spec: ImuSpec) -> None:
+        super().__init__(start, WINDOW)
+        self.spec = spec
+
+    def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return in which windows it stood, the mean rates (W, 3) and the variances (6,)."""
+        spec, end = self.spec, last + 1
+        first = np.append(0, end)[: len(last)]
+        variance = np.repeat([VELOCITY_SD**2, rate_variance(spec)], 3)
+        if not len(last):
+            return np.zeros(0, np.bool_), np.empty((0, 3)), variance
+        count = end - first
+        total = sum_segments(imu.dt[:, None], first, end)
+        spans = imu.t[last] - (imu.t[first] - imu.dt[first])
+        still = (np.abs(spans - total[:, 0]) < 0.5 * imu.dt[first]) & (count >= _FEWEST)  # no gap in it
+        inside, means = slice(0, end[-1]), []
+        for increment, triad, extra in (
+            (imu.dtheta_b, spec.gyro, spec.vibration.engine_gyro),
+            (imu.dvel_b, spec.accel, spec.vibration.engine_accel),
+        ):
+            rate = increment[inside] / imu.dt[inside, None]
+            mean = sum_segments(rate, first, end) / count[:, None]
+            square = np.square(rate - np.repeat(mean, count, axis=0))
+            sd = np.sqrt(sum_segments(square, first, end) / count[:, None])
+            still &= (sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)).all(axis=1)
+            means.append(mean)
+        turn, force = means
+        by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
+        still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
+        size = np.linalg.norm(force, axis=1)
+        allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
+        still &= np.abs(size - GAMMA_E) < allowed
+        return still, turn, variance
+
+    def first_needed(self, imu: ImuData, last: IntArray) -> int:
+        """Return the first sample of the window that has not ended."""
+        return int(last[-1]) + 1 if len(last) else 0
 
 
 def rate_variance(spec: ImuSpec) -> float:
@@ -74,10 +82,10 @@ def rate_variance(spec: ImuSpec) -> float:
     return spec.gyro.random_walk**2 / WINDOW + RATE_SD**2
 
 
-def _sample_sd(triad: TriadSpec, dt: float, vibration: float) -> float:
+def _sample_sd(triad: TriadSpec, dt: FloatArray, vibration: float) -> FloatArray:
     """Return the sd of a sample's rate at rest; 1e-9 of the unit where there is no noise at all."""
     lsb = triad.quantization / dt
-    return float(np.sqrt(triad.random_walk**2 / dt + lsb**2 / 6.0 + vibration**2)) + 1e-9
+    return np.asarray(np.sqrt(triad.random_walk**2 / dt + lsb**2 / 6.0 + vibration**2) + 1e-9)
 
 
 def _bias_sd(triad: TriadSpec) -> float:

@@ -20,6 +20,8 @@ from bench.data import EventRow, Events, ImuData, InitialState, NavSolution, Sen
 from bench.navigation import standstill, timeline
 from bench.navigation.course import LEAST_SPEED
 from bench.navigation.hypotheses import Settled
+from bench.navigation.standstill import StandstillDetector
+from bench.navigation.waiting import take_rows
 
 LARGE = float(np.deg2rad(0.5))  # sd of a bias that turns the heading by 10 deg in 20 s [rad/s]
 LONGEST, SHORTEST = 20.0, 5.0  # stretch [s]
@@ -85,11 +87,11 @@ def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
         return None
     if (speed < STILL).all():
         inside = rows[sensors.imu.t[rows] <= initial.t + LONGEST]
-        last, rate_b = standstill.windows(sensors.imu, inside, spec)
-        span = len(last) * standstill.WINDOW
+        ends, rate_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
+        span = len(ends) * standstill.WINDOW
         if span < SHORTEST:
             return None
-        return TurnOn(rate_b.mean(axis=0), STILL_SD / span, float(sensors.imu.t[inside[last[-1]]]))
+        return TurnOn(rate_b.mean(axis=0), STILL_SD / span, float(ends[-1]))
     course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
     straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
     count = len(t) if straight.all() else int(np.argmin(straight))

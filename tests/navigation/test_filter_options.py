@@ -178,15 +178,14 @@ def test_steady_flight_is_no_standstill():
     """In calm air the IMU alone cannot tell; the gate refuses, and what the filter says stays as it was."""
     truth = weaving(120.0, straight_from=60.0)
     drawn = sensors.sense(truth, units(), 9, 0)
-    rows = np.arange(len(drawn.data.imu))
-    last, _ = standstill.windows(drawn.data.imu, rows, IMU)
-    assert drawn.data.imu.t[last].min() > 59.9  # not while it weaves
-    assert len(last) > 50
+    ends, *_ = standstill.StandstillDetector(drawn.initial.t, IMU).take(drawn.data.imu)
+    assert ends.min() > 59.9  # not while it weaves
+    assert len(ends) > 50
     plain, guarded = (
         Loose(standstill=s, readmit_after=3).run(drawn.data, drawn.initial) for s in (False, True)
     )
     zero = of(guarded, "zero_velocity") | of(guarded, "zero_rate")
-    assert zero.sum() == 2 * len(last)
+    assert zero.sum() == 2 * len(ends)
     assert not guarded.innovations.accepted[of(guarded, "zero_velocity")].any()
     assert not guarded.innovations.accepted[of(guarded, "zero_rate")].any()
     assert_allclose(guarded.vel_n, plain.vel_n, rtol=0, atol=1e-9)

@@ -87,9 +87,9 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
 def test_samples_hold_the_mean_motion_before_them():
     sensed = sensors.sense(rolling(0, 3.0), replace(units(), gnss=None, baro=None), 1, 0)
     imu = sensed.data.imu
-    last, motion_b = constraints.samples(imu, np.arange(len(imu.t)), flying=False)
-    assert_allclose(np.diff(imu.t[last]), constraints.INTERVAL)
-    k = int(last[-1])
+    ends, motion_b, _ = constraints.VehicleSampler(0.0, flying=False).take(imu)
+    assert_allclose(ends, constraints.INTERVAL * np.arange(1, 1 + len(ends)))
+    k = int(np.searchsorted(imu.t, ends[-1]))
     rate = imu.dtheta_b[k - 9 : k + 1].sum(axis=0) / 0.1
     force = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / constraints.LEAN
     assert_allclose(motion_b[-1], [*rate, force[0], force[1] / constraints.SLIP_FORCE])
