@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
+from bench.units import STANDARD_GRAVITY
 
 SCHULER_RADIUS = 6_371_000.0  # sphere of the Schuler loop, R3 [m], equations 1.5
-SCHULER_GRAVITY = 9.80665  # g0 [m/s^2], equations section 4
 
 
 def nis(y: ArrayLike, S: ArrayLike) -> float:
@@ -90,7 +90,7 @@ def correction_period(admissible: float, start: float, gyro: float, accel: float
     """
     if admissible <= start:
         return 0.0
-    g, R = SCHULER_GRAVITY, SCHULER_RADIUS
+    g, R = STANDARD_GRAVITY, SCHULER_RADIUS
     roots = np.roots([g * gyro / (6.0 * R), (start * g + accel) / (2.0 * R), gyro, start - admissible])
     positive = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(positive.min()) if len(positive) else np.inf

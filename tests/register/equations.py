@@ -12,7 +12,8 @@ from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
 from bench.navigation.classic.navigator import R3, Earth, Nav
 from bench.navigation.classic.process_model import Sigmas, per_axis
-from bench.navigation.integrity import SCHULER_GRAVITY, SCHULER_RADIUS
+from bench.navigation.integrity import SCHULER_RADIUS
+from bench.units import STANDARD_GRAVITY
 
 
 def sphere(lat: float, h: float) -> Earth:
@@ -104,5 +105,5 @@ def attitude_bound(T: float, start: float, gyro: float, accel: float) -> float:
     gyro, accel : float
         Gyro drift [rad/s] and accelerometer bias [m/s^2].
     """
-    tilted = 0.5 * (start * SCHULER_GRAVITY + accel) * T**2 + SCHULER_GRAVITY * gyro * T**3 / 6.0
+    tilted = 0.5 * (start * STANDARD_GRAVITY + accel) * T**2 + STANDARD_GRAVITY * gyro * T**3 / 6.0
     return start + gyro * T + tilted / SCHULER_RADIUS

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
-from bench.navigation.integrity import SCHULER_GRAVITY, SCHULER_RADIUS
+from bench.navigation.integrity import SCHULER_RADIUS
+from bench.units import STANDARD_GRAVITY
 
 Curve = Literal["line", "parabola", "schuler"]
 
@@ -28,7 +29,7 @@ def basis(curve: Curve, t: ArrayLike) -> FloatArray:
     """
     t = np.asarray(t, float)
     if curve == "schuler":
-        w = np.sqrt(SCHULER_GRAVITY / SCHULER_RADIUS)
+        w = np.sqrt(STANDARD_GRAVITY / SCHULER_RADIUS)
         return np.column_stack([np.ones_like(t), t, np.sin(w * t), np.cos(w * t)])
     return np.vander(t, 2 if curve == "line" else 3, increasing=True)
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_simpson
 
 from bench.arrays import FloatArray
-from bench.navigation.integrity import SCHULER_GRAVITY, SCHULER_RADIUS
+from bench.navigation.integrity import SCHULER_RADIUS
+from bench.units import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def drift_by_angular_acceleration(t: ArrayLike, error: float) -> FloatArray:
 
     Of a level INS at rest on a sphere that does not turn.
     """
-    T, w = np.asarray(t, float), np.sqrt(SCHULER_GRAVITY / SCHULER_RADIUS)
+    T, w = np.asarray(t, float), np.sqrt(STANDARD_GRAVITY / SCHULER_RADIUS)
     x = w * T
     pendulum = np.where(x < 0.05, x**4 / 24.0 - x**6 / 720.0, 0.5 * x**2 - 2.0 * np.sin(0.5 * x) ** 2)
     drift: FloatArray = SCHULER_RADIUS * error * pendulum / w**2
