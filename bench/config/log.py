@@ -22,10 +22,12 @@ from bench.config.profile_tables import AlignmentTable, EstimatorTable, Evaluati
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors, read_toml
 from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
+from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
-_TABLES = (".csv", ".parquet", ".mat")
+_MATLAB = ".mat"
+_TABLES = (".csv", ".parquet", _MATLAB)
 _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".ulg": "ulog",
     ".bag": "rosbag",
@@ -39,6 +41,7 @@ NAV = ".nav"
 WITHHOLD = 5
 """One fix in so many judges a log without a reference."""
 _TOPICS = ("ulog", "rosbag", "mcap", "navego")
+"""Formats that name what they hold; so does a table, if it is a MATLAB file."""
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
@@ -230,7 +233,7 @@ def load_log(
         One message for each problem in the file and the files it names.
     """
     path = Path(name)
-    document = read_toml(path, name)
+    document = _spread_file(read_toml(path, name), name)
     overrides, changes = split_overrides(overrides or {}, path.parent)
     for key, value in overrides.items():
         document = override(document, key, value)
@@ -311,6 +314,32 @@ def load_log(
     )
 
 
+def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
+    """Return a document with a table for each sensor, where one file at its top holds several.
+
+    ``file = "all.mat"`` and ``imu = "imu1"`` are ``[imu] file = "all.mat"`` and ``topic = "imu1"``; a table
+    without a file has that of the top.
+
+    Raises
+    ------
+    ConfigError
+        If a sensor has a name and the document no file.
+    """
+    top = {key: document[key] for key in ("file", "format") if key in document}
+    spread: dict[str, Any] = {}
+    for kind in ("imu", "gnss", "baro", "reference"):
+        value = document.get(kind)
+        if isinstance(value, str):
+            if "file" not in top:
+                text = f'is a name in a file; say file = "..." above it, or write a table [{kind}]'
+                raise ConfigError(f"{shown}: {kind} = {as_toml(value)} {text}")
+            spread[kind] = {**top, "topic": value}
+        elif isinstance(value, dict) and "file" in top and "file" not in value:
+            spread[kind] = {**top, **value}
+    rest = {key: value for key, value in document.items() if not spread or key not in top}
+    return {**rest, **spread}
+
+
 def _find_source(
     row: _FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
 ) -> SourceSpec | None:
@@ -319,7 +348,8 @@ def _find_source(
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
     endings = _ENDINGS | ({NAV: "kf-gins"} if kind == "reference" else {})
-    form = row.format or ("rosbag" if folder else endings.get(path.suffix.lower()))
+    ending = path.suffix.lower()
+    form = row.format or ("rosbag" if folder else endings.get(ending))
     what = f"{place}[{kind}] file = {row.file!r}"
     if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")
@@ -327,12 +357,13 @@ def _find_source(
         wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
     elif folder and form != "rosbag":
         wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
-    elif form == "table" and path.suffix.lower() not in _TABLES:
+    elif form == "table" and ending not in _TABLES:
         wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")
     elif form != "table" and row.columns:
         wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
-    elif form not in _TOPICS and row.topic is not None:
-        wrong.append(f"{place}[{kind}] topic is for {', '.join(_TOPICS)}; format {form!r} has none")
+    elif row.topic is not None and form not in _TOPICS and not (form == "table" and ending == _MATLAB):
+        listed = f"{', '.join(_TOPICS)} and tables in {_MATLAB}"
+        wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
     else:
         return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
     return None

@@ -17,6 +17,7 @@ from bench.config.log import LogSpec, SourceSpec
 from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
+from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
 from bench.instruments import BaroData
@@ -79,25 +80,35 @@ def read_records(spec: LogSpec) -> LogRecords:
 
 
 def _read_rows(source: SourceSpec, kind: str) -> LogRows:
-    if source.format == "table":
+    shown, topic = source.path.name, source.topic
+    form = "navego" if _is_navego(source, kind) else source.format
+    if form == "table":
         kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
-        table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns)
-        rows = LogRows.from_table(table, source.path.name)
+        table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns, structure=topic)
+        rows = LogRows.from_table(table, shown)
     else:
-        rows = imports.read(source.format, source.path, kind, source.topic)
+        rows = imports.read(form, source.path, kind, topic)
     bad = ~np.isfinite(rows.t)
     if bad.all():
-        raise ConfigError(f"{source.path.name}: no rows")
+        raise ConfigError(f"{shown}: no rows")
     if (k := find_first(bad)) is not None:
-        raise ConfigError(f"{source.path.name}: row {k + 1}: its time is not a finite number")
+        raise ConfigError(f"{shown}: row {k + 1}: its time is not a finite number")
     if kind == "imu" and len(rows.t) < 2:
-        raise ConfigError(f"{source.path.name}: one row; an IMU record needs at least two")
+        raise ConfigError(f"{shown}: one row; an IMU record needs at least two")
     if kind == "gnss":
-        rows = _drop_repeated(rows, source.path.name)
+        rows = _drop_repeated(rows, shown)
     values = dict(rows.values)
     if "arrival" in values:
         values["arrival"] = values["arrival"] + source.time_offset
     return replace(rows, t=rows.t + source.time_offset, values=values)
+
+
+def _is_navego(source: SourceSpec, kind: str) -> bool:
+    """Tell whether a table is a structure with the fields of NaveGo, and the log names no columns."""
+    if source.path.suffix.lower() != ".mat" or source.format != "table" or source.columns:
+        return False
+    name = source.topic or kind
+    return any(one == name or one.endswith(f".{name}") for one in list_sensors(source.path, kind))
 
 
 def _drop_repeated(rows: LogRows, shown: str) -> LogRows:

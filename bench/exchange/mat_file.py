@@ -7,7 +7,7 @@ scipy is not used, because a manipulated file can crash its compiled reader. The
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,38 @@ def read_mat(path: Path) -> dict[str, Value]:
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     return variables
+
+
+def list_structures(variables: Mapping[str, Value], place: str = "") -> dict[str, dict[str, Any]]:
+    """Return the structures of a file, those within others too, by name: ``flight.imu1``."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in variables.items():
+        if isinstance(value, dict):
+            found |= {f"{place}{name}": value, **list_structures(value, f"{place}{name}.")}
+    return found
+
+
+def find_structure(variables: Mapping[str, Value], name: str, shown: str) -> dict[str, Any]:
+    """Return the structure with a name; ``imu1`` is also ``flight.imu1`` where only one has it.
+
+    Raises
+    ------
+    ConfigError
+        If no structure has the name, or more than one has and none of them in full.
+    """
+    structures = list_structures(variables)
+    if name in structures:
+        return structures[name]
+    fitting = [whole for whole in structures if whole.endswith(f".{name}")]
+    if len(fitting) == 1:
+        return structures[fitting[0]]
+    if fitting:
+        listed = ", ".join(sorted(fitting))[:300]
+        raise ConfigError(f"{shown}: more than one structure {name!r}: {listed}; name one in full")
+    holding = sorted(
+        whole for whole, fields in structures.items() if any(not isinstance(v, dict) for v in fields.values())
+    )
+    raise ConfigError(f"{shown}: no structure {name!r}; there are {', '.join(holding)[:300] or 'none'}")
 
 
 def get_vector(value: Value, name: str, shown: str) -> FloatArray:

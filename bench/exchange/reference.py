@@ -107,7 +107,7 @@ def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | N
         rows = imports.read(source.format, source.path, "gnss", source.topic)
         return rows, np.full((len(rows.t), 4), np.nan), None
     optional = (*OPTIONAL, "attitude", "attitude sd")
-    table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns)
+    table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns, structure=source.topic)
     rows = LogRows.from_table(table, shown)
     lla = rows.values["lla"]
     q_nb = np.full((len(lla), 4), np.nan)

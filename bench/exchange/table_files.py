@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.mat_file import Value, get_vector, read_mat
+from bench.exchange.mat_file import Value, find_structure, get_vector, read_mat
 from bench.files import check_file
 from bench.units import FACTORS, split_unit
 
@@ -105,6 +105,7 @@ def read_table(
     most_rows: int,
     aliases: Mapping[str, str] | None = None,
     most_values: int | None = None,
+    structure: str | None = None,
 ) -> TableColumns:
     """Read the columns of a file by kind.
 
@@ -122,6 +123,8 @@ def read_table(
         Name with unit -> name of the column in the file.
     most_values : int or None
         Largest number of rows times columns; None for no limit.
+    structure : str or None
+        The structure of a MATLAB file whose fields are the columns; None for those of the file.
 
     Raises
     ------
@@ -133,7 +136,7 @@ def read_table(
 
     try:
         check_file(path, shown, MOST_BYTES)
-        names, batches = _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
+        names, batches = _open(path, most_rows, structure)
         chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
         columns: list[list[FloatArray]] = [[] for _ in wanted]
@@ -197,7 +200,7 @@ def _open_table(path: Path, most_rows: int = 1) -> tuple[list[str], Batches]:
     import pyarrow as pa
 
     try:
-        return _OPEN.get(path.suffix.lower(), _open_csv)(path, most_rows)
+        return _open(path, most_rows, None)
     except (pa.ArrowException, OSError, ValueError, csv.Error) as error:
         raise ConfigError(f"{path.name}: cannot be read: {' '.join(str(error).split())[:200]}") from None
 
@@ -292,8 +295,11 @@ def _to_floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
     }
 
 
-def _open_mat(path: Path, most_rows: int) -> tuple[list[str], Batches]:
-    variables = dict(_flatten(read_mat(path)))
+def _open_mat(path: Path, structure: str | None) -> tuple[list[str], Batches]:
+    content: Mapping[str, Value] = read_mat(path)
+    if structure is not None:
+        content = find_structure(content, structure, path.name)
+    variables = dict(_flatten(content))
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
         columns = {name: get_vector(variables[name], name, path.name) for name in wanted}
@@ -317,11 +323,12 @@ def _flatten(variables: Mapping[str, Value], place: str = "") -> Iterator[tuple[
             yield f"{place}{name}", value
 
 
-_OPEN: Mapping[str, Callable[[Path, int], tuple[list[str], Batches]]] = {
-    ".csv": _open_csv,
-    ".parquet": _open_parquet,
-    ".mat": _open_mat,
-}
+def _open(path: Path, most_rows: int, structure: str | None) -> tuple[list[str], Batches]:
+    """Open a table by its ending; a structure is of a MATLAB file."""
+    ending = path.suffix.lower()
+    if ending == ".mat":
+        return _open_mat(path, structure)
+    return (_open_parquet if ending == ".parquet" else _open_csv)(path, most_rows)
 
 
 def _rename_columns(names: Sequence[str], aliases: Mapping[str, str], shown: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from rich.console import Console
 from bench.arrays import FloatArray
 from bench.config.log import load_log
 from bench.errors import ConfigError
+from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.log_records import read_records
 from bench.exchange.rows import MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
@@ -57,9 +58,8 @@ class _Quantity(NamedTuple):
 
 
 def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Quantity:
-    return _Quantity(
-        tuple(f"{stem}_{axis}" for axis in "xyz"), tuple(f"(.*{words})_?{axis}" for axis in "xyz"), guess
-    )
+    patterns = tuple(rf"(.*{words})(_?{axis}|\.{k})" for k, axis in enumerate("xyz", 1))  # .1: of a matrix
+    return _Quantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
 
 
 _TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|tow|sec(onds?)?",), _guess_time)
@@ -95,11 +95,13 @@ _KINDS: Mapping[str, tuple[tuple[_Quantity, ...], ...]] = {
 
 
 class _Found(NamedTuple):
-    """A table with the columns of a sensor."""
+    """A file, or a structure in it, with what a sensor measured."""
 
     path: Path
     columns: Mapping[str, str]  # name of the bench -> name in the file
     guessed: tuple[str, ...]  # what the values, not the names, say of units
+    structure: str = ""  # of a MATLAB file
+    others: tuple[str, ...] = ()  # structures alike
 
 
 def new_log(name: str, *, console: Console) -> None:
@@ -138,7 +140,8 @@ def new_log(name: str, *, console: Console) -> None:
         raise
     for kind, one in found.items():
         named = ", ".join(f"{ours} from {theirs}" for ours, theirs in one.columns.items() if ours != theirs)
-        console.print(f"{kind}: {one.path.name}{': ' if named else ''}{named}", soft_wrap=True)
+        within = f", structure {one.structure}" if one.structure else ""
+        console.print(f"{kind}: {one.path.name}{within}{': ' if named else ''}{named}", soft_wrap=True)
         for line in one.guessed:
             console.print(f"  {line}", soft_wrap=True)
     console.print(f"Wrote {log}. Lines with a question are for you.")
@@ -152,8 +155,7 @@ def _find_tables(path: Path) -> dict[str, _Found]:
     for kind in _KINDS:
         for place in (path, *beside) if kind != "imu" else (path,):
             try:
-                ways = (_match_columns(place, quantities) for quantities in _KINDS[kind])
-                match = next((way for way in ways if way is not None), None)
+                match = _find_sensor(place, kind)
             except ConfigError:
                 if place == path:
                     raise
@@ -171,11 +173,31 @@ def _find_tables(path: Path) -> dict[str, _Found]:
     return found
 
 
-def _match_columns(path: Path, quantities: tuple[_Quantity, ...]) -> _Found | None:
-    """Return the columns of a sensor in a table; None if it has not all that are needed."""
-    names = list_columns(path)
+def _find_sensor(path: Path, kind: str) -> _Found | None:
+    """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none."""
+    names, structures = list_columns(path), [""]
+    if path.suffix.lower() == ".mat":
+        if whole := list_sensors(path, kind):
+            return _Found(path, {}, (), whole[0], tuple(whole[1:]))
+        dots = {name[: dot.start() + 1] for name in names for dot in re.finditer(r"\.", name)}
+        structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
+    matches = [
+        next((way for q in _KINDS[kind] if (way := _match_columns(path, names, prefix, q)) is not None), None)
+        for prefix in structures
+    ]
+    found = [match for match in matches if match is not None]
+    if not found:
+        return None
+    return found[0]._replace(others=tuple(one.structure for one in found[1:] if one.structure))
+
+
+def _match_columns(
+    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_Quantity, ...]
+) -> _Found | None:
+    """Return the columns of a sensor among the names with a prefix; None if one that it needs is missing."""
+    inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     plain = {
-        name: split_unit(re.sub(r"[\[(].*", "", name).strip().lower().replace(" ", "_")) for name in names
+        name: split_unit(re.sub(r"[\[(].*", "", name).strip().lower().replace(" ", "_")) for name in inside
     }
     columns: dict[str, str] = {}
     guessed: list[str] = []
@@ -188,8 +210,8 @@ def _match_columns(path: Path, quantities: tuple[_Quantity, ...]) -> _Found | No
             continue
         units = {plain[name][1] for name in known}
         if "" in units:
-            values = np.column_stack(list(read_columns(path, known, MOST_ROWS).values()))
-            unit = quantity.guess(values)
+            whole = [f"{prefix}{name}" for name in known]
+            unit = quantity.guess(np.column_stack(list(read_columns(path, whole, MOST_ROWS).values())))
             guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
             columns |= {f"{stem}_{unit}": name for stem, name in zip(quantity.stems, known, strict=True)}
         else:
@@ -197,7 +219,7 @@ def _match_columns(path: Path, quantities: tuple[_Quantity, ...]) -> _Found | No
                 lowered = name.lower()
                 ending = lowered[len(plain[name][0]) :]
                 columns[f"{stem}{ending}"] = name
-    return _Found(path, columns, tuple(guessed))
+    return _Found(path, columns, tuple(guessed), prefix.removesuffix("."))
 
 
 def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
@@ -223,6 +245,9 @@ def _write_log(title: str, found: Mapping[str, _Found]) -> str:
     }
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
+        if one.structure:
+            lines.append(f"topic = {json.dumps(one.structure)}")
+        lines += [f"# or topic = {json.dumps(other)}?" for other in one.others]
         aliases = {ours: theirs for ours, theirs in one.columns.items() if ours != theirs}
         if aliases:
             listed = ", ".join(f"{ours} = {json.dumps(theirs)}" for ours, theirs in aliases.items())

@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 import bench
 from bench.config.log import load_log
+from bench.errors import ConfigError
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import INVALID, make_run
@@ -54,19 +55,60 @@ def test_fixes_repeated_at_the_rate_of_the_imu_are_thinned_and_that_is_said(tmp_
     assert [note for note in found.notes if "most rows repeat the fix before them" in note]
 
 
-@pytest.mark.parametrize(("form", "more"), [("table", "columns"), ("navego", "topic")])
-def test_structures_in_structures_are_named_by_key(tmp_path, form, more):
-    """A table names a field with dots and a column of a matrix by its number, from 1; NaveGo a structure."""
-    path = drives.write_log(tmp_path)
-    imu = drives.sensed()["imu"]
+def write_structures(folder, *units):
+    """Write a MATLAB file with structures of NaveGo within structures; return the drive they were made of."""
+    made = drives.sensed()
+    imu, gnss = made["imu"], made["gnss"]
     unit = {"t": imu["t"], "wb": imu["gyro"], "fb": imu["accel"]}
-    savemat(tmp_path / "all.mat", {"flight": {"imu1": unit, "imu2": {"t": np.zeros(3)}}})
-    names = {"t_s": "t"} | {f"gyro_{a}_rad_s": f"wb.{k}" for k, a in enumerate("xyz", 1)}
-    names |= {f"accel_{a}_m_s2": f"fb.{k}" for k, a in enumerate("xyz", 1)}
-    listed = ", ".join(f'{ours} = "flight.imu1.{theirs}"' for ours, theirs in names.items())
-    told = {"columns": f"columns = {{ {listed} }}", "topic": 'topic = "flight.imu1"'}[more]
+    lat, lon, h = gnss["lla"].T
+    fixes = {"t": gnss["t"], "lat": lat, "lon": lon, "h": h, "vel": gnss["vel_n"]}
+    flight = {"gnss1": fixes, **dict.fromkeys(units, unit)}
+    savemat(folder / "all.mat", {"flight": flight, "spare": {"imu2": unit}}, oned_as="column")
+    return made
+
+
+COLUMNS = {"t_s": "t"}
+COLUMNS |= {f"gyro_{axis}_rad_s": f"wb.{k}" for k, axis in enumerate("xyz", 1)}
+COLUMNS |= {f"accel_{axis}_m_s2": f"fb.{k}" for k, axis in enumerate("xyz", 1)}
+"""The columns of a table -> their names in a structure."""
+
+
+@pytest.mark.parametrize(
+    "told", ['topic = "imu1"', 'topic = "flight.imu1"', "table", "table by topic", "top of the log"]
+)
+def test_structures_in_structures_are_named_by_key(tmp_path, told):
+    """NaveGo's structure by its own or its whole name, by columns of a table, and at the top of the log."""
+    path = drives.write_log(tmp_path)
     plain = read_records(load_log(str(path)))
-    path.write_text(drives.LOG.replace('file = "imu.csv"', f'file = "all.mat"\nformat = "{form}"\n{told}'))
+    write_structures(tmp_path, "imu1", "imu2")
+    inside = "" if told == "table by topic" else "flight.imu1."
+    listed = ", ".join(f'{ours} = "{inside}{theirs}"' for ours, theirs in COLUMNS.items())
+    told = {
+        "table": f"columns = {{ {listed} }}",
+        "table by topic": f'topic = "imu1"\ncolumns = {{ {listed} }}',
+    }.get(told, told)
+    if told == "top of the log":
+        text = f'file = "all.mat"\nimu = "imu1"\n[gnss]\ntopic = "gnss1"\n{SHEETS}'
+    else:
+        text = drives.LOG.replace('file = "imu.csv"', f'file = "all.mat"\n{told}')
+    path.write_text(text)
     found = read_records(load_log(str(path)))
     assert_allclose(found.imu.dtheta_b, plain.imu.dtheta_b, atol=1e-11)
     assert_allclose(found.imu.dvel_b, plain.imu.dvel_b, atol=1e-10)
+    assert_allclose(found.fixes.lla, plain.fixes.lla, atol=1e-11)
+
+
+def test_a_structure_that_is_not_there_or_not_alone_is_said_with_those_that_are(tmp_path):
+    write_structures(tmp_path, "imu1", "imu2")
+    path = tmp_path / "log.toml"
+    for name, said in (
+        ("imu3", "no structure 'imu3'; there are flight.gnss1, flight.imu1, flight.imu2, spare.imu2"),
+        ("imu2", "more than one structure 'imu2': flight.imu2, spare.imu2; name one in full"),
+    ):
+        path.write_text(f'file = "all.mat"\nimu = "{name}"\ngnss = "gnss1"\n{SHEETS}')
+        with pytest.raises(ConfigError) as caught:
+            read_records(load_log(str(path)))
+        assert list(caught.value.messages) == [f"all.mat: {said}"]
+    path.write_text(f'imu = "imu1"\ngnss = "gnss1"\n{SHEETS}')
+    with pytest.raises(ConfigError, match="imu = 'imu1' is a name in a file; say file = "):
+        load_log(str(path))

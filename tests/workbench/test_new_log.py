@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.io import savemat
 
 import bench
 from bench.cli import main
@@ -12,6 +13,7 @@ from bench.config.log import load_log
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import make_run
+from tests.exchange.test_log_tables import write_structures
 
 
 def write(folder, style):
@@ -62,6 +64,24 @@ def test_an_export_of_the_bench_is_found(tmp_path):
     assert_array_equal(found.imu.dt, data.imu.dt)
     assert_allclose(found.fixes.lla, data.fixes.lla, atol=1e-12)
     assert log.assumed.baro is not None
+
+
+def test_structures_of_a_matlab_file_are_found(tmp_path, capsys):
+    """NaveGo's by their fields, the first of two; a table's in the structure with its columns."""
+    made = write_structures(tmp_path, "imu1", "imu2")
+    imu, gnss = made["imu"], made["gnss"]
+    unit = {"time": imu["t"], "gyro": imu["gyro"], "acc": imu["accel"]}
+    lat, lon, height = gnss["lla"].T
+    fixes = {"time": gnss["t"], "lat_rad": lat, "lon_rad": lon, "height": height}
+    (tmp_path / "other").mkdir()
+    savemat(tmp_path / "other" / "rec.mat", {"rec": {"unit": unit, "gps": fixes}})
+    for path in (tmp_path / "all.mat", tmp_path / "other" / "rec.mat"):
+        assert main(["new", "log", str(path)]) == 0
+        found = read_records(load_log(str(path.with_suffix(".toml"))))
+        assert_allclose(found.imu.dvel_b / found.imu.dt[:, None], made["imu"]["accel"], atol=1e-6)
+        assert_allclose(found.fixes.lla, gnss["lla"], atol=1e-9)
+    assert '# or topic = "flight.imu2"?' in (tmp_path / "all.toml").read_text()
+    assert "rec.mat, structure rec.unit: " in capsys.readouterr().out
 
 
 def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):

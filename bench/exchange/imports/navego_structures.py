@@ -1,4 +1,4 @@
-"""NaveGo: the structures ``imu`` and ``gnss`` of a MATLAB file, or others that the log names as topic.
+"""NaveGo: the structures ``imu`` and ``gnss`` of a MATLAB file, or others that the log names.
 
 Fields and units of ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: imu.t [s], wb [rad/s], fb [m/s^2],
 forward, right, down; gnss.t, lat, lon [rad], h [m], vel [m/s] north, east, down, stdm [m], stdv [m/s].
@@ -7,27 +7,32 @@ forward, right, down; gnss.t, lat, lon [rad], h [m], vel [m/s] north, east, down
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
-from bench.exchange.mat_file import get_vector, read_mat
+from bench.exchange.mat_file import find_structure, get_vector, list_structures, read_mat
 from bench.exchange.rows import MOST_ROWS, LogRows
+
+_FIELDS = {"imu": {"t", "wb", "fb"}, "gnss": {"t", "lat", "lon", "h"}}
+"""Fields without which a structure is not that of a sensor."""
+
+
+def list_sensors(path: Path, kind: str) -> list[str]:
+    """Return the structures of a MATLAB file that hold an "imu" or "gnss" of NaveGo, shortest name first."""
+    needed = _FIELDS.get(kind)
+    if needed is None:
+        return []
+    found = [name for name, fields in list_structures(read_mat(path)).items() if needed <= fields.keys()]
+    return sorted(found, key=lambda name: (len(name), name))
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a structure of a NaveGo file."""
     if kind == "baro":
         raise ConfigError(f"{path.name}: NaveGo has no structure for a barometer")
-    structure: Any = read_mat(path)
-    for part in (topic or kind).split("."):
-        inside = structure
-        structure = inside.get(part)
-        if not isinstance(structure, dict):
-            there = ", ".join(sorted(inside))[:200]
-            raise ConfigError(f"{path.name}: no structure {topic or kind!r}; there are {there or 'none'}")
+    structure = find_structure(read_mat(path), topic or kind, path.name)
 
     def column(name: str) -> FloatArray:
         if name not in structure:
