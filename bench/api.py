@@ -133,7 +133,7 @@ def open_filter(
     Parameters
     ----------
     use : str
-        ``loose-*``, ``tight``, ``baro-inertial`` or ``free-inertial``.
+        A built-in filter that runs forward, or an estimator with `bench.navigation.in_pieces.RunsInPieces`.
     initial : InitialState
         Start.
     options : mapping or None

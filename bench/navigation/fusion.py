@@ -22,13 +22,15 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.navigation import aiding, alignment, hypotheses, in_blocks, ranging
+from bench.errors import EstimatorError
+from bench.navigation import aiding, alignment, hypotheses, in_blocks, ranging, turn_on
 from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.constraints import VehicleSampler
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import ForwardRun, Nodes
 from bench.navigation.imu_sampler import ImuSampler
+from bench.navigation.in_pieces import answer_now, refuse_gap
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import (
     AIDING,
@@ -49,7 +51,6 @@ from bench.navigation.standstill import StandstillDetector
 from bench.navigation.states import Block
 from bench.navigation.timeline import empty_epochs
 from bench.navigation.turn_on import run_from_turn_on
-from bench.navigation.waiting import columns
 from bench.specs import AssumedSpecs, ImuSpec
 
 _NEVER = np.iinfo(np.int64).max
@@ -132,6 +133,21 @@ class Fusion:
         if seen is not None and SATELLITES in passage.used:
             empty = empty_epochs(seen.t, seen.epoch_start, initial.t, passage.schedule.end)
         return joined.solution(empty), stretches
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
+        """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        if hypotheses.heading_is_unknown(initial):
+            raise EstimatorError(
+                "it cannot run in pieces from an unknown heading: several filters have to find it on the "
+                "whole record; give a heading known to 15 deg"
+            )
+        large = first.specs.imu.gyro.turn_on_bias_sd >= turn_on.LARGE
+        if self.options.every_error and first.fixes is not None and large:
+            raise EstimatorError(
+                "it cannot run in pieces with every_error = true and gyros of so large a turn-on bias: it is "
+                "learnt from the begin of the whole record; leave it out"
+            )
+        return Passage(self, first, initial, events)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -244,7 +260,7 @@ class Passage:
         keep: bool = False,
         gyro_sd: float | None = None,
     ) -> None:
-        self.filter, self.initial = filter_, initial
+        self.filter, self.initial, self.antenna_b = filter_, initial, first.antenna_b
         options, specs = filter_.options, first.specs
         self.used = [sensor for sensor in filter_.aiding() if getattr(first, sensor.record) is not None]
         if SATELLITES in self.used and specs.gnss is not None and specs.gnss.sky is None:
@@ -279,6 +295,27 @@ class Passage:
             keep,
         )
 
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.schedule.end
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`bench.navigation.in_pieces.InPieces`)."""
+        if not np.array_equal(self.antenna_b, piece.antenna_b):
+            self._go_over(piece.antenna_b)
+        self.take(piece, last=last)
+        if self.filter.options.accuracy is not None and piece.fixes is not None:
+            refuse_gap(self.schedule.longest_gap)
+        if not last and not self.can_go(look_back):
+            return self.run.nothing()
+        return self.go(look_back)[0]
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
+        self.schedule.output_t = np.empty(0)
+        return answer_now(self, head)
+
     def take(self, piece: SensorData, *, last: bool) -> None:
         """Take the next piece; nothing comes after the ``last``."""
         specs, schedule = piece.specs, self.schedule
@@ -307,6 +344,18 @@ class Passage:
         """
         return self.run.go(self.schedule, self.channels.names, look_back)
 
+    def _go_over(self, antenna_b: FloatArray) -> None:
+        """Take what comes from now on for that of another antenna (3,) [m], b."""
+        options = self.filter.options
+        if options.gnss and options.tight:
+            raise EstimatorError("'tight' cannot go over to another antenna: the filters of fixes can")
+        if options.lever_arm_sd > 0:
+            raise EstimatorError(
+                f"lever_arm_sd = {options.lever_arm_sd:g} estimates one antenna and cannot go over "
+                "to another; leave it out"
+            )
+        self.antenna_b = self.run.antenna_b = antenna_b
+
     def copy(self) -> Passage:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
@@ -322,7 +371,6 @@ class Passage:
             "run": self.run.state(),
             "channels": self.channels.names,
             "samplers": {str(kind): sampler.state() for kind, sampler in self.samplers.items()},
-            "initial": columns(self.initial),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:

@@ -7,6 +7,9 @@ the prediction to the output.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,10 +29,13 @@ from bench.data import (
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
+from bench.navigation.in_pieces import answer_now
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining, weigh_fixes
 from bench.navigation.options import GnssOnlyOptions, read_options
+from bench.navigation.schedule import refuse
 from bench.navigation.singer import Fixes, FixLog, Manoeuvres, Track, track_kernel, track_work
+from bench.navigation.waiting import columns, join_rows
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
@@ -44,6 +50,7 @@ class GnssOnly:
     """
 
     needs = ("fixes",)
+    finds_start = True
 
     def __init__(self, **options: Any) -> None:
         self.options = read_options(GnssOnlyOptions, options)
@@ -53,34 +60,73 @@ class GnssOnly:
 
         Without a given initial state it begins with the first fix.
         """
-        fixes, output_t = sensors.fixes, sensors.output_t
-        m = len(output_t)
-        x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
-        track, begin, events = None, 0, list[EventRow]()
+        if not len(sensors.output_t):  # without an output no fix is used
+            sensors = replace(sensors, fixes=None)
+        return FixPassage(self.options, initial, []).feed(sensors, 0.0, last=True)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> FixPassage:
+        """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        return FixPassage(self.options, initial, events)
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of the receiver that the estimator has no state for, in words."""
+        return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
+
+
+class FixPassage:
+    """The filter on its way through a record that comes in pieces (`bench.navigation.in_pieces.InPieces`).
+
+    Parameters
+    ----------
+    options : GnssOnlyOptions
+        Of the filter.
+    initial : InitialState
+        Start; without a given one it begins with the first fix.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    """
+
+    def __init__(self, options: GnssOnlyOptions, initial: InitialState, events: list[EventRow]) -> None:
+        self.options, self.initial, self.events = options, initial, events
+        self.track: FixTrack | None = None
         if initial.alignment == "given":
-            track = FixTrack(self.options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
-        if fixes is not None and m:  # without an output no fix is used
-            white = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
-            r = weigh_fixes(fixes, white, self.options.fix_accuracy)
-            used, at, events = timeline.fix_rows(fixes, output_t, initial.t)
-            if track is None and len(used):
-                first, begin = used[0], int(at[0])
-                track = FixTrack.begin(
-                    self.options, float(fixes.t[first]), fixes.lla[first], fixes.vel_n[first], r[first]
-                )
-                moving = np.isfinite(fixes.vel_n[first]).all()
-                origin = "position and velocity" if moving else "position"
-                text = f"{origin} of the first fix; attitude is not estimated"
-                events.append((initial.t, float(output_t[begin]), "alignment", text))
-            if track is not None:
-                x[begin:], P[begin:] = track.run(fixes, used, r, at - begin, output_t[begin:])
-        elif track is not None:
-            x, P = track.at(output_t)
-        arm = unknown_arm(sensors.antenna_b)
+            self.track = FixTrack(options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
+        self.sampled = initial.t  # last IMU sample [s]
+        self.passed = -np.inf  # up to here all is done [s]
+        self.newest = -np.inf  # validity of the fixes taken [s]
+        self.wanted = np.empty(0)  # answers beyond [s]
+        self.waiting: GnssFixes | None = None  # fixes that no answer has come after
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample, or of a newer fix in use [s]."""
+        return self.sampled if self.track is None else max(self.sampled, self.track.t)
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers to all that has come with it.
+
+        A fix is used for the next answer wanted, and by ``look_back`` after its arrival without one.
+        """
+        if (passed := piece.output_t[piece.output_t < self.passed]).size:
+            refuse("an answer", float(passed[0]), self.passed)
+        wanted = np.append(self.wanted, piece.output_t)
+        fixes = self._take_fixes(piece)
+        self.sampled = _latest(self.sampled, piece.imu.t)
+        self.passed = _latest(self.end, wanted, *([] if fixes is None else [fixes.t_arrival]))
+        self.passed -= 2.0 * timeline.TIME_TOLERANCE
+        final = np.full(len(wanted), last) | (wanted <= self.passed)
+        output_t, self.wanted = wanted[final], wanted[~final]
+        x, P = np.full((len(output_t), 9), np.nan), np.full((len(output_t), 9, 9), np.nan)
+        if fixes is not None:
+            self._use_fixes(fixes, piece, output_t, x, P, self.passed - look_back, last)
+        elif self.track is not None:
+            x, P = self.track.at(output_t)
+        arm = unknown_arm(piece.antenna_b)
         P[:, range(6), range(6)] += arm
         accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
         P[:, 6:], P[:, :, 6:] = np.nan, np.nan
-        none = np.full((m, 4), np.nan)
+        none = np.full((len(output_t), 4), np.nan)
+        events, self.events = self.events, []
         return NavSolution(
             t=output_t,
             lla=x[:, :3],
@@ -92,13 +138,100 @@ class GnssOnly:
             extra_names=STATES,
             extra=x[:, 6:],
             extra_sd=accelerations_sd,
-            innovations=track.innovations() if track else no_innovations(),
+            innovations=self.track.take_innovations() if self.track else no_innovations(),
             events=Events.from_rows(events),
         )
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of the receiver that the estimator has no state for, in words."""
-        return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
+    def _take_fixes(self, piece: SensorData) -> GnssFixes | None:
+        """Return the fixes that wait and those of a piece that are new, in the order of their arrival."""
+        fixes = piece.fixes
+        if fixes is None:
+            return None
+        t, arrival = fixes.t, fixes.t_arrival
+        sound = fixes.valid & np.isfinite(t) & np.isfinite(arrival) & np.isfinite(fixes.lla).all(axis=1)
+        if (late := sound & (arrival <= self.passed)).any():
+            refuse("a row of gnss", float(t[late][0]), self.passed)
+        rows, events = timeline.fresh_rows(t, arrival, sound, "gnss", self.newest)
+        self.events += events
+        self.newest = _latest(self.newest, t[sound])
+        fresh = fixes.take(rows)
+        return fresh if self.waiting is None else join_rows(self.waiting, fresh)
+
+    def _use_fixes(
+        self,
+        fixes: GnssFixes,
+        piece: SensorData,
+        output_t: FloatArray,
+        x: FloatArray,
+        P: FloatArray,
+        due: float,
+        last: bool,
+    ) -> None:
+        """Fill states (M, 9) and P (M, 9, 9) at the outputs; fixes that arrived until ``due`` need none."""
+        start, arrival = self.initial.t, fixes.t_arrival
+        at = np.searchsorted(output_t, arrival - timeline.TIME_TOLERANCE)
+        before = arrival <= start - timeline.TIME_TOLERANCE
+        use = ~before & ((at < len(output_t)) | (not last and arrival <= due))
+        left = ~use & (before | last)
+        at[arrival < start + timeline.TIME_TOLERANCE] = -1
+        self.events += timeline.left_out("gnss", fixes.t, left, timeline.OUTSIDE)
+        self.waiting = fixes.take(~use & ~left)
+        used = np.flatnonzero(use)
+        self.events += timeline.without_velocity(fixes, used)
+        white = fix_variance(assumed(piece.specs, "gnss"), gnss_markov=False)
+        r, begin = weigh_fixes(fixes, white, self.options.fix_accuracy), 0
+        if self.track is None and len(used):
+            first, begin = used[0], max(int(at[used[0]]), 0)
+            self.track = FixTrack.begin(
+                self.options, float(fixes.t[first]), fixes.lla[first], fixes.vel_n[first], r[first]
+            )
+            moving = np.isfinite(fixes.vel_n[first]).all()
+            origin = "position and velocity" if moving else "position"
+            text = f"{origin} of the first fix; attitude is not estimated"
+            until = output_t[begin] if begin < len(output_t) else arrival[first]
+            self.events.append((start, float(until), "alignment", text))
+        if self.track is not None:
+            x[begin:], P[begin:] = self.track.run(fixes, used, r, at[used] - begin, output_t[begin:])
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at :attr:`end`, by all that has arrived."""
+        self.wanted = self.wanted[self.wanted < self.end - timeline.TIME_TOLERANCE]
+        self.passed = -np.inf
+        return answer_now(self, head)
+
+    def copy(self) -> FixPassage:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.events = list(self.events)
+        other.track = None if self.track is None else self.track.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays and numbers by name."""
+        return {
+            "track": None if self.track is None else self.track.state(),
+            "sampled": self.sampled,
+            "passed": self.passed,
+            "newest": self.newest,
+            "wanted": self.wanted,
+            "waiting": None if self.waiting is None else columns(self.waiting),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.sampled, self.passed, self.newest = state["sampled"], state["passed"], state["newest"]
+        self.wanted = state["wanted"]
+        self.waiting = None if state["waiting"] is None else GnssFixes(**state["waiting"])
+        self.track = None
+        if state["track"] is not None:
+            nowhere = np.zeros(3)
+            self.track = FixTrack(self.options, 0.0, nowhere, nowhere, np.zeros((6, 6)))
+            self.track.restore(state["track"])
+
+
+def _latest(t: float, *more: FloatArray) -> float:
+    """Return the latest finite instant of all [s]."""
+    return max([t, *(float(one[np.isfinite(one)].max(initial=-np.inf)) for one in more)])
 
 
 def unknown_arm(antenna_b: FloatArray) -> FloatArray:
@@ -184,9 +317,30 @@ class FixTrack:
             self._rows.append((log.numbers[:filled], log.marks[:filled]))
         return x, P
 
-    def innovations(self) -> Innovations:
-        """Return the innovations of all fixes so far."""
+    @property
+    def t(self) -> float:
+        """Instant of the last fix, or of the start [s]."""
+        return float(self._now.t[0])
+
+    def copy(self) -> FixTrack:
+        """Return a track that goes on from here by itself."""
+        other, now = copy(self), self._now
+        other._now = Track(now.t.copy(), now.x.copy(), now.P.copy(), now.misses.copy())
+        other._rows = list(self._rows)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return the filter as arrays by name; innovations not taken are left out."""
+        return self._now._asdict()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self._now = Track(**state)
+
+    def take_innovations(self) -> Innovations:
+        """Return the innovations of the fixes since this was called last."""
         numbers, marks = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))
+        self._rows = self._rows[:1]
         code, component, accepted = marks.T
         t, z, S, nis = numbers.T
         return Innovations(t, SENSORS, code, component, z, S, nis, accepted.astype(np.bool_))

@@ -25,8 +25,8 @@ from bench.data import (
 )
 from bench.errors import EstimatorError
 from bench.instruments import INSTRUMENTS
-from bench.navigation import alignment, hypotheses, timeline, turn_on
-from bench.navigation.fusion import Fusion, Passage
+from bench.navigation import alignment
+from bench.navigation.in_pieces import InPieces, RunsInPieces
 from bench.navigation.waiting import columns, join_rows, take_observations, take_rows
 from bench.specs import AssumedSpecs
 
@@ -43,7 +43,7 @@ class PieceFilter:
     options : mapping
         Its options, as they were given.
     estimator : object
-        The estimator; only the compiled filters run in pieces.
+        The estimator, one that has `bench.navigation.in_pieces.RunsInPieces`.
     initial : InitialState
         Start. Where its alignment is not "given", the filter waits until the pieces allow it.
     look_back : float
@@ -65,24 +65,25 @@ class PieceFilter:
     ) -> None:
         if not (np.isfinite(look_back) and look_back >= 0):
             raise EstimatorError(f"look_back = {look_back!r} must be 0 or more, in seconds")
-        if not isinstance(estimator, Fusion):
+        if not isinstance(estimator, RunsInPieces):
             raise EstimatorError(
-                f"{use!r} cannot run in pieces: the compiled filters loose-*, tight, baro-inertial and "
-                "free-inertial can"
+                f"{use!r} cannot run in pieces: it has no method in_pieces; all built-in filters have one, "
+                "smoothers do not"
             )
         self.use, self.options, self.estimator = use, options, estimator
         self.initial, self.look_back = initial, look_back
         self.head: SensorData | None = None
         self.waiting: SensorData | None = None  # until the start is known
         self.tried = -np.inf  # last sample when it was looked for last [s]
-        self.passage: Passage | None = None
+        self.start: InitialState | None = None  # that was found
+        self.passage: InPieces | None = None
         self.finished = False
 
     @property
     def t(self) -> float:
         """Instant of the last IMU sample that was taken [s]."""
         if self.passage is not None:
-            return self.passage.schedule.end
+            return self.passage.end
         return self.initial.t if self.waiting is None else _newest(self.waiting)
 
     def feed(self, piece: SensorData) -> NavSolution:
@@ -123,13 +124,10 @@ class PieceFilter:
 
         One row; NaN while the start is not known. It is the answer of the whole record, were this its end.
         """
-        copy = self._copy()
-        now = np.array([self.t])
-        if copy.passage is None:
-            return _nothing(now)
+        if self.passage is None:
+            return _nothing(np.array([self.t]))
         assert self.head is not None
-        copy.passage.schedule.output_t = np.empty(0)
-        return copy._take(replace(self.head, output_t=now), last=True)
+        return self.passage.copy().answer(self.head)
 
     def finish(self) -> NavSolution:
         """Return the answers that are left; nothing comes any more.
@@ -161,6 +159,7 @@ class PieceFilter:
             "initial": columns(self.initial),
             "head": _plain(self.head),
             "waiting": None if self.waiting is None else _plain(self.waiting),
+            "start": None if self.start is None else columns(self.start),
             "passage": None if self.passage is None else self.passage.state(),
         }
 
@@ -179,8 +178,8 @@ class PieceFilter:
         if state["waiting"] is not None:
             found.waiting = _unplain(state["waiting"], specs)
         if state["passage"] is not None:
-            start = InitialState(**state["passage"]["initial"])
-            found.passage = Passage(found.estimator, found.head, start, [])
+            found.start = InitialState(**state["start"])
+            found.passage = found.estimator.in_pieces(found.head, found.start, [])
             found.passage.restore(state["passage"])
         return found
 
@@ -201,31 +200,17 @@ class PieceFilter:
         if head.specs != without_orbits(piece.specs):
             raise EstimatorError("the datasheets assumed must be those of the first piece")
         if not np.array_equal(head.antenna_b, piece.antenna_b):
-            self._go_over(piece.antenna_b)
-
-    def _go_over(self, antenna_b: FloatArray) -> None:
-        """Take what comes from now on for that of another antenna (3,) [m], b."""
-        options = self.estimator.options
-        if options.gnss and options.tight:
-            raise EstimatorError(f"{self.use!r} cannot go over to another antenna: the filters of fixes can")
-        if options.lever_arm_sd > 0:
-            raise EstimatorError(
-                f"lever_arm_sd = {options.lever_arm_sd:g} estimates one antenna and cannot go over "
-                "to another; leave it out"
-            )
-        if self.passage is None:
-            raise EstimatorError(
-                f"{self.use!r} cannot go over to another antenna before it has found its start"
-            )
-        assert self.head is not None
-        self.head = replace(self.head, antenna_b=antenna_b)
-        self.passage.run.antenna_b = antenna_b
+            if self.passage is None:
+                raise EstimatorError(
+                    f"{self.use!r} cannot go over to another antenna before it has found its start"
+                )
+            self.head = replace(head, antenna_b=piece.antenna_b)
 
     def _copy(self) -> PieceFilter:
         """Return a filter that goes on from here by itself."""
         copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
         copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
-        copy.tried = self.tried
+        copy.tried, copy.start = self.tried, self.start
         copy.passage = None if self.passage is None else self.passage.copy()
         return copy
 
@@ -237,49 +222,31 @@ class PieceFilter:
             if begun is None:
                 return _nothing(np.empty(0))
             self.passage, piece, self.waiting = begun, self.waiting, None
-        passage = self.passage
-        passage.take(piece, last=last)
-        gap, by_fixes = passage.schedule.longest_gap, self.estimator.options.accuracy is not None
-        if by_fixes and piece.fixes is not None and gap > timeline.LONGEST_BRIDGE:
-            raise EstimatorError(
-                f"{self.use!r} cannot run in pieces over a gap of {gap:.3g} s in the IMU record, after which "
-                f"it starts again; up to {timeline.LONGEST_BRIDGE:g} s are bridged: open another behind it"
-            )
-        if not last and not passage.can_go(self.look_back):
-            return passage.run.nothing()
-        return passage.go(self.look_back)[0]
+        return self.passage.feed(piece, self.look_back, last=last)
 
-    def _begin(self, record: SensorData, last: bool) -> Passage | None:
+    def _begin(self, record: SensorData, last: bool) -> InPieces | None:
         """Return the filter at its start, None while the record may still change that."""
         initial, events = self.initial, list[EventRow]()
+        if initial.alignment == "given" or getattr(self.estimator, "finds_start", False):
+            self.start = initial
+            return self.estimator.in_pieces(record, initial, events)
         newest = _newest(record)
         enough = self.tried + _SETTLED
         if initial.alignment == "level":
             enough = initial.t + initial.align_for + _SETTLED + self.look_back
-        if initial.alignment != "given" and not last and newest < enough:
+        if not last and newest < enough:
             return None
         self.tried = newest
-        if initial.alignment != "given":
-            try:
-                initial, events = alignment.complete(record, initial)
-            except EstimatorError:
-                if last or initial.alignment == "level":
-                    raise
-                return None
-            if not last and newest < initial.t + _SETTLED + self.look_back:
-                return None
-        if hypotheses.heading_is_unknown(initial):
-            raise EstimatorError(
-                f"{self.use!r} cannot run in pieces from an unknown heading: several filters have to find it "
-                "on the whole record; give a heading known to 15 deg"
-            )
-        options, gyro = self.estimator.options, record.specs.imu.gyro
-        if options.every_error and record.fixes is not None and gyro.turn_on_bias_sd >= turn_on.LARGE:
-            raise EstimatorError(
-                f"{self.use!r} cannot run in pieces with every_error = true and gyros of so large a turn-on "
-                "bias: it is learnt from the begin of the whole record; leave it out"
-            )
-        return Passage(self.estimator, record, initial, events)
+        try:
+            initial, events = alignment.complete(record, initial)
+        except EstimatorError:
+            if last or initial.alignment == "level":
+                raise
+            return None
+        if not last and newest < initial.t + _SETTLED + self.look_back:
+            return None
+        self.start = initial
+        return self.estimator.in_pieces(record, initial, events)
 
 
 def _newest(record: SensorData) -> float:

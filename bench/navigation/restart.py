@@ -133,7 +133,7 @@ def run_between_gaps(
             joined.events.append((silent[0], until, "restart", f"IMU silent for {length}: {text}", "imu"))
             if found is None:
                 continue
-            joined.coasts += [coast.track.innovations()] if coast.track else []
+            joined.coasts += [coast.track.take_innovations()] if coast.track else []
             coast, start = None, found
         solution = run(piece, start)
         joined.take_piece(solution, biases)
