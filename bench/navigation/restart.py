@@ -34,6 +34,7 @@ from bench.navigation.blocks import WIND_SD, assumed
 from bench.navigation.course import LEAST_SPEED
 from bench.navigation.gnss_only import SENSORS as FIX_SENSORS
 from bench.navigation.gnss_only import FixTrack, unknown_arm
+from bench.navigation.imu_range import find_beyond
 from bench.navigation.measurements import fix_variance, weigh_fixes
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
@@ -130,7 +131,10 @@ def run_between_gaps(
             joined.take_coast(coast, until)
             length = f"{begin - silent[0]:.6g} s"
             joined.events.append((*silent, "timeline", f"imu: gap of {length}", "imu"))
-            joined.events.append((silent[0], until, "restart", f"IMU silent for {length}: {text}", "imu"))
+            lost = slice(rows[first - 1] + 1 if first else 0, rows[first])
+            because = _name_ranges(take_rows(imu, lost), sensors.specs.imu)
+            text = f"IMU silent for {length}{because}: {text}"
+            joined.events.append((silent[0], until, "restart", text, "imu"))
             if found is None:
                 continue
             joined.coasts += [coast.track.take_innovations()] if coast.track else []
@@ -148,6 +152,13 @@ def _long_gaps(sensors: SensorData, start: float) -> tuple[list[int], IntArray]:
         return [], rows
     gaps = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     return gaps.tolist(), rows
+
+
+def _name_ranges(lost: ImuData, spec: ImuSpec) -> str:
+    """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
+    counts = [(int(rows.sum()), why) for why, rows in find_beyond(lost, spec)]
+    listed = " and ".join(f"{count} of {len(lost)} samples have the {why}" for count, why in counts if count)
+    return f" ({listed})" if listed else ""
 
 
 def _has_long_gap(sensors: SensorData, start: float) -> bool:

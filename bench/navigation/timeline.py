@@ -17,6 +17,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.compiled import kernel
 from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
+from bench.navigation.imu_range import IN_RANGE, find_beyond, limits
 from bench.specs import ImuSpec
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
@@ -39,13 +40,7 @@ _BRIDGE_RATE_SD = 0.15  # [rad/s]
 _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
 _BRIDGE_CORRELATION = 3.0  # [s]
 
-# What an aircraft can do, for a unit whose datasheet has no range.
-_MOST_RATE = 100.0  # [rad/s]
-_MOST_FORCE = 1000.0  # [m/s^2]
-
 _NO_ROWS = np.empty(0, np.int64)
-_IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
-_UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 
 AidingRecord = GnssFixes | InstrumentData
 
@@ -237,14 +232,13 @@ class ImuIntake:
         the ``last`` piece there is none.
         """
         start = self.newest
-        ranges = spec.gyro.range or _MOST_RATE, spec.accel.range or _MOST_FORCE
         span, events = np.empty(len(imu.t)), list[EventRow]()
-        gaps = _check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *ranges, span)
+        gaps = _check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *limits(spec), span)
         if gaps >= 0:
             rows, again = self._hold(np.arange(len(imu.t)), imu.t, last)
             span = span[: len(rows)]
         else:
-            rows, again, events = self._choose(imu, ranges, last)
+            rows, again, events = self._choose(imu, spec, last)
             span = np.diff(imu.t[rows], prepend=start)
         if len(rows):
             self.newest = float(imu.t[rows[-1]])
@@ -260,23 +254,16 @@ class ImuIntake:
             self.before = float(t[rows[count - 1]])
         return rows[:count], rows[count:]
 
-    def _choose(
-        self, imu: ImuData, ranges: tuple[float, float], last: bool
-    ) -> tuple[IntArray, IntArray, list[EventRow]]:
+    def _choose(self, imu: ImuData, spec: ImuSpec, last: bool) -> tuple[IntArray, IntArray, list[EventRow]]:
         """Return the rows in use, those to give again, and the events that count the others."""
         sound = imu.valid & np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
         sound &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
-        events = left_out("imu", imu.t, ~sound, "flagged, not finite or without length")
-        for name, increment, limit in (
-            ("gyro", imu.dtheta_b, ranges[0]),
-            ("accelerometer", imu.dvel_b, ranges[1]),
-        ):
-            most = _IN_RANGE * limit * np.abs(imu.dt)
-            beyond = sound & (np.abs(increment) >= most[:, None]).any(axis=1)
-            events += left_out(
-                "imu", imu.t, beyond, f"{name} at or beyond its range of {limit:.4g} {_UNITS[name]}"
-            )
-            sound &= ~beyond
+        beyond = find_beyond(imu, spec)
+        named = np.any([out for _, out in beyond], axis=0)
+        events = left_out("imu", imu.t, ~sound & ~named, "flagged, not finite or without length")
+        for why, out in beyond:
+            events += left_out("imu", imu.t, out, why)
+        sound &= ~named
         later = sound & (imu.t > self.start + TIME_TOLERANCE)
         events += left_out("imu", imu.t, sound & ~later, "before the start")
         rows = np.flatnonzero(later)
@@ -326,7 +313,7 @@ def _check_kernel(
         now, length = t[k], dt[k]
         span[k] = now - newest
         # a NaN is not below its limit; with a dt of zero nothing is
-        rate, force = _IN_RANGE * most_rate * length, _IN_RANGE * most_force * length
+        rate, force = IN_RANGE * most_rate * length, IN_RANGE * most_force * length
         slow = abs(dtheta_b[k, 0]) < rate and abs(dtheta_b[k, 1]) < rate and abs(dtheta_b[k, 2]) < rate
         weak = abs(dvel_b[k, 0]) < force and abs(dvel_b[k, 1]) < force and abs(dvel_b[k, 2]) < force
         timed = valid[k] and now > newest + TIME_TOLERANCE and now < np.inf and length < np.inf

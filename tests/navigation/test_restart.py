@@ -87,6 +87,20 @@ def test_an_event_says_what_was_done(draws):
     )
 
 
+def test_a_gap_at_the_end_of_a_range_names_it(draws):
+    """A unit that clips flags its samples; one step of quantization off the end they still count."""
+    imu, specs = draws[0].data.imu, draws[0].data.specs
+    gyro = replace(specs.imu.gyro, range=60.0 * DEG, quantization=1e-6)
+    lost = (imu.t > 60.0) & (imu.t <= 65.0)
+    dtheta_b = np.where(lost[:, None], 0.0, imu.dtheta_b)
+    dtheta_b[lost, 2] = 60.0 * DEG * imu.dt[lost] - 9e-7
+    clipped = replace(imu, dtheta_b=dtheta_b, valid=imu.valid & ~lost)
+    data = replace(draws[0].data, imu=clipped, specs=replace(specs, imu=replace(specs.imu, gyro=gyro)))
+    ((_, _, text),) = FILTER.run(data, draws[0].initial).events.select("restart")
+    count = int(lost.sum())
+    assert f"({count} of {count} samples have the gyro at or beyond its range of 60 deg/s): position" in text
+
+
 def test_what_is_known_in_the_gap_is_claimed(truth, draws):
     """Coasting over 15 s: position and velocity inside their claims, every fix in use, attitude held."""
     ratio = []

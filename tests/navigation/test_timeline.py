@@ -201,9 +201,9 @@ BAD_SAMPLES = {
     "time of another day": ({"t": 86_400.0, "dvel_b": 0.5}, "ahead of the rows after it"),
     "velocity of 1e6 m/s": (
         {"dvel_b": [0.0, 1e6, 0.0]},
-        "accelerometer at or beyond its range of 1000 m/s^2",
+        "accelerometer at or beyond its range of 100 g",
     ),
-    "turn of 1 rad": ({"dtheta_b": [-1.0, 0.0, 0.0]}, "gyro at or beyond its range of 100 rad/s"),
+    "turn of 1 rad": ({"dtheta_b": [-1.0, 0.0, 0.0]}, "gyro at or beyond its range of 5700 deg/s"),
 }
 
 
@@ -224,8 +224,8 @@ def test_the_range_of_the_unit_assumed_is_a_limit(sensed):
     rows, _, events = timeline.imu_rows(imu, 0.0, ranged)
     assert set(np.arange(len(imu))) - set(rows) == {400, 600}
     assert [row[3] for row in events] == [
-        "imu: 1 rows left out: gyro at or beyond its range of 2 rad/s",
-        "imu: 1 rows left out: accelerometer at or beyond its range of 60 m/s^2",
+        "imu: 1 rows left out: gyro at or beyond its range of 114.6 deg/s",
+        "imu: 1 rows left out: accelerometer at or beyond its range of 6.118 g",
         "imu: gap of 0.005 s",
         "imu: gap of 0.005 s",
     ]

@@ -1,0 +1,44 @@
+"""The range of an IMU: a sample at its end says no more than that there was more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import BoolArray
+from bench.data import ImuData
+from bench.specs import ImuSpec
+from bench.units import DEG, STANDARD_GRAVITY
+
+IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
+
+# What an aircraft can do, for a unit whose datasheet has no range.
+_MOST_RATE = 5700.0 * DEG  # [rad/s]
+_MOST_FORCE = 100.0 * STANDARD_GRAVITY  # [m/s^2]
+
+
+def limits(spec: ImuSpec) -> tuple[float, float]:
+    """Return the largest rate [rad/s] and specific force [m/s^2] that are used."""
+    return spec.gyro.range or _MOST_RATE, spec.accel.range or _MOST_FORCE
+
+
+def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
+    """Return the rows (N,) of an IMU record at or beyond the range of a triad, behind the words that say so.
+
+    A row counts for one triad only. A row that the unit itself flags counts where the datasheet has a range,
+    whose end it may miss by a quantization step.
+    """
+    left = np.isfinite(imu.t) & np.isfinite(imu.dt) & (imu.dt > 0)
+    left &= np.isfinite(imu.dtheta_b).all(axis=1) & np.isfinite(imu.dvel_b).all(axis=1)
+    most_rate, most_force = limits(spec)
+    found = []
+    for name, triad, increment, limit, unit, factor in (
+        ("gyro", spec.gyro, imu.dtheta_b, most_rate, "deg/s", DEG),
+        ("accelerometer", spec.accel, imu.dvel_b, most_force, "g", STANDARD_GRAVITY),
+    ):
+        end = IN_RANGE * limit * imu.dt - np.where(imu.valid, 0.0, triad.quantization)
+        rows = left & (np.abs(increment) >= end[:, None]).any(axis=1)
+        if not triad.range:
+            rows &= imu.valid
+        found.append((f"{name} at or beyond its range of {limit / factor:.4g} {unit}", rows))
+        left &= ~rows
+    return found
