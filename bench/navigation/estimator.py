@@ -17,6 +17,7 @@ from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
 from bench.navigation.options import (
+    STATES,
     ClassicOptions,
     ComplementaryOptions,
     FusionOptions,
@@ -93,34 +94,34 @@ _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, FusionOptions, {"gnss_markov": False}
+        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, FusionOptions, STATES["loose-15"]
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _LOOSE, FusionOptions, {"gnss_markov": True}
+        "the same with GNSS Markov errors, 22 states", _LOOSE, FusionOptions, STATES["loose-22"]
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
         _LOOSE,
         FusionOptions,
-        {"gnss_markov": True, "mems": True},
+        STATES["loose-mems"],
     ),
     "loose-full": BuiltIn(
         "loose-22 with every error of the IMU that its datasheet names",
         _LOOSE,
         FusionOptions,
-        {"gnss_markov": True, "every_error": True},
+        STATES["loose-full"],
     ),
     "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
         "bench.navigation.fusion:Tight",
         TightOptions,
-        {"gnss_markov": False},
+        STATES["tight"],
     ),
     "smoother": BuiltIn(
-        "loose-15 and a pass back over its record",
+        "loose-full and a pass back over its record",
         "bench.navigation.smoother:Smoother",
         SmootherOptions,
-        {"gnss": True, "gnss_markov": False},
+        {"gnss": True},
     ),
     "baro-inertial": BuiltIn(
         "IMU and barometer", _LOOSE, FusionOptions, {"gnss": False, "gnss_markov": False}

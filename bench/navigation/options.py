@@ -192,11 +192,37 @@ class TightOptions(FusionOptions):
         return True
 
 
+STATES: Mapping[str, Mapping[str, bool]] = {
+    "loose-15": {"gnss_markov": False},
+    "loose-22": {"gnss_markov": True},
+    "loose-mems": {"gnss_markov": True, "mems": True},
+    "loose-full": {"gnss_markov": True, "every_error": True},
+    "tight": {"gnss_markov": False},
+}
+"""The options that make a compiled filter what it is."""
+
+
 class SmootherOptions(FusionOptions):
     """Options of the smoother: which filter runs forward, and the options of that."""
 
-    over: Literal["loose", "tight"] = "loose"
+    over: Literal["loose-15", "loose-22", "loose-mems", "loose-full", "tight"] = "loose-full"
     """The forward filter."""
+
+    gnss_markov: bool = True
+    every_error: bool = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fix(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Return the options with those that make the forward filter what it is."""
+        over = given.get("over", "loose-full")
+        states = STATES.get(over, {}) if isinstance(over, str) else {}
+        wrong = [
+            f"option {name!r} is {as_toml(value)} in over = {as_toml(over)}; leave it out"
+            for name, value in states.items()
+            if given.get(name, value) != value
+        ]
+        return _whole({"every_error": False, **given, **states}, wrong)
 
     @property
     def tight(self) -> bool:
@@ -319,9 +345,10 @@ class GraphOptions(GateOptions):
 
 
 _O = TypeVar("_O", bound=Options)
+_T = TypeVar("_T")
 
 
-def _whole(options: _O, wrong: list[str]) -> _O:
+def _whole(options: _T, wrong: list[str]) -> _T:
     """Return options whose fields are right one by one, or refuse what does not hold between them."""
     if wrong:
         raise PydanticCustomError("whole", "{words}", {"words": "; ".join(wrong)})

@@ -29,6 +29,7 @@ from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.restart import run_between_gaps
 from bench.navigation.rough_heading import add_arm
+from bench.navigation.turn_on import smooth_from_turn_on
 from bench.specs import AssumedSpecs
 from bench.wide_rows import LANES, add_row, set_row, wide
 
@@ -50,10 +51,15 @@ class Smoother:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate each instant from all measurements of the record, earlier and later."""
-        return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
 
-    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        forward, stretches = self.filter.forward(sensors, initial, keep=True)
+        def between(piece: SensorData, start: InitialState) -> NavSolution:
+            large = self.options.every_error
+            return smooth_from_turn_on(self._run, piece, start) if large else self._run(piece, start, None)
+
+        return run_between_gaps(between, sensors, initial, self.options.accuracy)
+
+    def _run(self, sensors: SensorData, initial: InitialState, gyro_sd: float | None) -> NavSolution:
+        forward, stretches = self.filter.forward(sensors, initial, keep=True, gyro_sd=gyro_sd)
         if not any(len(nodes.t) for nodes in stretches):
             return forward
         smooth(stretches)

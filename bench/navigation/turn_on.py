@@ -59,15 +59,31 @@ def run_from_turn_on(run: Run, sensors: SensorData, initial: InitialState) -> Na
     cut = ImuData(**{f.name: getattr(imu, f.name)[rows] for f in fields(imu)})
     begun = sensors.output_t[sensors.output_t <= found.until]
     early = run(replace(sensors, imu=cut, output_t=begun), initial, None)
+    late = _run_without(found, run, sensors, initial)
+    return Settled(initial, early, True, late.events.rows()[0]).join(late)
+
+
+def smooth_from_turn_on(run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:
+    """Return what `run_from_turn_on` does of a smoother: it knows the stretch from its first answer on."""
+    found = find_turn_on(sensors, initial)
+    return run(sensors, initial, None) if found is None else _run_without(found, run, sensors, initial)
+
+
+def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:
+    """Return the solution of a filter that gets a bias taken off its increments, the event first."""
+    imu = sensors.imu
     less = replace(imu, dtheta_b=imu.dtheta_b - found.bias_b * imu.dt[:, None])
-    late = run(replace(sensors, imu=less), initial, found.sd)
-    extra = late.extra.copy()
+    solution = run(replace(sensors, imu=less), initial, found.sd)
+    extra = solution.extra.copy()
     extra[:, :3] += found.bias_b
-    late = replace(late, gyro_bias_b=late.gyro_bias_b + found.bias_b, extra=extra)
     text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
     event: EventRow = (initial.t, found.until, "alignment", text)
-    joined = Settled(initial, early, True, event).join(late)
-    return replace(joined, events=Events.from_rows([event, *joined.events.rows()]))
+    return replace(
+        solution,
+        gyro_bias_b=solution.gyro_bias_b + found.bias_b,
+        extra=extra,
+        events=Events.from_rows([event, *solution.events.rows()]),
+    )
 
 
 def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:

@@ -121,7 +121,7 @@ def test_five_estimators_stand_in_one_table_of_80_columns(here, capsys):
         assert len([line for line in out.splitlines() if line.split()[:1] == [name]]) == 1
     (row,) = [k for k, line in enumerate(out.splitlines()) if line.split()[:1] == ["nis_mean_baro"]]
     assert len(re.findall(r"\d\.\d\d-\d\.\d\d", out.splitlines()[row + 1])) == 4
-    assert "loose-15, loose-22, smoother: not modelled: " in out.replace("\n", " ")
+    assert "loose-15, loose-22: not modelled: " in out.replace("\n", " ")
 
 
 def test_json_is_all_there_is_on_stdout(here, capsys):

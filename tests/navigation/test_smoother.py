@@ -59,13 +59,11 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
     assert_allclose(nodes.P[:, 1], wanted_P, rtol=1e-6, atol=1e-9 * size**2)
 
 
-@pytest.mark.parametrize("markov", [False, True])
-def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, markov):
+@pytest.mark.parametrize("name", ["loose-15", "loose-22", "loose-full"])
+def test_nowhere_less_sure_than_its_filter_and_equal_at_the_end(matched, five_minutes, name):
     sensed = pipeline.sense(matched, five_minutes)
-    options = {}
-    forward = load("loose-22" if markov else "loose-15", options).run(sensed.data, sensed.initial)
-    place = "bench.navigation.smoother:Smoother"
-    smoothed = load(place, {**options, "gnss_markov": markov}).run(sensed.data, sensed.initial)
+    forward = load(name, {}).run(sensed.data, sensed.initial)
+    smoothed = load("smoother", {"over": name}).run(sensed.data, sensed.initial)
     for got, limit in (
         (np.einsum("kii->ki", smoothed.cov), np.einsum("kii->ki", forward.cov)),
         (smoothed.extra_sd**2, forward.extra_sd**2),
@@ -86,17 +84,15 @@ def test_the_outage_is_bridged_from_both_sides(matched, figure_eight_truth):
     assert growth["smoother"] < growth["loose-15"] / 3
 
 
-@pytest.mark.parametrize("markov", [False, True])
-def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov):
+@pytest.mark.parametrize("name", ["loose-15", "loose-22"])
+def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, name):
     """200 m north from 150 s on, taken for true 10 s later: what lies before is not drawn after it."""
     sensed = pipeline.sense(matched, five_minutes)
     lla = sensed.data.fixes.lla.copy()
     lla[sensed.data.fixes.t >= 150.0, 0] += 200.0 / 6.37e6
     columns = {name: getattr(sensed.data.fixes, name) for name in GnssFixes.__slots__}
     data = replace(sensed.data, fixes=GnssFixes(**{**columns, "lla": lla}))
-    options = {"gnss_markov": markov}
-    forward = load("bench.navigation.fusion:Loose", options).run(data, sensed.initial)
-    place = load("bench.navigation.smoother:Smoother", options)
+    forward, place = load(name, {}).run(data, sensed.initial), load("smoother", {"over": name})
     stepped, sound = place.run(data, sensed.initial), place.run(sensed.data, sensed.initial)
     got, limit = (np.einsum("kii->ki", s.cov) for s in (stepped, forward))
     assert (got <= limit * (1 + 1e-9)).all()
@@ -105,13 +101,13 @@ def test_a_step_that_stays_is_a_step_backwards_too(matched, five_minutes, markov
     assert (stepped.lla[-1, 0] - sound.lla[-1, 0]) * 6.37e6 == pytest.approx(200.0, abs=5.0)
 
 
-@pytest.mark.parametrize("over", ["loose", "tight"])
+@pytest.mark.parametrize("over", ["loose-15", "loose-full", "tight"])
 def test_a_long_record_is_smoothed_in_blocks_with_the_bits_of_the_whole(over, monkeypatch):
     """Fixes come late, three seconds of them and some samples of the IMU are missing."""
-    initial, data = record("tight" if over == "tight" else "loose-15")
-    seen = data.fixes.t if over == "loose" else data.observations.t
+    initial, data = record(over)
+    seen = data.fixes.t if over != "tight" else data.observations.t
     heard = (seen < 5.0) | (seen > 8.0)
-    if over == "loose":
+    if over != "tight":
         data = replace(data, fixes=take(data.fixes, heard))
     else:
         data = replace(data, observations=take_observations(data.observations, heard))

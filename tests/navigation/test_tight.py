@@ -387,7 +387,7 @@ def test_tight_needs_a_receiver_with_a_sky(sensed):
 
 
 def test_the_smoother_goes_back_over_tight(sensed, truth):
-    smoothed = load("bench.navigation.smoother:Smoother", {"over": "tight"}).run(sensed.data, sensed.initial)
+    smoothed = load("smoother", {"over": "tight"}).run(sensed.data, sensed.initial)
     forward = Tight().run(sensed.data, sensed.initial)
     assert (np.einsum("kii->ki", smoothed.cov) <= np.einsum("kii->ki", forward.cov) * (1 + 1e-9)).all()
     assert_allclose(smoothed.lla[-1], forward.lla[-1], rtol=1e-12)

@@ -192,7 +192,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
             "loose-mems, every sample": run("loose-mems", **every),
             "tight, 20 Hz": run("tight", sky=True, **slow),
             "gnss-only": run("gnss-only"),
-            "smoother": run("smoother"),
+            "smoother": run("smoother", over="loose-15"),
             "its forward filter": run("loose-15", **slow),
             "Monte Carlo": (monte_carlo, epochs),
         }

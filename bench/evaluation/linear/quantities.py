@@ -62,13 +62,15 @@ def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, Flo
 def compare_draws(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
     """Return the ratio of the errors (R, M, 9) of R draws to variances (M, 9); None without errors.
 
-    The spread of the mean squares of the draws says how many independent errors they hold.
+    The spread of the mean squares of the draws says how many independent errors they hold. Of a few draws it
+    is itself not well known, so its upper 95 % limit counts.
     """
     squares = np.mean(quantity.sd(np.square(errors)) ** 2, axis=1)
     if not np.isfinite(squares).all():
         return None
     mean, draws = float(squares.mean()), len(squares)
-    freedom = draws * max(1.0, 2.0 * mean**2 / float(squares.var(ddof=1)))  # of a chi-square as broad
+    widest = float(np.sum((squares - mean) ** 2)) / (2.0 * float(gammaincinv(0.5 * (draws - 1), 0.05)))
+    freedom = draws * max(1.0, 2.0 * mean**2 / widest)  # of a chi-square as broad
     return _make_ratio(mean, least, quantity, freedom)
 
 
