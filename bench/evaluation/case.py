@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,7 +117,6 @@ def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms
 def build_case(
     errors: ErrorSeries,
     solution: NavSolution,
-    from_s: float,
     outages: Outages,
     faults: Sequence[Fault] = (),
     missing: FloatArray = NO_TIMES,
@@ -125,14 +124,12 @@ def build_case(
     drawn: SensorTruth | None = None,
     poses: Poses | None = None,
 ) -> Case:
-    """Collect what the metrics need of a run from an instant on.
+    """Collect what the metrics need of a whole run.
 
     Parameters
     ----------
     errors, solution : ErrorSeries, NavSolution
         At the same instants.
-    from_s : float
-        First instant that counts [s].
     outages : sequence of (start, end)
         Scripted GNSS outages, [start, end) [s], in order.
     faults : sequence of Fault
@@ -146,38 +143,74 @@ def build_case(
     poses : Poses or None
         Those of the solution.
     """
-    rows = errors.t >= from_s - SAME_INSTANT
-    taken = as_slice(rows)
-    kinds = [kind for kind, t in zip(solution.events.kind, solution.events.t, strict=True) if t >= from_s]
-    inside = select_epochs(solution, rows)
+    nis = nis_by_sensor(solution.innovations)
     with np.errstate(invalid="ignore"):
-        sd = np.sqrt(variances(inside))
+        sd = np.sqrt(variances(solution))
     return Case(
-        t=errors.t[taken],
-        pos_n=errors.pos_n[taken],
-        vel_n=errors.vel_n[taken],
-        phi_n=errors.phi_n[taken],
-        heading=errors.heading[taken],
-        heading_sd=heading_sd(inside),
+        t=errors.t,
+        pos_n=errors.pos_n,
+        vel_n=errors.vel_n,
+        phi_n=errors.phi_n,
+        heading=errors.heading,
+        heading_sd=heading_sd(solution),
         sd=sd,
-        nees=errors.nees[taken],
-        nees_samples=count_independent(errors.nees[taken] - errors.states),
+        nees=errors.nees,
+        nees_samples=count_independent(errors.nees - errors.states),
         states=errors.states,
-        nis=nis_by_sensor(solution.innovations, from_s - SAME_INSTANT),
-        events={kind: kinds.count(kind) for kind in sorted(set(kinds))},
+        nis=nis,
+        events=_count_events(solution.events, -np.inf),
         outages=tuple(
             (k, start, end)
             for k, (start, end) in enumerate(outages, 1)
-            if start >= from_s - SAME_INSTANT and not ((missing >= start) & (missing < end)).any()
+            if not ((missing >= start) & (missing < end)).any()
         ),
-        faults={str(k): f for k, f in enumerate(faults, 1) if f.start >= from_s - SAME_INSTANT},
+        faults={str(k): f for k, f in enumerate(faults, 1)},
         scripted=tuple(faults),
-        alarms=collect_alarms(nis_by_sensor(solution.innovations), solution.events) if faults else (),
-        from_s=from_s,
-        asked=int(rows.sum() + np.sum(missing >= from_s - SAME_INSTANT)),
-        solution=inside,
-        biases=bias_errors(inside, drawn) if drawn is not None else {},
-        poses=None if poses is None else poses.select(rows),
+        alarms=collect_alarms(nis, solution.events) if faults else (),
+        from_s=-np.inf,
+        asked=len(errors) + len(missing),
+        solution=solution,
+        biases=bias_errors(solution, drawn) if drawn is not None else {},
+        poses=None if poses is None else poses.select(slice(None)),
         start=select_epochs(solution, slice(0, 1)),
         assumed=assumed,
     )
+
+
+def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case:
+    """Return the epochs of a whole run from an instant on [s], with what starts after it.
+
+    ``missing`` holds the instants (K,) that were asked for and have no solution [s].
+    """
+    begin = from_s - SAME_INSTANT
+    rows = whole.t >= begin
+    taken = as_slice(rows)
+    nees = whole.nees[taken]
+    later = {name: one.t >= begin for name, one in whole.nis.items()}
+    return replace(
+        whole,
+        t=whole.t[taken],
+        pos_n=whole.pos_n[taken],
+        vel_n=whole.vel_n[taken],
+        phi_n=whole.phi_n[taken],
+        heading=whole.heading[taken],
+        heading_sd=whole.heading_sd[taken],
+        sd=whole.sd[taken],
+        nees=nees,
+        nees_samples=count_independent(nees - whole.states),
+        nis={name: whole.nis[name].take(counted) for name, counted in later.items() if counted.any()},
+        events=_count_events(whole.solution.events, from_s),
+        outages=tuple(one for one in whole.outages if one[1] >= begin),
+        faults={key: fault for key, fault in whole.faults.items() if fault.start >= begin},
+        from_s=from_s,
+        asked=int(rows.sum() + np.sum(missing >= begin)),
+        solution=select_epochs(whole.solution, rows),
+        biases={name: BiasError(one.error[taken], one.sd[taken]) for name, one in whole.biases.items()},
+        poses=None if whole.poses is None else whole.poses.select(taken),
+    )
+
+
+def _count_events(events: Events, from_s: float) -> dict[str, int]:
+    """Return the number of events by kind that begin at an instant [s] or later."""
+    kinds = [kind for kind, t in zip(events.kind, events.t, strict=True) if t >= from_s]
+    return {kind: kinds.count(kind) for kind in sorted(set(kinds))}

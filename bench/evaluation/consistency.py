@@ -55,13 +55,29 @@ def count_independent(deviation: FloatArray) -> float:
     largest = np.abs(deviation).max(initial=0.0)
     if not 0.0 < largest < np.inf:
         return 0.0
-    length = _fast_length(2 * count - 1)
-    spectrum = np.fft.rfft(deviation / largest, length)
-    correlation = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, length)[:count]
-    pairs = (correlation[0 : count - 1 : 2] + correlation[1:count:2]) / correlation[0]
-    ended = np.flatnonzero(pairs <= 0.0)
-    length = 2.0 * pairs[: ended[0] if len(ended) else len(pairs)].sum() - 1.0
-    return float(np.clip(count / max(length, 1.0), 1.0, count))
+    unit = deviation / largest
+    if unit.min() > 0.0 or unit.max() < 0.0:  # every pair counts: the square of the sum of the series
+        last = unit[0] * unit[-1] if count % 2 else 0.0  # without a partner
+        total = (unit.sum() ** 2 - 2.0 * last) / np.square(unit).sum()
+    else:
+        total = 2.0 * _sum_pairs(unit) - 1.0
+    return float(np.clip(count / max(total, 1.0), 1.0, count))
+
+
+def _sum_pairs(series: FloatArray) -> float:
+    """Return the sum of the autocorrelation over pairs of lags, as long as their sum is positive."""
+    count = len(series)
+    for most in (count // 4, count - 1):  # lag; most sums end in the first quarter
+        length = _fast_length(count + most)  # so that the end of the series does not meet its start
+        spectrum = np.fft.rfft(series, length)
+        lags = min(length - count + 1, count)
+        correlation = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, length)[:lags]
+        pairs = (correlation[0 : lags - 1 : 2] + correlation[1:lags:2]) / correlation[0]
+        ended = np.flatnonzero(pairs <= 0.0)
+        if len(ended):
+            pairs = pairs[: ended[0]]
+            break
+    return float(pairs.sum())
 
 
 def _fast_length(least: int) -> int:
@@ -77,6 +93,10 @@ class SensorNis:
     nis: FloatArray  # (K,)
     dof: IntArray  # (K,) components of the measurement vector
     accepted: BoolArray  # (K,) all components were used
+
+    def take(self, rows: BoolArray) -> SensorNis:
+        """Return some of the measurement vectors."""
+        return SensorNis(self.t[rows], self.nis[rows], self.dof[rows], self.accepted[rows])
 
 
 def nis_by_sensor(innovations: Innovations, from_s: float = -np.inf) -> dict[str, SensorNis]:

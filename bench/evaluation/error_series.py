@@ -255,9 +255,8 @@ def check_convergence(
         for values, of in ((solution.extra, ""), (solution.extra_sd, "standard deviation of ")):
             columns |= {f"{of}{name}": values[:, k] for k, name in enumerate(solution.extra_names)}
     for title, column in columns.items():
-        bad = _not_finite(column)
-        if bad.any():
-            return False, f"{title} is not finite at {_describe_epochs(solution, bad)}"
+        if not np.isfinite(column).all():
+            return False, f"{title} is not finite at {_describe_epochs(solution, _not_finite(column))}"
     claimed = claimed_blocks(solution)
     if claimed and not (factored and np.isfinite(errors.nees).all()):
         counted = np.hstack([np.arange(9)[BLOCKS[name]] for name in claimed])

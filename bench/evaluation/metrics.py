@@ -16,7 +16,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors
-from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, find_outage_rows
+from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
 from bench.evaluation.consistency import chi2_quantile, mean_nis
 from bench.evaluation.error_series import (
     BLOCKS,
@@ -371,12 +371,10 @@ def judge_epochs(
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
         poses = Poses.from_errors(solution, errors)
-        cases = [
-            build_case(errors, solution, start, outages, faults, missing, assumed, drawn, poses)
-            for start in (-np.inf, evaluation_from)
-        ]
+        run = build_case(errors, solution, outages, faults, missing, assumed, drawn, poses)
+        cases = run, cut_case(run, evaluation_from, missing)
         whole, window = (_compute_metrics(case, solution, metrics) for case in cases)
-    lost = detection.find_lost_aiding(cases[0])
+    lost = detection.find_lost_aiding(run)
     if sound and lost is not None:
         sound, reason = False, lost
     values: dict[str, Any] = {"converged": sound, "reason": reason, **describe_failure(solution)}

@@ -9,7 +9,6 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, NavSolution
-from bench.evaluation.error_series import as_slice
 
 _PACE = 1.0  # a relative error begins every so many seconds [s]
 
@@ -42,12 +41,10 @@ class Poses:
         travelled = np.concatenate([[0.0], np.cumsum(steps)])
         return cls(solution.t, earth.to_ecef(solution.lla), truth_e, q_estimate, q_truth, travelled)
 
-    def select(self, rows: BoolArray) -> Poses | None:
-        """Return the poses of some epochs (M,); None if there are fewer than three."""
-        if np.sum(rows) < 3:
-            return None
-        taken = as_slice(rows)
-        return Poses(**{field.name: getattr(self, field.name)[taken] for field in fields(self)})
+    def select(self, rows: BoolArray | IntArray | slice) -> Poses | None:
+        """Return the poses of some epochs; None if there are fewer than three."""
+        taken = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return Poses(**taken) if len(taken["t"]) >= 3 else None
 
     def pairs(self, along: FloatArray, step: float) -> tuple[IntArray, IntArray]:
         """Return the first rows, one a second, and the last rows of the pieces that are a step long."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.data import (
     EventRow,
     Events,
@@ -166,9 +166,11 @@ def _has_long_gap(sensors: SensorData, start: float) -> bool:
     intake, imu, spec = timeline.ImuIntake(start), sensors.imu, sensors.specs.imu
     waiting = take_rows(imu, slice(0))
     for block in disk_arrays.blocks(len(imu)):
-        samples = join_rows(waiting, take_rows(imu, block))
+        samples = take_rows(imu, block)
+        if len(waiting):
+            samples = join_rows(waiting, samples)
         rows, span, _, again = intake.take(samples, spec, last=block.stop == len(imu))
-        if (span - samples.dt[rows] > timeline.LONGEST_BRIDGE).any():
+        if (span - take_increasing(samples.dt, rows) > timeline.LONGEST_BRIDGE).any():
             return True
         waiting = take_rows(samples, again)
     return False

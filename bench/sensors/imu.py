@@ -47,22 +47,24 @@ def _measure_kernel(
     so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit`` (0: no limit)
     is clipped and its row of ``valid`` cleared. ``rest`` (3,) is what rounding leaves for the next sample.
     """
+    noisy, moving = white.shape[0] > 0, motion_errors.shape[0] > 0
     j = 0
     for k in range(increment.shape[0]):
         row = first + k
         while knots[j + 1] <= row:
             j += 1
-        dt = t[row + 1] - t[row]
+        begin, end = t[row], t[row + 1]
+        dt = end - begin
         t0, t1 = t[knots[j]], t[knots[j + 1]]
-        s = (0.5 * (t[row] + t[row + 1]) - t0) / (t1 - t0)
+        s = (0.5 * (begin + end) - t0) / (t1 - t0)
         x, y, z = increment[k, 0], increment[k, 1], increment[k, 2]
         root, most = np.sqrt(dt), limit * dt
         for i in range(3):
             drift = bias[j, i] + s * (bias[j + 1, i] - bias[j, i])
             error = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + drift * dt
-            if white.shape[0] > 0:
+            if noisy:
                 error += random_walk[i] * root * white[k, i]
-            if motion_errors.shape[0] > 0:
+            if moving:
                 error += motion_errors[k, i]
             value = increment[k, i] + error
             if limit > 0.0 and abs(value) > most:
@@ -147,15 +149,16 @@ def _measure_triad(
     motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draw)
     out, rest = disk_arrays.empty(increment.shape), np.zeros(3)
     noise = draw("white") if spec.random_walk > 0 else None
+    memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))
     for rows in disk_arrays.blocks(len(out)):
-        white = np.empty((0, 3))
+        white = memory[: rows.stop - rows.start]
         if noise is not None:
-            white = noise.standard_normal((rows.stop - rows.start, 3))
+            noise.standard_normal(out=white)
         _measure_kernel(
             t, rows.start, increment[rows], M, knots, bias, white, spec.by_axis("random_walk"),
             spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
         )  # fmt: skip
-    return out, bias[np.searchsorted(knots, slow_rows)]
+    return out, bias if knots is slow_rows else bias[slow_rows]  # else a knot is at every row
 
 
 def _draw_bias(
