@@ -36,7 +36,15 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
+from bench.store.start import (
+    START,
+    load_start,
+    make_sensor_data,
+    make_start_document,
+    read_assumed_specs,
+    read_initial_state,
+    write_initial_state,
+)
 from bench.store.truth_cache import (
     cached_summary,
     cached_truth,
@@ -80,6 +88,7 @@ __all__ = [
     "load_start",
     "load_truth",
     "make_folder",
+    "make_sensor_data",
     "make_start_document",
     "measure_cache",
     "provenance",
@@ -96,6 +105,7 @@ __all__ = [
     "trim_cache",
     "truth_key",
     "truth_pieces",
+    "write_initial_state",
     "write_json",
     "write_table",
     "write_text",

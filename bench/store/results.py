@@ -38,7 +38,7 @@ from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
 from bench.store.folders import write_text
-from bench.store.start import START, load_start, make_start_document, read_assumed_specs, read_initial_state
+from bench.store.start import START, load_start, make_sensor_data, make_start_document, read_initial_state
 
 RECORDING = "flight.rrd"
 REPORT = "report.html"
@@ -260,18 +260,9 @@ def load_sensed(folder: str | os.PathLike[str]) -> Sensed:
     """
     folder = Path(folder)
     imu, fixes, instruments = load_sensors(folder)
-    on_board: dict[str, Any] = dict(instruments)
     start = load_start(folder)
-    data = SensorData(
-        imu=imu,
-        fixes=fixes,
-        **on_board,
-        antenna_b=np.array(start["antenna_b_m"]),
-        specs=read_assumed_specs(start),
-        output_t=load_output_times(folder),
-        observations=load_observations(folder),
-        ground_alt=start["ground_alt_m"],
-        date=start["date"],
+    data = make_sensor_data(
+        start, imu, fixes, instruments, load_output_times(folder), load_observations(folder)
     )
     drawn, sky = folder / DRAWN, folder / SKY
     return Sensed(

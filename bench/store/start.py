@@ -13,7 +13,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from bench.data import InitialState, SensorData
+from bench.arrays import FloatArray
+from bench.data import GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.specs import AssumedSpecs
 
 START = "sensors-start.json"
@@ -28,24 +29,29 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
     ``ground_alt_m``: ellipsoidal height of the runway. ``assumed``: the datasheets by kind of sensor, with
     the fields of `bench.specs`. ``date``: decimal year.
     """
-    lat, lon, alt = initial.lla
     return {
-        "initial": {
-            "t_s": initial.t,
-            "lat_rad": lat,
-            "lon_rad": lon,
-            "alt_m": alt,
-            "vel_n_mps": initial.vel_n,
-            "q_nb": initial.q_nb,
-            "cov": initial.cov,
-            "alignment": initial.alignment,
-            "align_for_s": initial.align_for,
-            "drift_sd_rad": initial.drift_sd,
-        },
+        "initial": write_initial_state(initial),
         "date": data.date,
         "antenna_b_m": data.antenna_b,
         "ground_alt_m": data.ground_alt,
         "assumed": assumed_document(data.specs),
+    }
+
+
+def write_initial_state(initial: InitialState) -> dict[str, Any]:
+    """Return what a start document says of an initial state; `read_initial_state` reads it."""
+    lat, lon, alt = initial.lla
+    return {
+        "t_s": initial.t,
+        "lat_rad": lat,
+        "lon_rad": lon,
+        "alt_m": alt,
+        "vel_n_mps": initial.vel_n,
+        "q_nb": initial.q_nb,
+        "cov": initial.cov,
+        "alignment": initial.alignment,
+        "align_for_s": initial.align_for,
+        "drift_sd_rad": initial.drift_sd,
     }
 
 
@@ -91,6 +97,28 @@ def read_assumed_specs(document: Mapping[str, Any]) -> AssumedSpecs:
     """Return the assumed datasheets in a start document; it does not hold the orbits of a sky."""
     specs: AssumedSpecs = _convert(AssumedSpecs, document["assumed"])
     return specs
+
+
+def make_sensor_data(
+    document: Mapping[str, Any],
+    imu: ImuData,
+    fixes: GnssFixes | None,
+    instruments: Mapping[str, Any],
+    output_t: FloatArray,
+    observations: GnssObservations | None,
+) -> SensorData:
+    """Return the input of an estimator from its records and a start document."""
+    return SensorData(
+        imu=imu,
+        fixes=fixes,
+        **instruments,
+        antenna_b=np.array(document["antenna_b_m"]),
+        specs=read_assumed_specs(document),
+        output_t=output_t,
+        observations=observations,
+        ground_alt=document["ground_alt_m"],
+        date=document["date"],
+    )
 
 
 def _convert(kind: Any, value: Any) -> Any:

@@ -21,7 +21,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation, store
 from bench.cli import main
-from bench.exchange.exports import FORMATS, local
+from bench.data import InitialState
+from bench.errors import ExportError
+from bench.exchange.exports import FORMATS, gather, local, write
 from tests.exchange.exported import ERROR, make_run, text_rows
 
 SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
@@ -148,8 +150,6 @@ def test_kf_gins_text_has_the_rows_rates_units_and_values_of_the_run(run, export
 
 
 def test_the_date_is_that_of_the_flight_and_of_its_receiver(run, tmp_path):
-    from bench.exchange.exports import gather
-
     whole = gather(run[0])
     assert str(whole.calendar) == "t = 0 is 2026-01-01 00:00:00 UTC, second 345618 of GPS week 2399"
     year = dict(whole.start) | {"date": 2012 + 60 / 366}  # 1 March, a leap year; 15 leap seconds
@@ -158,6 +158,49 @@ def test_the_date_is_that_of_the_flight_and_of_its_receiver(run, tmp_path):
     sky = SimpleNamespace(gps_t0=43200.5)
     noon = replace(whole, start=year, observations=sky).calendar
     assert (noon.utc, noon.second) == (datetime(2012, 3, 1, 11, 59, 45, 500000), 4 * 86400 + 43200.5)
+
+
+def unknown_start(whole):
+    """The same run, the initial state left to the alignment on the move."""
+    unknown, wide = np.full(3, np.nan), np.diag(np.full(9, np.inf))
+    asked = InitialState(0.0, unknown, unknown, np.full(4, np.nan), wide, "course", 10.0, drift_sd=0.02)
+    return replace(whole, start={**whole.start, "initial": store.write_initial_state(asked)})
+
+
+def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
+    """Position, velocity and attitude of the first row are those of the truth within 5 sd."""
+    _, truth, sensed = run
+    whole = unknown_start(gather(run[0]))
+    out, remark = whole.align()
+    initial = store.read_initial_state(out.start)
+    assert 9.0 < initial.t < 12.0
+    lost = int((sensed.data.imu.t <= initial.t).sum())
+    assert (len(whole.imu) - len(out.imu), out.fixes.t.min() > initial.t) == (lost, True)
+    assert f"as the alignment 'course' finds it, is that of t = {initial.t:.6g} s; {lost} rows" in remark
+    lla, vel_n, q_nb, sd = out.start_at_first_row()
+    k = int(np.searchsorted(truth.t, out.imu.t[0] - 1e-6))
+    assert_allclose(earth.difference_n(lla, truth.lla[k]) / sd[:3], 0.0, atol=5.0)
+    assert_allclose((vel_n - truth.vel_n[k]) / sd[3:6], 0.0, atol=5.0)
+    turned = rotation.to_rotvec(rotation.multiply(q_nb, rotation.conjugate(truth.q_nb[k])))
+    assert_allclose(turned / sd[6:], 0.0, atol=5.0)
+    (tmp_path / "out").mkdir()
+    write(tmp_path / "out", "kf-gins", whole, "circle")
+    assert configuration(tmp_path / "out" / "kf-gins.yaml")["starttime"] == out.imu.t[0] + SECOND
+    assert "is that of t = " in (tmp_path / "out" / "README.md").read_text()
+    with pytest.raises(ExportError, match="alignment = 'course' finds none: "):
+        replace(whole, fixes=None).align()
+
+
+def test_a_start_between_two_samples_is_exported_from_there_on(run):
+    """4 ms into an interval of 10 ms; the rest of the interval moves it on to the first row."""
+    _, truth, _ = run
+    whole = gather(run[0])
+    given = {**whole.start["initial"], "t_s": 5.004, "vel_n_mps": truth.vel_n[500]}
+    out, remark = replace(whole, start={**whole.start, "initial": given}).align()
+    assert_allclose([out.imu.t[0], out.imu.dt[0]], [5.01, 0.006], atol=1e-9)
+    assert_allclose(out.imu.dvel_b[0], 0.6 * whole.imu.dvel_b[500], rtol=1e-9)
+    assert "the alignment" not in remark
+    assert len(out.imu) == len(whole.imu) - 500
 
 
 def configuration(path):

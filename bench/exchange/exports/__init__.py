@@ -1,7 +1,8 @@
 """Export a run in the formats of other tools, each with a README that describes the files.
 
 A format is a module of this folder with ``FORMATS`` (name -> title) and ``write(folder, outgoing, name)``,
-which returns the text of the README. It is listed nowhere else.
+which returns the text of the README. With ``NEEDS_START = True`` it gets the data from a complete initial
+state on. It is listed nowhere else.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ class Format(NamedTuple):
 
     title: str
     write: Callable[[Path, ExportData, str], str]  # (folder, data, name of the format) -> text of the README
+    needs_start: bool
 
 
 def _find_formats() -> Iterator[tuple[str, Format]]:
     for entry in pkgutil.iter_modules(__path__):
         module = import_module(f"{__name__}.{entry.name}")
         for name, title in getattr(module, "FORMATS", {}).items():
-            yield name, Format(title, module.write)
+            yield name, Format(title, module.write, getattr(module, "NEEDS_START", False))
 
 
 FORMATS: Mapping[str, Format] = dict(_find_formats())
@@ -48,7 +50,10 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     OSError
         If the file cannot be written.
     """
-    description = FORMATS[kind].write(folder, outgoing, kind)
+    begun = ""
+    if FORMATS[kind].needs_start:
+        outgoing, begun = outgoing.align()
+    description = f"{FORMATS[kind].write(folder, outgoing, kind).strip()}\n\n{begun}"
     clock = f"Time t is in seconds since the start of the run; where a date is needed, {outgoing.calendar}."
     text = _fill_paragraphs(f"# Export of {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
     (folder / README).write_text(text, encoding="utf-8")

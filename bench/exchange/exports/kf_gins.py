@@ -18,6 +18,7 @@ from bench.specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
 FORMATS = {"kf-gins": "text for KF-GINS and OB_GINS, and a kf-gins.yaml"}
+NEEDS_START = True
 IMU, GNSS, CONFIGURATION = "imu.txt", "gnss.txt", "kf-gins.yaml"
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
 _MGAL = 1e5  # m/s^2 to mGal

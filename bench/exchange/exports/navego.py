@@ -16,6 +16,7 @@ from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
 
 FORMATS = {"navego": "NaveGo's imu, gnss and ref structures"}
+NEEDS_START = True
 FILE = "navego.mat"
 
 

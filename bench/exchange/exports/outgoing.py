@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date, datetime, timedelta
 from typing import Any
 
@@ -11,10 +11,13 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
-from bench.errors import ExportError
+from bench.errors import EstimatorError, ExportError
 from bench.exchange.rinex.lines import leap_seconds
-from bench.store import read_initial_state
+from bench.navigation import alignment
+from bench.navigation.waiting import take_rows
+from bench.store import make_sensor_data, read_initial_state, write_initial_state
 from bench.store.columns import MOTION, Layout, flatten
+from bench.units import SAME_INSTANT
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
@@ -119,31 +122,52 @@ class ExportData:
         figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
         return figures
 
-    def complete_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and their sd (9,) at the start.
+    def align(self) -> tuple[ExportData, str]:
+        """Return the data from a complete initial state on, and what was left out before it, in words.
+
+        A state that the filters have to find is that of their initial alignment: no later data, no truth.
 
         Raises
         ------
         ExportError
-            If the initial state is not complete because the filters have to align.
+            If the record does not allow the alignment.
+        """
+        asked = read_initial_state(self.start)
+        data = make_sensor_data(
+            self.start, self.imu, self.fixes, self.instruments, self.output_t, self.observations
+        )
+        try:
+            initial, _ = alignment.complete(data, asked)
+        except EstimatorError as error:
+            found = f"alignment = {asked.alignment!r} finds none: {error}"
+            raise ExportError(f"this format needs a complete initial state, and {found}") from None
+        fixes, imu = self.fixes, take_rows(self.imu, self.imu.t > initial.t + SAME_INSTANT)
+        if not len(imu):
+            raise ExportError(f"no row of the IMU comes after the initial state at {initial.t:.6g} s")
+        if len(imu) == len(self.imu):
+            return self, ""
+        imu = _cut_first(imu, initial.t)
+        if fixes is not None:
+            fixes = fixes.take(fixes.t > initial.t)
+        found = "" if asked.alignment == "given" else f", as the alignment {asked.alignment!r} finds it,"
+        lost = 0 if self.fixes is None or fixes is None else len(self.fixes) - len(fixes)
+        left_out = f"{len(self.imu) - len(imu)} rows of the IMU and {lost} fixes before it are left out"
+        remark = f"The initial state{found} is that of t = {initial.t:.6g} s; {left_out}."
+        start = {**self.start, "initial": write_initial_state(initial)}
+        return replace(self, imu=imu, fixes=fixes, start=start), remark
+
+    def complete_start(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return lla (3,) [rad, rad, m], vel_n (3,) [m/s], q_nb (4,) and their sd (9,) at the start.
+
+        They are finite after `align`.
         """
         initial = read_initial_state(self.start)
-        values = (initial.lla, initial.vel_n, initial.q_nb, np.sqrt(np.diag(initial.cov)))
-        if not all(np.isfinite(value).all() for value in values):
-            raise ExportError(
-                f"this format needs a complete initial state; the run has alignment = {initial.alignment!r}"
-            )
-        return values
+        return initial.lla, initial.vel_n, initial.q_nb, np.sqrt(np.diag(initial.cov))
 
     def start_at_first_row(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the values of `complete_start`, propagated to the end of the first IMU interval.
 
         For tools that take the first row as the start, not as the end of an interval.
-
-        Raises
-        ------
-        ExportError
-            If the initial state is not complete.
         """
         from bench import earth, rotation
 
@@ -153,6 +177,15 @@ class ExportData:
         moved = vel_n + rotation.rotate(q_nb, self.imu.dvel_b[0]) + dt * earth.gravity_n(lla[0], lla[2])
         turned = rotation.multiply(q_nb, rotation.from_rotvec(self.imu.dtheta_b[0]))
         return earth.displace(lla, 0.5 * dt * (vel_n + moved)), moved, turned, sd
+
+
+def _cut_first(imu: ImuData, begin: float) -> ImuData:
+    """Return a record whose first interval begins no earlier than an instant, in proportion to time."""
+    dt, dtheta_b, dvel_b = imu.dt.copy(), imu.dtheta_b.copy(), imu.dvel_b.copy()
+    dt[0] = min(dt[0], imu.t[0] - begin)
+    dtheta_b[0] *= dt[0] / imu.dt[0]
+    dvel_b[0] *= dt[0] / imu.dt[0]
+    return replace(imu, dt=dt, dtheta_b=dtheta_b, dvel_b=dvel_b)
 
 
 def thin(t: FloatArray, rate: float) -> np.ndarray[Any, np.dtype[np.intp]]:

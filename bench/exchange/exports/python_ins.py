@@ -18,6 +18,7 @@ from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
 FORMATS = {"python-ins": "DataFrames of python-ins, in Parquet"}
+NEEDS_START = True
 _LLA, _VEL, _RPH = ("lat", "lon", "alt"), ("VN", "VE", "VD"), ("roll", "pitch", "heading")
 _IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 

@@ -19,21 +19,23 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write one file per track; return their description for the README."""
     if not out.tracks:
         raise ExportError("tum holds poses, not sensors: add --with truth or --with solution:NAME")
-    origin = next(iter(out.tracks.values())).lla[0]
+    origin, names = None, ""
     for name, track in out.tracks.items():
-        if not (np.isfinite(track.lla).all() and np.isfinite(track.q_nb).all()):
-            raise ExportError(f"{name} has no position and attitude at every instant, which tum needs")
-        position, attitude = to_poses(track.lla, track.q_nb, origin)
-        rows = np.column_stack([track.t, position, rotation.to_scalar_last(attitude)])
+        known = np.isfinite(np.hstack([track.lla, track.q_nb])).all(axis=1)
+        if not known.any():
+            raise ExportError(f"{name} has no position with an attitude, which tum needs")
+        lla, count = track.lla[known], int(known.sum())
+        origin = lla[0] if origin is None else origin
+        position, attitude = to_poses(lla, track.q_nb[known], origin)
+        rows = np.column_stack([track.t[known], position, rotation.to_scalar_last(attitude)])
         parquet.write_text(folder / f"{name}.tum", rows)
+        lost = f"; {len(known) - count} instants without one are left out" if count < len(known) else ""
+        names += f"- `{name}.tum`, {count} poses of the IMU{lost}\n"
+    assert origin is not None
     lat, lon = np.rad2deg(origin[:2])
-    names = "\n".join(
-        f"- `{name}.tum`, {len(track.t)} poses of the IMU" for name, track in out.tracks.items()
-    )
     return f"""TUM trajectories, one row `t x y z qx qy qz qw` per pose: [s], [m], quaternion scalar last.
 
 {names}
-
 x, y, z are east, north, up in the tangent frame at latitude {lat:.9f} deg, longitude {lon:.9f} deg, height
 {origin[2]:.3f} m. The quaternion rotates a vector from the body frame (forward, left, up) to that frame.
 Example: `evo_ape tum truth.tum solution-loose-15.tum`."""
