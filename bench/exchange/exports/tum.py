@@ -24,13 +24,14 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         known = np.isfinite(np.hstack([track.lla, track.q_nb])).all(axis=1)
         if not known.any():
             raise ExportError(f"{name} has no position with an attitude, which tum needs")
-        lla, count = track.lla[known], int(known.sum())
+        lla = track.lla[known]
         origin = lla[0] if origin is None else origin
         position, attitude = to_poses(lla, track.q_nb[known], origin)
         rows = np.column_stack([track.t[known], position, rotation.to_scalar_last(attitude)])
         parquet.write_text(folder / f"{name}.tum", rows)
-        lost = f"; {len(known) - count} instants without one are left out" if count < len(known) else ""
-        names += f"- `{name}.tum`, {count} poses of the IMU{lost}\n"
+        lost = len(track.t) - len(lla)
+        remark = f"; {lost} instants without one are left out" if lost else ""
+        names += f"- `{name}.tum`, {len(lla)} poses of the IMU{remark}\n"
     assert origin is not None
     lat, lon = np.rad2deg(origin[:2])
     return f"""TUM trajectories, one row `t x y z qx qy qz qw` per pose: [s], [m], quaternion scalar last.
