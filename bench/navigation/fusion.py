@@ -136,11 +136,7 @@ class Fusion:
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
         """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
-        if hypotheses.heading_is_unknown(initial):
-            raise EstimatorError(
-                "it cannot run in pieces from an unknown heading: several filters have to find it on the "
-                "whole record; give a heading known to 15 deg"
-            )
+        hypotheses.refuse_unknown_heading(initial)
         large = first.specs.imu.gyro.turn_on_bias_sd >= turn_on.LARGE
         if self.options.every_error and first.fixes is not None and large:
             raise EstimatorError(

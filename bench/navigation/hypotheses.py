@@ -25,6 +25,7 @@ from bench import rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, ImuData, InitialState, NavSolution, SensorData
 from bench.earth import EARTH_RATE, difference_n
+from bench.errors import EstimatorError
 from bench.navigation.aiding import SENSORS
 from bench.navigation.error_state import PHI, POS, VEL
 from bench.navigation.leveling import bias_sd
@@ -65,6 +66,20 @@ class Settled:
 def heading_is_unknown(initial: InitialState) -> bool:
     """Tell whether the heading is too uncertain for one linear filter."""
     return bool(initial.cov[8, 8] > LINEAR**2)
+
+
+def refuse_unknown_heading(initial: InitialState) -> None:
+    """Raise the error of a start in pieces whose heading is unknown.
+
+    Raises
+    ------
+    EstimatorError
+    """
+    if heading_is_unknown(initial):
+        raise EstimatorError(
+            "it cannot run in pieces from an unknown heading: several filters have to find it on the whole "
+            "record; give a heading known to 15 deg"
+        )
 
 
 def settle_heading(run: Run, sensors: SensorData, initial: InitialState) -> Settled:

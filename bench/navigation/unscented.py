@@ -11,7 +11,8 @@ measurement is predicted from each of the truths the points stand for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,10 +32,12 @@ from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_nee
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import UnscentedOptions, read_options
 from bench.navigation.restart import run_between_gaps
-from bench.navigation.schedule import OUTPUT, Schedule
+from bench.navigation.schedule import Schedule
+from bench.navigation.stepping import Measured, SteppedPassage
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
+_STEP = ("dt", "dtheta", "dvel", "unknown")  # what a step is made of
 
 
 @kernel
@@ -84,48 +87,23 @@ class Unscented:
         return settled.join(self._run_from(sensors, settled.initial, [*events, settled.event]))
 
     def _run_from(self, sensors: SensorData, initial: InitialState, events: list[EventRow]) -> NavSolution:
-        used = [sensor for sensor in self._aiding() if getattr(sensors, sensor.record) is not None]
-        model = state_model(initial, sensors.specs, [BARO_BIAS] if BARO in used else [])
+        return self._passage(sensors, initial, events).run(sensors)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+        """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        hypotheses.refuse_unknown_heading(initial)
+        return self._passage(first, initial, events)
+
+    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+        used = [sensor for sensor in self._aiding() if getattr(first, sensor.record) is not None]
+        model = state_model(initial, first.specs, [BARO_BIAS] if BARO in used else [])
         schedule = Schedule(
-            initial.t, sensors.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
+            initial.t, first.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
         )
         schedule.events += events
-        schedule.take(sensors, last=True)
-        for sensor in used:
-            schedule.add(sensor, sensors, initial, model.layout)
-        plan = schedule.plan()
-        steps, values, variance = plan.steps, plan.values, plan.variance
-        share = steps.share[:, None]
-        dtheta, dvel = steps.dtheta_b[steps.row] * share, steps.dvel_b[steps.row] * share
-        todo: dict[int, list[list[int]]] = {}
-        for step, *what in plan.entries.tolist():
-            todo.setdefault(step, []).append(what)
-
         flight = _Flight(self.options, model, initial)
-        out = np.full((len(sensors.output_t), model.layout.size + 1), np.nan)
-        out_P = np.full((len(sensors.output_t), model.layout.size, model.layout.size), np.nan)
-        waiting = iter(plan.outputs.tolist())
-        interval = (1.0 - 1e-6) / self.options.covariance_hz
-        done, covered = -1, initial.t
-        for k in range(-1, len(steps.t)):
-            if k not in todo and (k < 0 or steps.t[k] - covered < interval):
-                continue
-            if k > done:
-                part = slice(done + 1, k + 1)
-                flight.predict(steps.span[part], dtheta[part], dvel[part], steps.unknown[part].sum(axis=0))
-                done, covered = k, steps.t[k]
-            now = float(steps.t[k]) if k >= 0 else initial.t
-            for action, kind, row, _ in todo.get(k, []):
-                if action == OUTPUT:
-                    at = next(waiting)
-                    out[at], out_P[at] = flight.state, flight.P
-                elif kind == FIX_ROWS:
-                    w_b = dtheta[max(k, 0)] / steps.span[max(k, 0)]
-                    flight.use_fix(now, values[row], variance[row], sensors.antenna_b, w_b)
-                else:
-                    flight.use_baro(now, float(values[row, 0]), float(variance[row, 0]))
-        table = Innovations.from_rows(SENSORS, flight.innovations)
-        return solution(sensors.output_t, model.layout, out, out_P, table, Events.from_rows(schedule.events))
+        by_fixes = self.options.accuracy is not None
+        return SteppedPassage(flight, schedule, used, first, initial, model.layout, by_fixes=by_fixes)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -150,18 +128,89 @@ class _Points:
 
 
 class _Flight:
-    """The estimate and its covariance over one record."""
+    """The estimate and its covariance over one record (`bench.navigation.stepping.Flight`)."""
+
+    one_antenna = False
 
     def __init__(self, options: UnscentedOptions, model: StateModel, initial: InitialState) -> None:
         self.options, self.model = options, model
+        n = model.layout.size
+        self.shapes: tuple[tuple[int, ...], ...] = ((n + 1,), (n, n))
+        self.interval = (1.0 - 1e-6) / options.covariance_hz
         rest = np.zeros(model.layout.size - 9)
-        self.state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, rest])
+        self.estimate = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, rest])
         self.P = model.P.copy()
         self.before = np.zeros(7)
         self.gates = {m: nis_limit(m, options.gate_probability) for m in (1, 3)}
         self.misses = [0, 0, 0]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
+        self.covered = initial.t  # until when P is carried [s]
+        self.since: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []  # steps since
+        self.w_ib_b = np.zeros(3)  # of the last step [rad/s]
+
+    def increments(self, increments_b: FloatArray) -> FloatArray:
+        """Return increments as they are."""
+        return increments_b
+
+    def begin(self, dt: float, dtheta: FloatArray) -> None:
+        """Take the rate of the first step."""
+        self.w_ib_b = dtheta / dt
+
+    def step(
+        self, now: float, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray, due: bool
+    ) -> None:
+        """Go a step on: estimate and covariance are carried over all that were not when it is time."""
+        self.since.append((dt, dtheta, dvel, unknown))
+        if due or now - self.covered >= self.interval:
+            spans, turns, gains, lost = (np.array(column) for column in zip(*self.since, strict=True))
+            self.predict(spans, turns, gains, lost.sum(axis=0))
+            self.covered, self.since, self.w_ib_b = now, [], dtheta / dt
+
+    def measure(self, now: float, arrived: list[Measured]) -> None:
+        """Use what has arrived."""
+        for kind, values, variance in arrived:
+            if kind == FIX_ROWS:
+                self.use_fix(now, values[:6], variance, values[6:], self.w_ib_b)
+            else:
+                self.use_baro(now, float(values[0]), float(variance[0]))
+
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
+        """Return the state (n + 1,) and its covariance (n, n)."""
+        return self.estimate.copy(), self.P.copy()
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return answers at instants (M,) [s], with the innovations since this was called last."""
+        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        estimates, P = answers
+        return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events))
+
+    def copy(self) -> _Flight:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.estimate, other.P, other.misses = self.estimate.copy(), self.P.copy(), list(self.misses)
+        other.since, other.innovations = list(self.since), list(self.innovations)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays and numbers by name."""
+        return {
+            "estimate": self.estimate,
+            "P": self.P,
+            "before": self.before,
+            "misses": self.misses,
+            "covered": self.covered,
+            "since": {str(k): dict(zip(_STEP, step, strict=True)) for k, step in enumerate(self.since)},
+            "w_ib_b": self.w_ib_b,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.estimate, self.P, self.before = state["estimate"], state["P"], state["before"]
+        self.misses, self.covered, self.w_ib_b = list(state["misses"]), state["covered"], state["w_ib_b"]
+        self.since = [(one["dt"], *(one[name] for name in _STEP[1:])) for one in state["since"].values()]
 
     def points(self) -> _Points:
         """Draw the sigma points; a state without variance does not move."""
@@ -186,21 +235,21 @@ class _Flight:
     def predict(self, dt: FloatArray, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
         """Carry estimate and covariance over some steps; ``unknown`` (2,) is what a gap adds to P."""
         if self.lost:
-            self.state[:] = np.nan
+            self.estimate[:] = np.nan
             return
         process, T = self.model.process, float(dt.sum())
-        ground_speed = np.hypot(self.state[3], self.state[4])
+        ground_speed = np.hypot(self.estimate[3], self.estimate[4])
         decay = np.exp(-(process.decay_time + process.decay_distance * ground_speed) * T)
         points = self.points()
         x = points.x
-        states = np.vstack([moved_state(self.state, -x), self.state])  # truths, and the estimate
+        states = np.vstack([moved_state(self.estimate, -x), self.estimate])  # truths, and the estimate
         before = np.tile(self.before, (len(states), 1))
         if self.before[6] > 0:  # what each of them takes off the interval before
             before[:-1, :6] += x[:, GYRO : GYRO + 6] * self.before[6]
         _carry_kernel(states, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
-        self.state, self.before = states[-1], before[-1]
+        self.estimate, self.before = states[-1], before[-1]
         after = x * decay
-        after[:, :GYRO] = -state_difference(states[:-1], self.state)[:, :GYRO]
+        after[:, :GYRO] = -state_difference(states[:-1], self.estimate)[:, :GYRO]
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(
@@ -208,7 +257,7 @@ class _Flight:
         )
         self.P[VEL : VEL + 3, VEL : VEL + 3] += unknown[0] * np.eye(3)
         self.P[PHI : PHI + 3, PHI : PHI + 3] += unknown[1] * np.eye(3)
-        self.state[10:] *= decay[9:]
+        self.estimate[10:] *= decay[9:]
         self._feed_back(mean)
 
     def use_fix(
@@ -224,12 +273,12 @@ class _Flight:
             return
 
         def place(x: FloatArray) -> FloatArray:
-            truth = moved_state(self.state, -x)
+            truth = moved_state(self.estimate, -x)
             return rotation.rotate(truth[:, 6:10], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
 
         def motion(x: FloatArray) -> FloatArray:
-            truth = moved_state(self.state, -x)
-            lat, q_nb = self.state[0], truth[:, 6:10]
+            truth = moved_state(self.estimate, -x)
+            lat, q_nb = self.estimate[0], truth[:, 6:10]
             earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
             w_b = w_ib_b - truth[:, 10:13] - rotation.rotate(rotation.conjugate(q_nb), earth_n)
             return truth[:, 3:6] + rotation.rotate(q_nb, np.cross(w_b, antenna_b)) - fix[3:]
@@ -246,7 +295,7 @@ class _Flight:
         at = self.model.index.baro_bias
 
         def height(x: FloatArray) -> FloatArray:
-            y = self.state[2] + x[:, POS + 2] - alt_baro + self.state[at + 1] - x[:, at]
+            y = self.estimate[2] + x[:, POS + 2] - alt_baro + self.estimate[at + 1] - x[:, at]
             return np.asarray(y[:, None])
 
         self._update(t, 2, height, np.array([r]), slice(at, at + 1))
@@ -288,7 +337,7 @@ class _Flight:
 
     def _feed_back(self, x: FloatArray) -> None:
         """Take an expected error off the estimate."""
-        self.state = moved_state(self.state, -x)
+        self.estimate = moved_state(self.estimate, -x)
 
 
 def _root(P: FloatArray) -> FloatArray:

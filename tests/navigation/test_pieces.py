@@ -30,9 +30,11 @@ USES = {
     "baro-inertial": {},
     "free-inertial": {},
     "loose-15 at rest": {"standstill": True, "nonholonomic": True, "integrity": ["velocity"]},
-    "gnss-only": {},
 }
-COMPILED = [use for use in USES if use not in ("gnss-only",)]
+OTHERS = {
+    "gnss-only": {},
+    "ukf": {"covariance_hz": 7.0},
+}
 
 
 @cache
@@ -72,7 +74,7 @@ def whole(use):
 
 
 def loaded(use):
-    return estimator.load(use.split()[0], USES[use])
+    return estimator.load(use.split()[0], (USES | OTHERS)[use])
 
 
 def record(use):
@@ -102,7 +104,7 @@ def joined(solutions):
 
 def opened(use, **more):
     initial, data = record(use)
-    return bench.open_filter(use.split()[0], initial, USES[use], look_back=0.5, **more), data
+    return bench.open_filter(use.split()[0], initial, (USES | OTHERS)[use], look_back=0.5, **more), data
 
 
 @pytest.mark.parametrize("use", USES)
@@ -124,7 +126,28 @@ def test_wherever_the_record_is_cut_and_whatever_is_asked_the_bits_are_those_of_
         assert_array_equal(getattr(last, name)[0], getattr(expected, name)[-1], err_msg=name)
 
 
-@pytest.mark.parametrize("use", COMPILED)
+@pytest.mark.parametrize("use", OTHERS)
+def test_the_filters_that_are_not_compiled_end_with_the_bits_of_the_whole_too(use, tmp_path):
+    """Cut anywhere, asked between, saved and gone on with; the first piece has one sample, others none."""
+    draw = np.random.default_rng(len(use))
+    filter_, data = opened(use)
+    found = []
+    for k, piece in enumerate(pieces(data, [0.01, 4.15, 4.151, *draw.uniform(0.0, END, 9)])):
+        found.append(filter_.feed(piece))
+        if k % 3 == 0:
+            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+        if k % 2:
+            filter_.answer()
+    last = filter_.answer()
+    found.append(filter_.finish())
+    expected = whole(use)
+    assert_same_solution(joined(found), expected)
+    assert last.t[0] == expected.t[-1]
+    for name in ("lla", "vel_n", "q_nb", "cov", "extra", "extra_sd"):
+        assert_array_equal(getattr(last, name)[0], getattr(expected, name)[-1], err_msg=name)
+
+
+@pytest.mark.parametrize("use", USES)
 def test_a_long_record_goes_through_a_filter_in_blocks_with_the_bits_of_the_whole(use, monkeypatch):
     """Its events, too: what is counted over all blocks, and refusals that go on from one to the next."""
     initial, data = record(use)
@@ -200,7 +223,7 @@ def test_an_answer_between_samples_lies_on_the_way_between_them():
 
 
 def test_a_saved_filter_goes_on_as_if_it_had_not_stopped(tmp_path):
-    for use in ("loose-22", "tight", "loose-15 at rest", "loose-full", "gnss-only"):
+    for use in ("loose-22", "tight", "loose-15 at rest", "loose-full"):
         filter_, data = opened(use)
         found = []
         for piece in pieces(data, [0.3, 4.15, 7.3, 9.01]):
@@ -314,7 +337,7 @@ def test_what_cannot_run_in_pieces_says_so(use, options, words):
         bench.open_filter(use, drawn()[0], options)
 
 
-@pytest.mark.parametrize("use", ["loose-15", "gnss-only"])
+@pytest.mark.parametrize("use", ["loose-15", *OTHERS])
 def test_memory_does_not_grow_with_the_record(use):
     """What a filter carries after six times as long is the same, though no answer is wanted."""
     filter_, data = opened(use)

@@ -115,16 +115,16 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     flight = unscented._Flight(Unscented().options, model, sensed.initial)
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0
-    flight.state[10:] = np.arange(1.0, len(flight.state) - 9) * 1e-4
-    flight.state[at + 1] = 7.0
-    before = flight.state[10:].copy()
+    flight.estimate[10:] = np.arange(1.0, len(flight.estimate) - 9) * 1e-4
+    flight.estimate[at + 1] = 7.0
+    before = flight.estimate[10:].copy()
     n = 1000
     quiet = np.zeros((n, 3)), np.tile([0.0, 0.0, -9.81 * T / n], (n, 1))
     flight.predict(np.full(n, T / n), *quiet, np.zeros(2))
     gone = np.exp(-T / tau)
-    assert flight.state[at + 1] == pytest.approx(7.0 * gone, rel=1e-9)
+    assert flight.estimate[at + 1] == pytest.approx(7.0 * gone, rel=1e-9)
     assert flight.P[at, at] == pytest.approx(25.0 * gone**2 + sd**2 * (1 - gone**2), rel=1e-9)
-    assert_allclose(np.delete(flight.state[10:], at - 9), np.delete(before, at - 9), rtol=1e-9)
+    assert_allclose(np.delete(flight.estimate[10:], at - 9), np.delete(before, at - 9), rtol=1e-9)
 
 
 def test_the_kernel_is_its_own_python(sensed):
