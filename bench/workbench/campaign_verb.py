@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
-from rich.table import Table
 from rich.text import Text
 
 from bench import store
@@ -25,12 +23,14 @@ from bench.evaluation.ensemble import Estimate
 from bench.evaluation.key_figures import format_number
 from bench.report.writing import write_report
 from bench.workbench.console import PlainConsole
+from bench.workbench.divided_table import Column, print_table
 from bench.workbench.flight_verbs import find_own_estimators
 
 CAMPAIGNS = Path("campaigns")
 """Default folder for campaigns."""
 
 _IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
+_NEES = "ANEES / n"
 _MOST_FAILURES = 5  # that are printed
 
 
@@ -119,7 +119,7 @@ def print_campaign(console: Console, result: Campaign) -> None:
     """Print the figures, the sentences, and where the files are."""
     several = len({one.condition for one in result.outcomes}) > 1
     if result.outcomes:
-        console.print(_compare_conditions(result) if several else _compare_estimators(result))
+        (_compare_conditions if several else _compare_estimators)(console, result)
         console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
     sentences = () if several else result.sentences
     if several:
@@ -137,30 +137,28 @@ def print_campaign(console: Console, result: Campaign) -> None:
         console.print("The same command with --resume continues.")
 
 
-def _compare_estimators(result: Campaign) -> Table:
-    """Return a table with a column for each estimator."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("", no_wrap=True)
+def _compare_estimators(console: Console, result: Campaign) -> None:
+    """Print a table with a column for each estimator."""
+    names = list(dict.fromkeys(name for one in result.outcomes for name in one.errors))
+    nees = [_NEES] if any(one.consistency for one in result.outcomes) else []
+    columns = {"": Column(names + nees, words=True)}
     for one in result.outcomes:
-        table.add_column(one.label, justify="right")
-    for name in dict.fromkeys(name for one in result.outcomes for name in one.errors):
-        table.add_row(name, *(_format_estimate(one.errors.get(name)) for one in result.outcomes))
-    if any(one.consistency for one in result.outcomes):
-        table.add_row("ANEES / n", *(_format_estimate(_find_ratio(one)) for one in result.outcomes))
-    return table
+        cells = [_format_estimate(one.errors.get(name)) for name in names]
+        columns[one.label] = Column(cells + [_format_estimate(_find_ratio(one)) for _ in nees])
+    print_table(console, columns, [""])
 
 
-def _compare_conditions(result: Campaign) -> Table:
-    """Return a table with a row for each condition and estimator."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for name in ("condition", "estimator", "converged", *_IN_ROWS, "ANEES / n"):
-        table.add_column(name, justify="left" if name in ("condition", "estimator") else "right")
-    for one in result.outcomes:
-        cells = [
-            _format_estimate(estimate) for estimate in (*map(one.errors.get, _IN_ROWS), _find_ratio(one))
-        ]
-        table.add_row(one.condition, one.label, f"{one.converged_runs} of {one.runs}", *cells)
-    return table
+def _compare_conditions(console: Console, result: Campaign) -> None:
+    """Print a table with a row for each condition and estimator."""
+    ran = result.outcomes
+    columns = {
+        "condition": Column([one.condition for one in ran], words=True),
+        "estimator": Column([one.label for one in ran], words=True),
+        "converged": Column([f"{one.converged_runs} of {one.runs}" for one in ran]),
+        **{name: Column([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
+        _NEES: Column([_format_estimate(_find_ratio(one)) for one in ran]),
+    }
+    print_table(console, columns, ["condition", "estimator"])
 
 
 def _find_ratio(outcome: Outcome) -> Estimate | None:

@@ -1,0 +1,103 @@
+"""Print a table; one that is too wide for the console as several, and nothing is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from rich import box
+from rich.console import Console, JustifyMethod
+from rich.table import Table
+
+_WIDEST_TEXT = 24  # a column of text in a table too wide for the console
+_GAP = 2  # between columns
+
+
+class Column(NamedTuple):
+    """A column of texts."""
+
+    cells: Sequence[str]
+    words: bool = False  # text, not numbers
+
+
+class _Shown(NamedTuple):
+    """A column as it is printed."""
+
+    head: str
+    cells: Sequence[str]
+    words: bool
+    width: int
+
+
+def print_table(
+    console: Console, columns: Mapping[str, Column], keys: Sequence[str], title: str = ""
+) -> None:
+    """Print a table; if it is too wide, in parts with as many columns as there is room for beside the keys.
+
+    Parameters
+    ----------
+    console : Console
+        Where to print.
+    columns : mapping
+        Head -> column, of equal length.
+    keys : sequence of str
+        Columns that name a row; each part has them.
+    title : str
+        Above the first part.
+    """
+    plain = [
+        _Shown(name, one.cells, one.words, _measure([name, *one.cells])) for name, one in columns.items()
+    ]
+    whole = _make_table(title, plain)
+    if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
+        console.print(whole)
+        return
+    narrow = {name: _narrow(one) for name, one in zip(columns, plain, strict=True)}
+    for k, part in enumerate(_divide(narrow, keys, console.width)):
+        console.print(_make_table("" if k else title, [narrow[name] for name in part]))
+
+
+def _measure(texts: Sequence[str]) -> int:
+    return max(map(len, texts), default=0)
+
+
+def _narrow(column: _Shown) -> _Shown:
+    """Return a column with its head on several lines, broken after underscores; text wraps at spaces."""
+    pieces = column.head.replace("_", "_ ").split()
+    widest = _measure(column.cells)
+    if column.words:
+        word = _measure([word for cell in column.cells for word in cell.split()])
+        widest = min(widest, max(word, _WIDEST_TEXT))
+    width = max(widest, _measure(pieces))
+    lines = [""]
+    for piece in pieces:
+        if len(lines[-1]) + len(piece) > width:
+            lines.append("")
+        lines[-1] += piece
+    return column._replace(head="\n".join(lines), width=width)
+
+
+def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> Iterator[list[str]]:
+    """Yield the names of the columns of each part, as many as there is room for beside the keys."""
+    part: list[str] = []
+    for name in columns:
+        together = {*keys, *part, name}
+        taken = sum(columns[one].width + _GAP for one in together)
+        if taken > room and not set(part) <= {*keys}:
+            yield part
+            part = list(keys)
+        if name not in part:
+            part.append(name)
+    yield part
+
+
+def _make_table(title: str, columns: Sequence[_Shown]) -> Table:
+    shown = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    )
+    for one in columns:
+        kind: JustifyMethod = "left" if one.words else "right"
+        shown.add_column(one.head, justify=kind, overflow="fold", max_width=one.width)
+    for row in zip(*(one.cells for one in columns), strict=True):
+        shown.add_row(*row)
+    return shown
