@@ -12,7 +12,7 @@ import math
 import mmap
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from weakref import WeakSet
@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.places import cache_folder
+
+FloatArray = NDArray[np.float64]
 
 LARGE = 4 << 20
 """From this size on an array lies on disk [byte]: gyros of an hour at 100 Hz do, of half an hour not."""
@@ -63,6 +65,48 @@ def zeros(shape: int | tuple[int, ...]) -> NDArray[Any]:
     return array
 
 
+def fill(
+    shape: int | tuple[int, ...],
+    make: Callable[[slice], NDArray[Any]],
+    dtype: type[np.generic] = np.float64,
+) -> NDArray[Any]:
+    """Return an array as :func:`empty` returns one; ``make`` returns its values for a block of rows."""
+    array = empty(shape, dtype)
+    for rows in blocks(len(array)):
+        array[rows] = make(rows)
+    return array
+
+
+class Gathered:
+    """Rows of ``width`` numbers that come in blocks, and whose number shows at the end."""
+
+    def __init__(self, width: int) -> None:
+        self._width, self._size = width, 0
+        self._loose: list[FloatArray] = []
+        self._settled: list[FloatArray] = []  # on disk
+
+    def add(self, rows: FloatArray) -> None:
+        """Take the rows (K, width) that come next."""
+        self._loose.append(rows)
+        self._size += rows.nbytes
+        if self._size >= LARGE:
+            self._settled.append(self._join(self._loose))
+            self._loose, self._size = [], 0
+
+    def join(self) -> FloatArray:
+        """Return all rows (N, width), once."""
+        return self._join([*self._settled, *self._loose])
+
+    def _join(self, parts: list[FloatArray]) -> FloatArray:
+        joined, filled = empty((sum(map(len, parts)), self._width)), 0
+        for part in parts:
+            joined[filled : filled + len(part)] = part
+            filled += len(part)
+            if joined.base is not None:
+                release()
+        return joined
+
+
 def map_file(path: Path) -> NDArray[Any]:
     """Return the array of a ``.npy`` file, read-only; rows that are not read take no memory.
 
@@ -78,11 +122,13 @@ def map_file(path: Path) -> NDArray[Any]:
 
 
 def take(array: NDArray[Any], rows: NDArray[np.int64] | slice) -> NDArray[Any]:
-    """Return ``array[rows]`` of rising rows; little of the array is in memory at once."""
+    """Return ``array[rows]``; if the rows rise, little of the array is in memory at once."""
     if len(array) <= ROWS:
         return array[rows]
     if isinstance(rows, slice):
         rows = np.arange(len(array))[rows]
+    if (np.diff(rows) < 0).any():
+        return array[rows]
     taken = empty((len(rows), *array.shape[1:]), array.dtype.type)
     for block in blocks(len(array)):
         first, stop = np.searchsorted(rows, [block.start, block.stop])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, store
+from bench import disk_arrays, pipeline, store
 from bench.arrays import BoolArray, FloatArray
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
@@ -181,12 +181,14 @@ def navigate_log(
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
+        disk_arrays.release()
         if log.reference is None:
             errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
         else:
             errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
         metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled})
         solutions[label] = solution
+        disk_arrays.release()
     check_starts(raised, len(log.estimators))
     worked = {label: one for label, one in log.estimators.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, data).items():

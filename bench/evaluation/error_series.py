@@ -82,10 +82,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
 
 def variances(solution: NavSolution) -> FloatArray:
     """Return the variances (M, 9) of a solution, the diagonal of its covariance."""
-    found = np.empty((len(solution), 9))
-    for rows in disk_arrays.blocks(len(solution)):
-        found[rows] = np.einsum("kii->ki", solution.cov[rows])
-    return found
+    return disk_arrays.fill((len(solution), 9), lambda rows: np.einsum("kii->ki", solution.cov[rows]))
 
 
 def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
@@ -301,11 +298,16 @@ def find_covered_epochs(solution: NavSolution) -> BoolArray:
 
 def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Series:
     """Return the given epochs of a solution or error series; all innovations and events are kept."""
-    rows = as_slice(rows)
-    if isinstance(rows, slice) and rows == slice(0, None):
+    taken = as_slice(rows)
+    if isinstance(taken, slice) and taken == slice(0, None):
         return record
     columns: dict[str, Any] = {f.name: getattr(record, f.name) for f in fields(record)}
-    selected: dict[str, Any] = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
+    numbers = taken if isinstance(taken, slice) else np.arange(len(record))[taken]
+    selected: dict[str, Any] = {}
+    for name, column in columns.items():
+        if isinstance(column, np.ndarray):
+            picked = column[numbers] if isinstance(numbers, slice) else disk_arrays.take(column, numbers)
+            selected[name] = picked
     return replace(record, **selected)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation.error_series import normalized_squares, select_epochs
@@ -146,7 +146,7 @@ def judge(
 def find_angular_rate(imu: ImuData, t: FloatArray) -> FloatArray:
     """Return the measured angular rate (M, 3) of the sample that contains or ends at t (M,) [rad/s], b."""
     row = np.clip(np.searchsorted(imu.t, t - SAME_INSTANT), 0, len(imu) - 1)
-    return np.asarray(imu.dtheta_b[row] / imu.dt[row, None])
+    return np.asarray(disk_arrays.take(imu.dtheta_b, row) / disk_arrays.take(imu.dt, row)[:, None])
 
 
 def _match_instants(t: FloatArray, wanted: FloatArray) -> tuple[IntArray, IntArray]:

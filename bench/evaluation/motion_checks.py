@@ -47,12 +47,13 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
     if not motion.moves:
         text = "imu: nothing moves: clocks, units and axes of gyros, and the lever arm do not show"
         return [Check("imu_shift_s", None, text, True)]
-    t, gyro, accel = motion.t, motion.gyro, motion.accel
+    near = stretches.find_near(motion.t)
+    t, gyro, accel = motion.t[near], motion.gyro[near], motion.accel[near]
     fit = fit_motion(stretches, t, gyro, accel, antenna_b)
     axes = Axes(np.eye(3), np.eye(3))
     if not fit.rms.max() < _FIT_WELL:
         axes, fit = find_axes(stretches, t, gyro, accel, antenna_b, fit)
-    level = (accel @ axes.accel.T).mean(axis=0)
+    level = motion.accel.mean(axis=0) @ axes.accel.T
     tilt = float(np.arccos(np.clip(-level[2] / np.linalg.norm(level), -1.0, 1.0)))
     found = [] if axes.are_given else [Check("imu_axes", None, describe_axes(axes, tilt > LEVEL_OFF), False)]
     if not motion.find_standstills():

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, ImuData
 from bench.earth import matrix_en, to_ecef
@@ -45,18 +47,34 @@ class RecordedMotion:
     @classmethod
     def from_records(cls, imu: ImuData, fixes: GnssFixes) -> RecordedMotion:
         """Take the valid rows whose time increases."""
-        dt = imu.dt[:, None]
-        gyro, accel = imu.dtheta_b / dt, imu.dvel_b / dt
-        most = float(np.abs(gyro[imu.valid]).max(initial=0.0))
-        sane = (np.abs(np.hstack([gyro, accel])) < _WILD).all(axis=1)
+
+        def measure(increments: FloatArray, rows: slice | IntArray) -> FloatArray:
+            return np.asarray(increments[rows] / imu.dt[rows, None])
+
+        def find_sane(block: slice) -> BoolArray:
+            both = np.hstack([measure(imu.dtheta_b, block), measure(imu.dvel_b, block)])
+            return np.asarray((np.abs(both) < _WILD).all(axis=1))
+
+        most = 0.0
+        for block in disk_arrays.blocks(len(imu)):
+            rates = np.abs(measure(imu.dtheta_b, block)[imu.valid[block]])
+            most = float(np.maximum(most, rates.max(initial=0.0)))
+        sane = disk_arrays.fill(len(imu), find_sane, np.bool_)
         keep = _find_ordered(imu.t, imu.valid & sane)
         good = _find_ordered(fixes.t, fixes.valid & ~(np.abs(fixes.vel_n) > _WILD).any(axis=1))
-        t, gyro, accel = imu.t[keep], gyro[keep], accel[keep]
-        many = max(1, round(_STEP / float(np.median(np.diff(t))))) if len(t) > 1 else 1
-        if many > 1 and len(t) >= many:
-            whole = len(t) // many * many
-            gyro, accel = (x[:whole].reshape(-1, many, 3).mean(axis=1) for x in (gyro, accel))
-            t = t[many - 1 : whole : many]
+        many = max(1, round(_STEP / float(np.median(np.diff(imu.t[keep]))))) if len(keep) > 1 else 1
+        many = many if len(keep) >= many else 1
+        keep = keep[: len(keep) // many * many]
+
+        def average(increments: FloatArray, block: slice) -> FloatArray:
+            rows = keep[block.start * many : block.stop * many]
+            return np.asarray(measure(increments, rows).reshape(-1, many, 3).mean(axis=1))
+
+        gyro, accel = (
+            disk_arrays.fill((len(keep) // many, 3), partial(average, increments))
+            for increments in (imu.dtheta_b, imu.dvel_b)
+        )
+        t = disk_arrays.take(imu.t, keep[many - 1 :: many])
         return cls(t, gyro, accel, fixes.t[good], fixes.lla[good], fixes.vel_n[good], most)
 
     @property
@@ -100,5 +118,7 @@ class RecordedMotion:
 def _find_ordered(t: FloatArray, valid: BoolArray) -> IntArray:
     """Return the valid rows with a time after those of all valid rows before."""
     rows = np.flatnonzero(valid)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(t[rows])[:-1]])
-    return rows[t[rows] > before]
+    t = t[rows]
+    later = np.ones(len(rows), np.bool_)
+    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    return rows[later]

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench import disk_arrays
+from bench.arrays import FloatArray, IntArray
 from bench.data import ImuData
 from bench.evaluation.noise_curves import format_noise_figures
 from bench.evaluation.recorded_motion import Check
@@ -34,8 +35,9 @@ def measure_rest_noise(
     By the Allan deviation at `TAU`; a median in place of a mean, so that a step into the car or a door does
     not count. None if the vehicle rests for less than `LEAST` seconds.
     """
-    sums = np.cumsum(np.hstack([imu.dtheta_b, imu.dvel_b])[imu.valid], axis=0)
-    t, length, apart = imu.t[imu.valid], 0.0, list[FloatArray]()
+    rows = np.flatnonzero(imu.valid)
+    sums, t = _sum_up(imu, rows), imu.t[rows]
+    length, apart = 0.0, list[FloatArray]()
     for start, end in standstills:
         at = np.arange(start + _MARGIN, end - _MARGIN, TAU / _STEPS)
         if len(at) > 2 * _STEPS:
@@ -47,6 +49,17 @@ def measure_rest_noise(
     noise = _MAD * np.median(np.abs(np.concatenate(apart)), axis=0) / np.sqrt(2.0 * TAU)
     gyro, accel = (float(np.sqrt(np.mean(np.square(part)))) for part in (noise[:3], noise[3:]))
     return gyro, accel
+
+
+def _sum_up(imu: ImuData, rows: IntArray) -> FloatArray:
+    """Return the sums (K, 6) of the increments of rows (K,) up to each: angle [rad], velocity [m/s]."""
+    reached = np.zeros((1, 6))
+    sums = disk_arrays.empty((len(rows), 6))
+    for block in disk_arrays.blocks(len(rows)):
+        steps = np.hstack([imu.dtheta_b[rows[block]], imu.dvel_b[rows[block]]])
+        sums[block] = np.cumsum(np.vstack([reached, steps]), axis=0)[1:]
+        reached = sums[block.stop - 1 : block.stop].copy()
+    return sums
 
 
 def assume_rest_noise(

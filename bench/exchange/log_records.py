@@ -8,11 +8,15 @@ the row after it covers one median interval.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bench.arrays import BoolArray, FloatArray
+from bench import disk_arrays
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.config.log import LogSpec, SourceSpec
 from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
@@ -99,8 +103,12 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         rows = _drop_repeated(rows, shown)
     values = dict(rows.values)
     if "arrival" in values:
-        values["arrival"] = values["arrival"] + source.time_offset
-    return replace(rows, t=rows.t + source.time_offset, values=values)
+        values["arrival"] = _add(values["arrival"], source.time_offset)
+    return replace(rows, t=_add(rows.t, source.time_offset), values=values)
+
+
+def _add(t: FloatArray, offset: float) -> FloatArray:
+    return disk_arrays.fill(len(t), lambda rows: t[rows] + offset)
 
 
 def _is_navego(source: SourceSpec, kind: str) -> bool:
@@ -116,37 +124,61 @@ def _drop_repeated(rows: LogRows, shown: str) -> LogRows:
     steps = np.diff(rows.t)
     if not len(steps) or float(np.median(steps)) > HELD:
         return rows
-    fix = np.column_stack([rows.values[name] for name in ("lla", "vel_n") if name in rows.values])
-    same = (fix[1:] == fix[:-1]) | (np.isnan(fix[1:]) & np.isnan(fix[:-1]))
-    new = np.concatenate([[True], ~same.all(axis=1)])
-    if 2 * new.sum() > len(new):
+    fix = [rows.values[name] for name in ("lla", "vel_n") if name in rows.values]
+
+    def differ(block: slice) -> BoolArray:
+        first = max(block.start - 1, 0)
+        near = np.column_stack([column[first : block.stop] for column in fix])
+        same = (near[1:] == near[:-1]) | (np.isnan(near[1:]) & np.isnan(near[:-1]))
+        other = ~same.all(axis=1)
+        return other if block.start else np.concatenate([[True], other])
+
+    new = np.flatnonzero(disk_arrays.fill(len(rows.t), differ, np.bool_))
+    if 2 * len(new) > len(rows.t):
         return rows
-    note = (
-        f"{shown}: most rows repeat the fix before them; the {new.sum()} of {len(new)} that are new are used"
-    )
-    values = {name: value[new] for name, value in rows.values.items()}
-    return LogRows(rows.t[new], values, (*rows.notes, note))
+    used = f"the {len(new)} of {len(rows.t)} that are new are used"
+    note = f"{shown}: most rows repeat the fix before them; {used}"
+    values = {name: disk_arrays.take(value, new) for name, value in rows.values.items()}
+    return LogRows(disk_arrays.take(rows.t, new), values, (*rows.notes, note))
 
 
 def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
-    t = rows.t - origin
+    t, values = _add(rows.t, -origin), rows.values
     steps = np.diff(t)
     forward = steps[steps > 0]
+    del steps
     if not len(forward):
         raise ConfigError(f"{spec.imu.path.name}: its times never increase")
-    median = float(np.median(forward))
-    dt = np.concatenate([[median], steps])
-    dt[(dt <= 0) | (dt > GAP * median)] = median
-    if "interval" in rows.values:
-        given = rows.values["interval"]
-        dt = np.where(np.isfinite(given) & (given > 0), given, dt)
+    median = float(np.median(forward, overwrite_input=True))
+    del forward
+
+    def make_intervals(block: slice) -> FloatArray:
+        dt = np.diff(t[block], prepend=t[max(block.start - 1, 0)])
+        dt[(dt <= 0) | (dt > GAP * median)] = median
+        if "interval" in values:
+            given = values["interval"][block]
+            dt = np.where(np.isfinite(given) & (given > 0), given, dt)
+        return dt
+
+    dt = disk_arrays.fill(len(t), make_intervals)
+    rates = "dtheta" not in values
+    gyro, accel = (values[name] for name in (("gyro", "accel") if rates else ("dtheta", "dvel")))
+
+    def integrate(of: FloatArray, block: slice) -> FloatArray:
+        return of[block] * dt[block, None] if rates else of[block]
+
+    def find_finite(block: slice) -> BoolArray:
+        both = np.hstack([integrate(gyro, block), integrate(accel, block)])
+        return np.asarray(np.isfinite(both).all(axis=1))
+
     q_bs = multiply(from_euler(*spec.misalignment), from_euler(*spec.mounting))
-    if "dtheta" in rows.values:
-        dtheta, dvel = rows.values["dtheta"], rows.values["dvel"]
-    else:
-        dtheta, dvel = rows.values["gyro"] * dt[:, None], rows.values["accel"] * dt[:, None]
-    good = np.asarray(np.isfinite(np.hstack([dtheta, dvel])).all(axis=1)) & _find_flagged(rows)
-    return ImuData(t=t, dt=dt, valid=good, dtheta_b=rotate(q_bs, dtheta), dvel_b=rotate(q_bs, dvel))
+
+    def turn(of: FloatArray, block: slice) -> FloatArray:
+        return rotate(q_bs, integrate(of, block))
+
+    dtheta_b, dvel_b = (disk_arrays.fill((len(t), 3), partial(turn, of)) for of in (gyro, accel))
+    good = disk_arrays.fill(len(t), find_finite, np.bool_) & _find_flagged(rows)
+    return ImuData(t=t, dt=dt, valid=good, dtheta_b=dtheta_b, dvel_b=dvel_b)
 
 
 def _find_flagged(rows: LogRows) -> BoolArray:
@@ -295,24 +327,52 @@ def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
     cuts : (M,) array
         Instants [s]; those outside all intervals have no effect.
     """
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(imu.t)[:-1]])
-    ordered: BoolArray = (imu.t > before) & imu.valid
-    parents = np.flatnonzero(ordered)
+    parents = _find_ordered(imu)
     cuts = np.unique(cuts)
     at = np.searchsorted(imu.t[parents], cuts)
     inside = at < len(parents)
     cuts, at = cuts[inside], parents[at[inside]]
-    start = imu.t - imu.dt
-    inside = (cuts > start[at] + SAME_INSTANT) & (cuts < imu.t[at] - SAME_INSTANT)
+    start = imu.t[at] - imu.dt[at]
+    inside = (cuts > start + SAME_INSTANT) & (cuts < imu.t[at] - SAME_INSTANT)
     cuts, at = cuts[inside], at[inside]
-    row = np.concatenate([np.arange(len(imu)), at])
-    end = np.concatenate([imu.t, cuts])
-    order = np.lexsort((np.concatenate([np.ones(len(imu)), np.zeros(len(cuts))]), row))
+    divided = {
+        name: disk_arrays.empty((len(imu) + len(cuts), *column.shape[1:]), column.dtype.type)
+        for name, column in ((f.name, getattr(imu, f.name)) for f in fields(imu))
+    }
+    filled = 0
+    for block in disk_arrays.blocks(len(imu)):
+        first, last = np.searchsorted(at, [block.start, block.stop])
+        part = _divide_block(imu, block, cuts[first:last], at[first:last])
+        for name, rows in part.items():
+            divided[name][filled : filled + len(rows)] = rows
+        filled += len(part["t"])
+    return ImuData(**divided)
+
+
+def _find_ordered(imu: ImuData) -> IntArray:
+    """Return the valid rows whose time is later than that of all rows before."""
+    newest = np.maximum.accumulate(imu.t)
+    later = np.ones(len(imu), np.bool_)
+    later[1:] = imu.t[1:] > newest[:-1]
+    return np.flatnonzero(later & imu.valid)
+
+
+def _divide_block(imu: ImuData, block: slice, cuts: FloatArray, at: IntArray) -> dict[str, NDArray[Any]]:
+    """Return the columns of a block of rows, of which the rows ``at`` (M,) are divided at the cuts (M,)."""
+    count = block.stop - block.start
+    row = np.concatenate([np.arange(block.start, block.stop), at])
+    end = np.concatenate([imu.t[block], cuts])
+    order = np.lexsort((np.concatenate([np.ones(count), np.zeros(len(cuts))]), row))
     row, end = row[order], end[order]
     same = np.concatenate([[False], row[1:] == row[:-1]])
-    begin = np.where(same, np.concatenate([[0.0], end[:-1]]), start[row])
-    dt = np.where(np.bincount(row, minlength=len(imu))[row] > 1, end - begin, imu.dt[row])
+    begin = np.where(same, np.concatenate([[0.0], end[:-1]]), imu.t[row] - imu.dt[row])
+    several = np.bincount(row - block.start, minlength=count)[row - block.start] > 1
+    dt = np.where(several, end - begin, imu.dt[row])
     share = (dt / imu.dt[row])[:, None]
-    return ImuData(
-        t=end, dt=dt, valid=imu.valid[row], dtheta_b=imu.dtheta_b[row] * share, dvel_b=imu.dvel_b[row] * share
-    )
+    return {
+        "t": end,
+        "dt": dt,
+        "valid": imu.valid[row],
+        "dtheta_b": imu.dtheta_b[row] * share,
+        "dvel_b": imu.dvel_b[row] * share,
+    }

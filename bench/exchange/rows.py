@@ -16,12 +16,14 @@ from bench.earth import matrix_en, to_geodetic
 from bench.exchange.table_files import Group, TableColumns, group, list_names
 from bench.signals.air import pressure_altitude
 
-ROW_MEMORY = 1100.0
-"""Memory to read and navigate a row of an IMU, as measured [byte]."""
+ROW_MEMORY = 300.0
+"""Memory to read and navigate a row of an IMU in blocks, several times what was measured [byte]."""
+ROW_SPACE = 1100.0
+"""Address space for it, that of its files on disk included [byte]."""
 
 
-def measure_memory() -> float:
-    """Return the memory that this process may use: of the machine, or what it is limited to [byte].
+def count_affordable_rows() -> float:
+    """Return how many rows of an IMU this process has room for: by the machine, or by its own limits.
 
     Infinite on Windows, which does not tell.
     """
@@ -29,16 +31,16 @@ def measure_memory() -> float:
         import resource
     except ImportError:
         return math.inf
-    limits = [float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))]
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / ROW_MEMORY]
     address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if address_space != resource.RLIM_INFINITY:
-        limits.append(float(address_space))
+        limits.append(address_space / ROW_SPACE)
     with contextlib.suppress(OSError, ValueError):  # a container; "max" is no limit
-        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")) / ROW_MEMORY)
     return min(limits)
 
 
-MOST_ROWS = int(min(5e6, measure_memory() / ROW_MEMORY))
+MOST_ROWS = int(min(5e6, count_affordable_rows()))
 """Most rows of a file of a log: 3.5 hours at 400 Hz, or what the memory holds."""
 
 _TIMES = (group("clock", "t"), group("clock", "time"))

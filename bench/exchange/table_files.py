@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.mat_file import Value, find_structure, get_vector, read_mat
@@ -139,7 +140,7 @@ def read_table(
         names, batches = _open(path, most_rows, structure)
         chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
-        columns: list[list[FloatArray]] = [[] for _ in wanted]
+        columns = {kind: disk_arrays.Gathered(len(one)) for kind, one in chosen.items()}
         count = 0
         for batch in batches(wanted):
             count += len(batch[wanted[0]])
@@ -149,29 +150,26 @@ def read_table(
                 raise ConfigError(
                     f"{shown}: more than {most_values // len(wanted)} rows of {len(wanted)} columns"
                 )
-            for column, name in zip(columns, wanted, strict=True):
-                column.append(batch[name])
+            for kind, one in chosen.items():
+                columns[kind].add(_stack(batch, one, aliases))
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except (pa.ArrowException, OSError, ValueError, csv.Error, MemoryError) as error:
         row = _find_bad_row(path, wanted) if isinstance(error, pa.ArrowException) else ""
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigError(f"{shown}: {row or f'cannot be read: {reason}'}") from None
-    read = {
-        name: np.concatenate(parts) if parts else np.empty(0)
-        for name, parts in zip(wanted, columns, strict=True)
-    }
-
-    def convert(name: str) -> FloatArray:
-        values: FloatArray = read[aliases.get(name, name)] * FACTORS.get(split_unit(name)[1], 1.0)
-        return values
-
     return TableColumns(
-        columns={kind: np.stack([convert(name) for name in one], axis=-1) for kind, one in chosen.items()},
+        columns={kind: rows.join() for kind, rows in columns.items()},
         stems={kind: tuple(split_unit(n)[0] for n in one) for kind, one in chosen.items()},
         names=chosen,
         unused=unused,
     )
+
+
+def _stack(batch: Mapping[str, FloatArray], names: Sequence[str], aliases: Mapping[str, str]) -> FloatArray:
+    """Return columns of a block as rows (K, k), in SI."""
+    found = (batch[aliases.get(name, name)] * FACTORS.get(split_unit(name)[1], 1.0) for name in names)
+    return np.stack(list(found), axis=-1)
 
 
 def list_columns(path: Path) -> list[str]:
@@ -271,15 +269,18 @@ def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     from pyarrow import parquet as pq
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, buffer_size=_BLOCK) as file:  # else whole columns of a group
             facts, schema = file.metadata, file.schema_arrow
             if facts.num_rows > most_rows:
                 raise ConfigError(f"{path.name}: more than {most_rows} rows")
             for name in wanted:
                 kind = schema.field(name).type
-                if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                types = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)
+                if not any(fits(kind) for fits in types):
                     raise ConfigError(f"{path.name}: column {name!r} holds {kind}, not numbers")
-            for batch in file.iter_batches(batch_size=1 << 16, columns=list(wanted), use_threads=False):
+            for batch in file.iter_batches(
+                batch_size=disk_arrays.ROWS, columns=list(wanted), use_threads=False
+            ):
                 yield _to_floats(batch, wanted)
 
     with pq.ParquetFile(path) as file:

@@ -55,10 +55,12 @@ def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> C
     """
     for one in solutions.values():
         parts = [one.lla, one.vel_n, one.q_nb] if in_space else [one.lla]
-        good = np.isfinite(np.hstack(parts)).all(axis=1)
-        if good.any():
-            rows = (one.t[good], one.lla[good], one.vel_n[good], one.q_nb[good])
-            return Carrier(*rows, no_air(), no_controls(), no_events())
+        good = np.flatnonzero(np.all([np.isfinite(part).all(axis=1) for part in parts], axis=0))
+        if len(good):
+            t, lla, vel_n, q_nb = (
+                disk_arrays.take(column, good) for column in (one.t, one.lla, one.vel_n, one.q_nb)
+            )
+            return Carrier(t, lla, vel_n, q_nb, no_air(), no_controls(), no_events())
     raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
 
 

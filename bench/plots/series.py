@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray
 from bench.data import Events
 
@@ -139,7 +140,8 @@ def select_rows(series: Series) -> IntArray:
     edges = np.linspace(0, len(rows), parts + 1).astype(np.int64)[:-1]
     broken = ~np.isfinite(series.values).all(axis=1)
     kept = [np.flatnonzero(broken & ~np.roll(broken, 1))]  # where a gap begins
-    for values in np.where(np.isfinite(series.values), series.values, np.nan).T:
+    for line in series.values.T:
+        values = np.where(np.isfinite(line), line, np.nan)
         for worst, sign in ((np.inf, 1.0), (-np.inf, -1.0)):
             column = np.where(np.isnan(values), worst, values)
             best = np.minimum.reduceat(sign * column, edges)
@@ -150,11 +152,16 @@ def select_rows(series: Series) -> IntArray:
 
 
 def shorten(series: Series) -> Series:
-    """Return a series with only the rows that a screen can show, if it is of a long flight."""
+    """Return a series with only the rows that a screen can show, if it is of a long flight.
+
+    What it read of arrays on disk is released then.
+    """
     if len(range(len(series.t))[thin(series.t, series.most)]) <= MOST_POINTS:
         return series
     rows = select_rows(series)
-    return replace(series, t=series.t[rows], values=series.values[rows])
+    shown = replace(series, t=series.t[rows], values=series.values[rows])
+    disk_arrays.release()
+    return shown
 
 
 def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:
@@ -183,14 +190,14 @@ def draw_line(
     key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, most: float = SLOW
 ) -> Series:
     """Return one line, for which so many rows a second are enough [Hz]."""
-    return Series(key, t, values[:, None], (name,), (colour,), (1.5,), most=most)
+    return shorten(Series(key, t, values[:, None], (name,), (colour,), (1.5,), most=most))
 
 
 def draw_dots(
     key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, size: float = 1.5
 ) -> Series:
     """Return a dot for each value."""
-    return Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True)
+    return shorten(Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True))
 
 
 def draw_three_sigma(
@@ -206,7 +213,8 @@ def draw_three_sigma(
     """Return a value, and 3 sigma either side of zero or of other values; ``most`` rows a second [Hz]."""
     values = np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd])
     names, pale = (name, "±3σ", "±3σ"), paler(colour)
-    return Series(key, t, values, names, (colour, pale, pale), (1.5, 1.0, 1.0), band=(1, 2), most=most)
+    widths = (1.5, 1.0, 1.0)
+    return shorten(Series(key, t, values, names, (colour, pale, pale), widths, band=(1, 2), most=most))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
@@ -177,21 +178,26 @@ def _read_numbers(
     path: Path, lines: Iterator[str], parse: Callable[[str], list[float]], content: str
 ) -> FloatArray:
     """Return the numbers of the lines as an array (N, columns)."""
-    flat, columns = array("d"), 0
+    flat, columns, gathered = array("d"), 0, disk_arrays.Gathered(0)
     for count, line in enumerate(lines, 1):
         try:
             row = parse(line)
         except ValueError:
             raise ConfigError(f"{path.name}: row {count}: {line.strip()[:40]!r} is not {content}") from None
-        columns = columns or len(row)
+        if not columns:
+            columns, gathered = len(row), disk_arrays.Gathered(len(row))
         if len(row) != columns:
             raise ConfigError(f"{path.name}: row {count} has {len(row)} columns, not {columns}")
         if count > MOST_ROWS:
             raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
         flat.extend(row)
+        if count % disk_arrays.ROWS == 0:
+            gathered.add(np.array(flat).reshape(-1, columns))
+            flat = array("d")
     if not columns:
         raise ConfigError(f"{path.name}: no rows")
-    return np.array(flat).reshape(-1, columns)
+    gathered.add(np.array(flat).reshape(-1, columns))
+    return gathered.join()
 
 
 def _to_lla(degrees: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ from bench.plots.series import (
     Series,
     draw_dots,
     draw_line,
+    shorten,
 )
 
 _MEASURED = {
@@ -81,7 +82,7 @@ def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> t
     bounds = Series(
         "bounds", t, np.column_stack([three, -three]), ("±3√S",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1)
     )
-    series = [bounds, draw_dots("used", t[used], z[used], "used", colour)]
+    series = [shorten(bounds), draw_dots("used", t[used], z[used], "used", colour)]
     if not used.all():
         series.append(draw_dots("rejected", t[~used], z[~used], "rejected", REJECTED, size=3.0))
     return tuple(series)

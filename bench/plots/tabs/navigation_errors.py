@@ -18,8 +18,9 @@ def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> 
     for label, colour in content.colours.items():
         solution, error = content.solutions[label], content.errors[label]
         with np.errstate(invalid="ignore"):  # a diverged covariance is a result: its sigma is NaN
-            sd = np.sqrt(variances(solution))[np.searchsorted(solution.t, error.t)]
-        values, sigma = scale * getattr(error, f"{block}_n"), scale * sd[:, BLOCKS[block]]
+            at = np.searchsorted(solution.t, error.t)
+            sigma = scale * np.sqrt(variances(solution)[:, BLOCKS[block]][at])
+        values = scale * getattr(error, f"{block}_n")
         rows = []
         for k, axis in enumerate(AXES_N):
             if np.isfinite(values[:, k]).any():
