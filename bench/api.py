@@ -211,7 +211,7 @@ def save(
         if report:
             from bench.report import page
 
-            page.write(partial / store.REPORT, folder.name, result)
+            store.write_text(partial / store.REPORT, page.make_page(folder.name, result))
     return folder
 
 

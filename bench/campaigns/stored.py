@@ -15,7 +15,6 @@ from bench.errors import ConfigError
 from bench.evaluation.consistency import MeanNis
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import Consistency
-from bench.files import read_json
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
@@ -27,13 +26,9 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         If the folder is not that of a campaign, or is damaged.
     """
     folder = Path(folder)
-    path = folder / store.CAMPAIGN_RESULT
-    if not path.exists():
-        raise ConfigError(f"{folder}: no campaign, there is no {store.CAMPAIGN_RESULT} in it")
-    summary = read_json(path)
-    with store.report_damage(folder):
-        runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
-    try:
+    with store.open_summary(folder, store.CAMPAIGN_RESULT, "campaign") as summary:
+        with store.report_damage(folder):
+            runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
         return Campaign(
             outcomes=tuple(_read_outcome(row) for row in summary["outcomes"]),
             comparisons=tuple(
@@ -59,8 +54,6 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
             interrupted=int(summary["finished"]) < int(summary["planned"]),
             folder=folder,
         )
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise ConfigError(f"{path}: not written by this version of bench, or damaged") from None
 
 
 def _read_outcome(row: Mapping[str, Any]) -> Outcome:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,17 +101,6 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         provenance=list(page.list_provenance(campaign.provenance)),
         document=store.to_json([dict(one) for one in campaign.conditions]),
     )
-
-
-def write(path: Path, name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, Any]] = ()) -> None:
-    """Write the report of a campaign, completely or not at all; parameters as for :func:`make_page`.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    store.write_text(path, make_page(name, campaign, comparisons))
 
 
 # --- words and tables ---------------------------------------------------------------------------------

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from bench import earth, store
+from bench import earth
 from bench.arrays import FloatArray
 from bench.evaluation.key_figures import format_number
 from bench.exchange.rinex_fixes import RinexFixes
@@ -17,17 +16,6 @@ from bench.report import page, svg
 
 _WORST = 50.0  # a larger DOP is no geometry to speak of
 _SIGMA = "±3σ, as computed"
-
-
-def write(path: Path, solved: RinexFixes) -> None:
-    """Write the report of the fixes of a RINEX file, completely or not at all.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    store.write_text(path, make_page(solved))
 
 
 def make_page(solved: RinexFixes) -> str:

@@ -75,26 +75,6 @@ class Figure(NamedTuple):
     drawing: str
 
 
-def write(path: Path, name: str, result: RunResult) -> None:
-    """Write the report of a result.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write; it is written completely or not at all.
-    name : str
-        Of the results folder.
-    result : RunResult
-        As `bench.run` or `bench.load` returns it.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    store.write_text(path, make_page(name, result))
-
-
 def check_page(path: Path) -> None:
     """Raise ConfigError if a page cannot be written: no folder, or a file that bench did not write."""
     store.check_file(path)

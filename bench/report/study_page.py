@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench import store
 from bench.evaluation.key_figures import format_number
 from bench.plots.series import Plot
 from bench.report import page
@@ -16,17 +14,6 @@ from bench.report.page import Figure
 from bench.studies.study import StudyResult, StudyTable
 
 _LONG = 40  # text in a cell that is broken into lines
-
-
-def write(path: Path, result: StudyResult) -> None:
-    """Write the report of a study, completely or not at all.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    store.write_text(path, make_page(result))
 
 
 def make_page(result: StudyResult) -> str:

@@ -45,24 +45,19 @@ def write_report(
     single = of_campaign or of_study or (folder / store.RESULT).is_file()
     folders = [] if single else index.find_folders(folder)
     path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
+    page.check_page(path)
     if not folders:
         name = folder.resolve().name
         if of_campaign:
-            campaign = load_campaign(folder)
-            page.check_page(path)
-            campaign_page.write(path, name, campaign)
+            text = campaign_page.make_page(name, load_campaign(folder))
         elif of_study:
-            study = load_study(folder)
-            page.check_page(path)
-            study_page.write(path, study)
+            text = study_page.make_page(load_study(folder))
         else:
-            result = store.load(folder)
-            page.check_page(path)
-            page.write(path, name, result)
+            text = page.make_page(name, store.load(folder))
+        store.write_text(path, text)
         if out is None:
             store.add_to_mark(folder, store.REPORT)
         return path
-    page.check_page(path)
     for one in folders:
         if not (one / store.REPORT).exists():
             try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.store.arrow import leave_out_pandas, to_arrow, to_pandas
 from bench.store.cache_size import LIMIT, measure_cache, trim_cache
-from bench.store.damage import RESULT, TRUTH, read_summary, report_damage
+from bench.store.damage import RESULT, TRUTH, open_summary, read_summary, report_damage
 from bench.store.folders import (
     CAMPAIGN,
     EXPORT,
@@ -91,6 +91,7 @@ __all__ = [
     "make_sensor_data",
     "make_start_document",
     "measure_cache",
+    "open_summary",
     "provenance",
     "read_assumed_specs",
     "read_initial_state",

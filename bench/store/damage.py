@@ -11,7 +11,7 @@ from typing import Any
 
 import bench
 from bench.errors import BenchError, ConfigError
-from bench.files import check_file
+from bench.files import check_file, read_json
 from bench.store import parquet
 
 FORMAT = 1
@@ -87,6 +87,24 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
             yield f"metrics.{label}.converged", "true or false"
     if not by_label:
         yield "metrics", "a table for each estimator"
+
+
+@contextlib.contextmanager
+def open_summary(folder: Path, name: str, what: str) -> Iterator[dict[str, Any]]:
+    """Give the JSON object of a campaign or a study, and say if its entries are not what is read of them.
+
+    Raises
+    ------
+    ConfigError
+        If there is no file ``name`` in the folder, which is then not that of a ``what``, or it is damaged.
+    """
+    path = folder / name
+    if not path.exists():
+        raise ConfigError(f"{folder}: no {what}, there is no {name} in it")
+    try:
+        yield read_json(path)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise ConfigError(f"{path}: not written by this version of bench, or damaged") from None
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from bench import store
-from bench.errors import ConfigError
 from bench.files import read_json
 from bench.plots.series import Plot, Series
 from bench.studies.study import Findings, StudyResult, StudyTable
@@ -74,11 +73,8 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
         If the folder is not that of a study, or is damaged.
     """
     folder = Path(folder)
-    path = folder / store.STUDY_RESULT
-    if not path.exists():
-        raise ConfigError(f"{folder}: no study, there is no {store.STUDY_RESULT} in it")
-    summary, figures = read_json(path), read_json(folder / FIGURES)
-    try:
+    with store.open_summary(folder, store.STUDY_RESULT, "study") as summary:
+        figures = read_json(folder / FIGURES)
         with store.report_damage(folder):
             tables = tuple(_read_table(folder / TABLES, str(name)) for name in summary["tables"])
         findings = Findings(
@@ -97,8 +93,6 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
             dict(summary["provenance"]),
             float(summary["wall_s"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise ConfigError(f"{path}: not written by this version of bench, or damaged") from None
 
 
 def _read_table(folder: Path, name: str) -> StudyTable:

@@ -93,7 +93,8 @@ def _write_overlay(
     if of_campaigns == {True}:
         merged = merge_campaigns({name: load_campaign(folder) for name, folder in by_name.items()})
         with store.make_folder(out, force=force) as partial:
-            campaign_page.write(partial / store.REPORT, " and ".join(names), merged, tables)
+            text = campaign_page.make_page(" and ".join(names), merged, tables)
+            store.write_text(partial / store.REPORT, text)
     elif of_campaigns == {False}:
         result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})

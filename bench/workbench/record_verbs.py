@@ -169,7 +169,7 @@ def solve_fixes(
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")
     if report is not None:
-        fixes_page.write(report, solved)
+        store.write_text(report, fixes_page.make_page(solved))
         console.print(f"Report: {report}", soft_wrap=True)
     return figures
 

@@ -18,7 +18,6 @@ from scipy.linalg import solve_triangular
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment
 from bench.navigation.error_state import StateLayout
 from bench.navigation.forward import answers
 from bench.navigation.fusion import Loose
@@ -56,10 +55,8 @@ class GraphSmoother:
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         gtsam = load_gtsam()
-        initial, aligned = alignment.complete(sensors, initial)
-        plan, events = plan_fixes(sensors, initial, aligned)
-        steps, share = plan.steps, plan.steps.share[:, None]
-        dtheta, dvel = steps.dtheta_b[steps.row] * share, steps.dvel_b[steps.row] * share
+        initial, plan, dtheta, dvel, events = plan_fixes(sensors, initial)
+        steps = plan.steps
         dvel = dvel + 0.5 * np.cross(dtheta, dvel)  # along the axes at the start of the step
         chain = _Chain(gtsam, self.options, sensors, initial)
         done, outputs, waiting = -1, [], iter(plan.outputs.tolist())

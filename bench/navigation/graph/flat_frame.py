@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, SensorData
 from bench.earth import EARTH_RATE
 from bench.errors import EstimatorError
+from bench.navigation import alignment
 from bench.navigation.error_state import StateLayout
 from bench.navigation.measurements import FIXES
 from bench.navigation.schedule import Plan, Schedule
@@ -93,21 +94,36 @@ class FlatFrame:
         return C_tn @ C_nb, p_t, C_tn @ initial.vel_n, J @ initial.cov @ J.T
 
 
-def plan_fixes(
-    sensors: SensorData, initial: InitialState, events: list[EventRow]
-) -> tuple[Plan, list[EventRow]]:
+class Work(NamedTuple):
+    """What there is to do in a record."""
+
+    initial: InitialState  # complete
+    plan: Plan  # steps, fixes and answers in order
+    dtheta: FloatArray  # (K, 3) rotation over each step [rad], b
+    dvel: FloatArray  # (K, 3) integral of the specific force over each step [m/s], b
+    events: list[EventRow]
+
+
+def plan_fixes(sensors: SensorData, initial: InitialState) -> Work:
     """Return steps, fixes and answers of a record in order; the barometer is not used.
 
     Raises
     ------
+    EstimatorError
+        If the record does not allow the alignment.
     ValueError
         If there are fixes and no datasheet of a receiver.
     """
+    initial, aligned = alignment.complete(sensors, initial)
     schedule = Schedule(initial.t, sensors.specs.imu, compensate=False, cut=True)
-    schedule.events += events
+    schedule.events += aligned
     schedule.take(sensors, last=True)
     if sensors.fixes is not None:
         if sensors.specs.gnss is None:
             raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
         schedule.add(FIXES, sensors, initial, StateLayout())
-    return schedule.plan(), schedule.events
+    plan = schedule.plan()
+    row, share = plan.steps.row, plan.steps.share[:, None]
+    return Work(
+        initial, plan, plan.steps.dtheta_b[row] * share, plan.steps.dvel_b[row] * share, schedule.events
+    )

@@ -15,7 +15,6 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment
 from bench.navigation.classic.process_model import bias_and_walk
 from bench.navigation.graph.flat_frame import FlatFrame, load_gtsam, plan_fixes
 from bench.navigation.integrity import nis, nis_limit
@@ -44,10 +43,8 @@ class InvariantEkf:
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         gtsam = load_gtsam()
-        initial, aligned = alignment.complete(sensors, initial)
-        plan, events = plan_fixes(sensors, initial, aligned)
-        steps, share = plan.steps, plan.steps.share[:, None]
-        dtheta, dvel = steps.dtheta_b[steps.row] * share, steps.dvel_b[steps.row] * share
+        initial, plan, dtheta, dvel, events = plan_fixes(sensors, initial)
+        steps = plan.steps
         todo: dict[int, list[list[int]]] = {}
         for step, *what in plan.entries.tolist():
             todo.setdefault(step, []).append(what)
