@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth
+from bench import earth, store
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac
