@@ -17,7 +17,6 @@ PACKAGE = Path(bench.__file__).parent
 MOST_LINES = 450
 
 LONG_FILES = {
-    "signals/least_squares.py": "solution, precision and fault exclusion of one epoch share their matrices",
     "specs.py": "all that a profile asks for, in SI",
 }
 

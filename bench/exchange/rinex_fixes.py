@@ -18,7 +18,7 @@ from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
 from bench.errors import ConfigError
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.exchange.rinex.observations import ObservationFile, read_observations
-from bench.signals import least_squares, receiver
+from bench.signals import dilution, receiver
 from bench.signals.orbits import DAY
 
 _EPOCH = datetime(1980, 1, 6)
@@ -42,7 +42,7 @@ class RinexFixes:
 
     observations: ObservationFile
     solution: receiver.ReceiverSolution
-    dop: least_squares.Dop
+    dop: dilution.Dop
     notes: tuple[str, ...] = ()
 
     @property
@@ -180,7 +180,7 @@ def solve_rinex(
             f"{_format_day(raw.origin + raw.t[0])} to {_format_day(raw.origin + raw.t[-1])}"
         )
     solution = receiver.solve_fixes(seen, processing)
-    dop = least_squares.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
+    dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     solved = RinexFixes(raw, solution, dop)
     notes = [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris")]
     if not solved.fixes.valid.any():

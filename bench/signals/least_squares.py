@@ -1,4 +1,4 @@
-"""Position and velocity of each epoch from ranges and range rates: iterated weighted least squares, DOP.
+"""Position and velocity of each epoch from ranges and range rates: iterated weighted least squares.
 
 Unknowns are the position and one clock offset per satellite system (B-13, B-14), then the velocity and the
 drift of the receiver's oscillator (B-14b). Every function takes whole records: a row per satellite and epoch,
@@ -41,18 +41,8 @@ class VelocityFixes(NamedTuple):
     cov_e: FloatArray  # (M, 3, 3) [m^2/s^2], e
 
 
-class Dop(NamedTuple):
-    """Dilution of precision, a row per epoch; NaN if there are too few satellites."""
-
-    h: FloatArray  # horizontal
-    v: FloatArray  # vertical
-    p: FloatArray  # position
-    t: FloatArray  # time
-    g: FloatArray  # geometric
-
-
 @kernel
-def _inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
+def inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
     """Invert the symmetric positive definite upper-left (n, n) of A through its Cholesky factor.
 
     ``A`` is overwritten. Return False if it is not positive definite to working precision.
@@ -91,7 +81,7 @@ def _inverse_kernel(A: FloatArray, n: int, inverse: FloatArray) -> bool:
 
 
 @kernel
-def _count_kernel(a: int, b: int, system: IntArray, used: BoolArray, one_clock: bool) -> tuple[int, int, int]:
+def count_kernel(a: int, b: int, system: IntArray, used: BoolArray, one_clock: bool) -> tuple[int, int, int]:
     """Count the used rows from a to b; with 1 or 0 for the clock of GPS (or the only one) and of GLONASS."""
     count, first, second = 0, 0, 0
     for k in range(a, b):
@@ -162,7 +152,7 @@ def _position_kernel(
             for i in range(3):
                 x[i] = start[m, i]
         while True:
-            count, first, second = _count_kernel(a, b, system, used, one_clock)
+            count, first, second = count_kernel(a, b, system, used, one_clock)
             n = 3 + first + second
             if count < n:
                 break
@@ -174,7 +164,7 @@ def _position_kernel(
                     a, b, sat, measured, sd, column, used, rate, x, N, g, design, residual
                 )  # fmt: skip
                 steps[m] += 1
-                if not _inverse_kernel(N, n, inverse):
+                if not inverse_kernel(N, n, inverse):
                     break
                 length = 0.0
                 for i in range(n):
@@ -264,7 +254,7 @@ def _velocity_kernel(
                 g[i] += w * h[i] * res
                 for j in range(i + 1):
                     N[i, j] += w * h[i] * h[j]
-        if count < 4 or np.isnan(px) or not _inverse_kernel(N, 4, inverse):
+        if count < 4 or np.isnan(px) or not inverse_kernel(N, 4, inverse):
             continue
         for i in range(3):
             vel[m, i] = 0.0
@@ -275,37 +265,6 @@ def _velocity_kernel(
         drift[m] = 0.0
         for j in range(4):
             drift[m] += inverse[3, j] * g[j]
-
-
-@kernel
-def _dop_kernel(
-    epoch_start: IntArray, los_n: FloatArray, system: IntArray, used: BoolArray, N: FloatArray,
-    inverse: FloatArray, out: FloatArray, h: FloatArray,
-) -> None:  # fmt: skip
-    for m in range(epoch_start.shape[0] - 1):
-        N[:] = 0.0
-        count, first, second = _count_kernel(epoch_start[m], epoch_start[m + 1], system, used, False)
-        n = 3 + first + second
-        if count < n:
-            continue
-        for k in range(epoch_start[m], epoch_start[m + 1]):
-            if not used[k]:
-                continue
-            for i in range(3):
-                h[i] = -los_n[k, i]
-            h[3], h[4] = 0.0, 0.0
-            h[4 if first and system[k] != 0 else 3] = 1.0
-            for i in range(n):
-                for j in range(i + 1):
-                    N[i, j] += h[i] * h[j]
-        if not _inverse_kernel(N, n, inverse):
-            continue
-        horizontal, vertical = inverse[0, 0] + inverse[1, 1], inverse[2, 2]
-        position, clocks = horizontal + vertical, 0.0
-        for i in range(3, n):
-            clocks += inverse[i, i]
-        out[m, 0], out[m, 1], out[m, 2] = np.sqrt(horizontal), np.sqrt(vertical), np.sqrt(position)
-        out[m, 3], out[m, 4] = np.sqrt(inverse[3, 3]), np.sqrt(position + clocks)
 
 
 def solve_positions(
@@ -412,63 +371,6 @@ def solve_velocities(
     work = np.zeros((2, 5))
     _velocity_kernel(epochs, sat, sat_vel, measured, sds, rows, rate, pos, N, inverse, *fixes, work)
     return fixes
-
-
-def compute_dop(
-    epoch_start: IntArray, los_n: FloatArray, system: IntArray, use: BoolArray | None = None
-) -> Dop:
-    """Return the dilution of precision of every epoch (A-2.1.3).
-
-    Parameters
-    ----------
-    epoch_start : (M + 1,) array of int
-        First row of each epoch.
-    los_n : (K, 3) array
-        Unit vectors receiver to satellite, n.
-    system : (K,) array of int
-        0 GPS, 1 GLONASS: a clock offset for each system present; TDOP is that of the first.
-    use : (K,) array of bool or None
-        Rows to use; None: all.
-    """
-    out = np.full((len(epoch_start) - 1, 5), np.nan)
-    used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
-    epochs, systems = (np.ascontiguousarray(a, np.int64) for a in (epoch_start, system))
-    N, inverse = np.empty((5, 5)), np.empty((5, 5))
-    _dop_kernel(epochs, np.ascontiguousarray(los_n), systems, used, N, inverse, out, np.zeros(5))
-    return Dop(*out.T)
-
-
-def choose_satellites(
-    epoch_start: IntArray, los_n: FloatArray, system: IntArray, sd: FloatArray, use: BoolArray
-) -> tuple[BoolArray, IntArray]:
-    """Choose GPS, GLONASS or both for every epoch: smallest PDOP times RMS of the sds (equations #28).
-
-    Parameters
-    ----------
-    epoch_start, los_n, system, use
-        As in :func:`compute_dop`.
-    sd : (K,) array
-        Standard deviation of each range [m].
-
-    Returns
-    -------
-    use : (K,) array of bool
-        Rows of the chosen set.
-    chosen : (M,) array of int
-        0 GPS, 1 GLONASS, 2 both, -1 if no set gives a position.
-    """
-    M = len(epoch_start) - 1
-    epoch = np.repeat(np.arange(M), np.diff(epoch_start))
-    sets = [use & (system == 0), use & (system == 1), use]
-    figure = np.full((3, M), np.inf)
-    for k, rows in enumerate(sets):
-        squares = np.bincount(epoch[rows], sd[rows] ** 2, M)
-        count = np.maximum(np.bincount(epoch[rows], minlength=M), 1)
-        p = compute_dop(epoch_start, los_n, system, rows).p
-        figure[k] = np.where(np.isnan(p), np.inf, p * np.sqrt(squares / count))
-    chosen = np.where(np.isfinite(figure).any(axis=0), np.argmin(figure, axis=0), -1)
-    of_row = chosen[epoch]
-    return use & ((of_row == 2) | (of_row == system)), chosen
 
 
 def compute_thresholds(false_alarm: float, most: int = 60) -> FloatArray:

@@ -15,7 +15,7 @@ from bench import earth
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
-from bench.signals import least_squares, orbits
+from bench.signals import dilution, least_squares, orbits
 from bench.signals.delays import (
     Troposphere,
     ionosphere_free,
@@ -400,7 +400,7 @@ def solve_fixes(
     ranges = _subtract_delays(ranges, near, processing)
     use = wanted & (near.el > processing.mask) & np.isfinite(ranges)
     if processing.systems == "auto":
-        use, _ = least_squares.choose_satellites(start, near.los_n, system, o.sd_pseudorange, use)
+        use, _ = dilution.choose_satellites(start, near.los_n, system, o.sd_pseudorange, use)
     bounds = least_squares.compute_thresholds(processing.false_alarm) if processing.false_alarm > 0 else None
     fix = least_squares.solve_positions(
         start, o.sat_pos_e, ranges, o.sd_pseudorange, system,

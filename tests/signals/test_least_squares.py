@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth
-from bench.signals import delays, least_squares, orbits
+from bench.signals import delays, dilution, least_squares, orbits
 from bench.signals.orbits import GPS_EARTH_RATE
 
 THERE = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 1200.0])
@@ -177,7 +177,7 @@ def test_rms_error_is_sd_times_pdop(both):
         start, both.pos_e[rows], measured, np.full(len(rows), sd), both.system[rows], start_e=here
     )
     rms = np.sqrt(np.mean(np.sum((fix.pos_e - here) ** 2, axis=1)))
-    pdop = least_squares.compute_dop(both.epoch_start[:2], both.los_n[:first], both.system[:first]).p[0]
+    pdop = dilution.compute_dop(both.epoch_start[:2], both.los_n[:first], both.system[:first]).p[0]
     assert abs(rms / (sd * pdop) - 1) < 0.03
     assert_allclose(np.sqrt(np.trace(fix.cov_e[0])), sd * pdop, rtol=1e-3)
     ratio = fix.chi2.mean() / (first - 5)
@@ -202,7 +202,7 @@ def test_dop_against_the_inverse_of_its_definition(both):
         a, b = both.epoch_start[m : m + 2]
         G = np.column_stack([-both.los_n[a:b], both.system[a:b] == 0, both.system[a:b] == 1])
         Q = np.linalg.inv(G.T @ G)
-        dop = least_squares.compute_dop(both.epoch_start, both.los_n, both.system)
+        dop = dilution.compute_dop(both.epoch_start, both.los_n, both.system)
         expected = [Q[0, 0] + Q[1, 1], Q[2, 2], np.trace(Q[:3, :3]), Q[3, 3], np.trace(Q)]
         assert_allclose([d[m] for d in dop], np.sqrt(expected), rtol=1e-10)
 
@@ -212,7 +212,7 @@ def test_the_best_set_is_that_of_brute_force(both, sd_glonass):
     """#28: over 24 h, by inverting each of the three sets' own normal matrix."""
     sd = np.where(both.system == 0, 1.0, sd_glonass)
     use = np.ones(len(sd), bool)
-    kept, chosen = least_squares.choose_satellites(both.epoch_start, both.los_n, both.system, sd, use)
+    kept, chosen = dilution.choose_satellites(both.epoch_start, both.los_n, both.system, sd, use)
     for m in range(0, len(chosen), 7):
         a, b = both.epoch_start[m : m + 2]
         figures = []
@@ -297,7 +297,7 @@ def test_inverse_kernel_against_numpy_and_a_singular_matrix():
         want = root @ root.T
         A, inverse = np.zeros((5, 5)), np.zeros((5, 5))
         A[:n, :n] = want
-        assert least_squares._inverse_kernel(A, n, inverse)
+        assert least_squares.inverse_kernel(A, n, inverse)
         assert_allclose(inverse[:n, :n] @ want, np.eye(n), rtol=0, atol=1e-9)
-    assert not least_squares._inverse_kernel(np.ones((5, 5)), 4, np.zeros((5, 5)))
+    assert not least_squares.inverse_kernel(np.ones((5, 5)), 4, np.zeros((5, 5)))
     assert_array_equal(least_squares.compute_thresholds(1e-3)[0], np.inf)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from bench import earth
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines
-from bench.signals import least_squares, orbits
+from bench.signals import dilution, orbits
 from bench.signals.orbits import KEPLER, C
 from tests.data import gnss_file
 from tests.signals.test_least_squares import view
@@ -259,7 +259,7 @@ def test_dop_table_of_the_nominal_constellations(which):
     visible = np.diff(seen.epoch_start)
     assert (visible.min(), visible.max()) == (count[0], count[2])
     assert abs(visible.mean() - count[1]) < 0.06
-    dop = least_squares.compute_dop(seen.epoch_start, seen.los_n, seen.system)
+    dop = dilution.compute_dop(seen.epoch_start, seen.los_n, seen.system)
     assert_allclose([np.median(d) for d in dop], medians, rtol=0, atol=0.05)
     assert abs(dop.p.max() - most) < 0.05
     assert visible.min() >= 4

@@ -19,7 +19,7 @@ from bench.plots.series import (
     Series,
     draw_line,
 )
-from bench.signals import least_squares
+from bench.signals import dilution
 
 USED: Colour = (80, 190, 90)
 _FRAME: Colour = (120, 120, 120)
@@ -35,7 +35,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     start = np.append(first, len(sky))
     count = np.add.reduceat(sky.used, first, dtype=np.int64).astype(float)
     above = np.diff(start).astype(float)
-    dop = least_squares.compute_dop(start, _toward_n(sky), sky.system, sky.used)
+    dop = dilution.compute_dop(start, _toward_n(sky), sky.system, sky.used)
     strength = [
         Plot(("satellites", "cn0", name), f"C/N0 of {name} satellites [dB-Hz]", series)
         for name, code in (("GPS", GPS), ("GLONASS", 1 - GPS))
