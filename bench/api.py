@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from bench import pipeline, store
 from bench.config import load_profile
-from bench.config.library import CatalogEntry
+from bench.config.listing import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
 from bench.navigation import estimator

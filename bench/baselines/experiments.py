@@ -15,7 +15,7 @@ from bench.baselines.baseline_file import UNKNOWN, Baseline, EstimatorValues, Va
 from bench.baselines.digests import digest_record
 from bench.campaigns.worker import describe_error, get_truth
 from bench.config import load_profile
-from bench.config.tables import read_toml
+from bench.config.toml_file import read_toml
 from bench.data import ErrorSeries
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.metrics import find_metric

@@ -13,7 +13,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench.config.checks import is_code
-from bench.config.tables import ROWS, Table, check_table, read_toml
+from bench.config.tables import ROWS, Table, check_table
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 
 Values = Mapping[str, Any]

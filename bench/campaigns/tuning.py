@@ -14,7 +14,7 @@ from bench.arrays import FloatArray
 from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
-from bench.config.tables import read_toml
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.wording import suggest
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from bench.config.library import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors
-from bench.config.profile import load_profile
+from bench.config.listing import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors
 from bench.moved import moved_from
 
 __all__ = ["list_aircraft", "list_estimators", "list_legs", "list_profiles", "list_sensors", "load_profile"]
 
-if not TYPE_CHECKING:
-    __getattr__ = moved_from(__name__)
+if TYPE_CHECKING:
+    from bench.config.profile import load_profile
+else:
+
+    def __getattr__(name: str) -> Any:
+        if name == "load_profile":  # who lists what there is needs no checked tables
+            from bench.config.profile import load_profile
+
+            return load_profile
+        return moved_from(__name__)(name)

@@ -20,12 +20,13 @@ from bench.config.sheet import (
     make_table_type,
 )
 from bench.config.sky_sheet import SkyTable, read_sky
-from bench.config.tables import ROWS, Table, between, check_table, collect_errors, read_toml
+from bench.config.tables import ROWS, Table, between, check_table, collect_errors
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
-from bench.fields import XYZ, figures_of, triad_figures_of
+from bench.fields import XYZ, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.units import from_si, split_unit, to_si
+from bench.units import from_si, to_si
 from bench.wording import quantity, suggest
 
 MODIFIED = ", modified"
@@ -259,31 +260,6 @@ def _make_sheet_type(kind: str) -> type[Sheet]:
     parts: dict[str, Any] = {name: (make_table_type(spec) | None, None) for name, spec in row.parts.items()}
     rows: dict[str, Any] = {kind: (make_table_type(row.spec), ...), **parts}
     return create_model(f"{kind}Sheet", __base__=Sheet, **rows)
-
-
-def list_missing_figures(kind: str, document: Mapping[str, Any]) -> list[str]:
-    """Return the names, in words, of the errors that a datasheet does not give; the model then lacks them.
-
-    Parameters
-    ----------
-    kind : str
-        A key of ``SENSORS``.
-    document : mapping
-        Content of a checked datasheet file.
-    """
-    if kind == "imu":
-        present: dict[str, bool] = {}
-        for name in _TRIADS:
-            for field, figure in triad_figures_of(TriadSpec).items():
-                keys = figure.keys(field, name)
-                if figure.sought and keys:
-                    error = f"{name} {figure.sought}"
-                    here = any(key in document.get(name, {}) for key in keys)
-                    present[error] = present.get(error, False) or here
-        return [error for error, here in present.items() if not here]
-    given = {split_unit(key)[0] for table in document.values() if isinstance(table, dict) for key in table}
-    spec = GnssSpec if kind == "gnss" else INSTRUMENTS[kind].spec
-    return [name.removesuffix("_sd").replace("_", " ") for name in figures_of(spec) if name not in given]
 
 
 SENSORS: Mapping[str, Callable[..., Any]] = {

@@ -19,7 +19,8 @@ from bench.config.library import find_datasheet
 from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, make_choices
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
-from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors, read_toml
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
 from bench.wording import as_toml

@@ -14,13 +14,13 @@ from typing import Any, cast
 from bench.config import checks, external_truth, fault_tables, leg_checks
 from bench.config.datasheets import MODIFIED, SENSORS
 from bench.config.library import (
-    JSBSIM,
     find_aircraft,
     find_datasheet,
     find_profile,
     read_aircraft,
     read_jsbsim_aircraft,
 )
+from bench.config.listing import JSBSIM
 from bench.config.overrides import DatasheetChanges, Figures, override, sets_estimator, split_overrides
 from bench.config.profile_tables import (
     SEVERITY,
@@ -32,7 +32,8 @@ from bench.config.profile_tables import (
     make_profile_table,
 )
 from bench.config.sheet import convert_figures
-from bench.config.tables import check_table, collect_errors, read_toml
+from bench.config.tables import check_table, collect_errors
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE

@@ -16,21 +16,6 @@ import numpy as np
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
-from bench.navigation.options import (
-    STATES,
-    ClassicOptions,
-    ComplementaryOptions,
-    FusionOptions,
-    GnssOnlyOptions,
-    GraphOptions,
-    InvariantOptions,
-    LeastSquaresOptions,
-    Options,
-    SmootherOptions,
-    TightOptions,
-    UnscentedOptions,
-    wrong_options,
-)
 from bench.specs import AssumedSpecs
 from bench.wording import as_toml, one_line, suggest
 
@@ -75,16 +60,22 @@ class BuiltIn:
 
     title: str
     place: str  # "module:Class"
-    options: type[Options]
+    form: str  # class of its options in `bench.navigation.options`, which is imported when one is looked up
     fixed: Mapping[str, Any]  # options that make it what it is
     package: str | None = None  # that has to be installed beside bench
+
+    @property
+    def options(self) -> type[Any]:
+        """The class of its options, an `Options`."""
+        found: type[Any] = getattr(importlib.import_module("bench.navigation.options"), self.form)
+        return found
 
     def wrong(self, given: Mapping[str, Any]) -> list[str]:
         """Return a line for each option of a profile that is wrong."""
         clash = sorted(set(self.fixed) & set(given))
         return [
             *(f"option {name!r} is fixed to {as_toml(self.fixed[name])}; leave it out" for name in clash),
-            *wrong_options(self.options, {k: v for k, v in given.items() if k not in clash}, self.fixed),
+            *self.options.list_wrong({k: v for k, v in given.items() if k not in clash}, self.fixed),
         ]
 
 
@@ -94,97 +85,97 @@ _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, FusionOptions, STATES["loose-15"]
+        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", {"gnss_markov": False}
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _LOOSE, FusionOptions, STATES["loose-22"]
+        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", {"gnss_markov": True}
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
         _LOOSE,
-        FusionOptions,
-        STATES["loose-mems"],
+        "FusionOptions",
+        {"gnss_markov": True, "mems": True},
     ),
     "loose-full": BuiltIn(
         "loose-22 with every error of the IMU that its datasheet names",
         _LOOSE,
-        FusionOptions,
-        STATES["loose-full"],
+        "FusionOptions",
+        {"gnss_markov": True, "every_error": True},
     ),
     "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
         "bench.navigation.fusion:Tight",
-        TightOptions,
-        STATES["tight"],
+        "TightOptions",
+        {"gnss_markov": False},
     ),
     "smoother": BuiltIn(
         "loose-full and a pass back over its record",
         "bench.navigation.smoother:Smoother",
-        SmootherOptions,
+        "SmootherOptions",
         {"gnss": True},
     ),
     "baro-inertial": BuiltIn(
-        "IMU and barometer", _LOOSE, FusionOptions, {"gnss": False, "gnss_markov": False}
+        "IMU and barometer", _LOOSE, "FusionOptions", {"gnss": False, "gnss_markov": False}
     ),
     "free-inertial": BuiltIn(
         "IMU alone, with its open-loop covariance",
         _LOOSE,
-        FusionOptions,
+        "FusionOptions",
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
     "gnss-only": BuiltIn(
         "position and velocity from the fixes, without IMU",
         "bench.navigation.gnss_only:GnssOnly",
-        GnssOnlyOptions,
+        "GnssOnlyOptions",
         {},
     ),
     "ukf": BuiltIn(
         "the states of loose-15 by sigma points, slow",
         "bench.navigation.unscented:Unscented",
-        UnscentedOptions,
+        "UnscentedOptions",
         {},
     ),
     "classic-22": BuiltIn(
         "the source's 22 states step by step, slow: the oracle of loose-22",
         "bench.navigation.classic:Classic22",
-        ClassicOptions,
+        "ClassicOptions",
         {},
     ),
     "error-ekf": BuiltIn(
         "the generic filter of the errors of two systems, the INS never corrected, slow",
         "bench.navigation.classic.error_ekf:ErrorEkfEstimator",
-        ClassicOptions,
+        "ClassicOptions",
         {**_NO_FORM, "feedback": False},
     ),
     "fixed-gain": BuiltIn(
         "classic-22 with the gain of a settled filter throughout, slow",
         f"{_GIVEN_GAINS}:FixedGain",
-        ClassicOptions,
+        "ClassicOptions",
         _NO_FORM,
     ),
     "complementary": BuiltIn(
         "complementary filter: differences of INS and aid, smoothed and taken off, slow",
         f"{_GIVEN_GAINS}:Complementary",
-        ComplementaryOptions,
+        "ComplementaryOptions",
         _NO_FORM,
     ),
     "least-squares": BuiltIn(
         "least squares over the past, old measurements with less weight, slow",
         f"{_GIVEN_GAINS}:LeastSquares",
-        LeastSquaresOptions,
+        "LeastSquaresOptions",
         _NO_FORM,
     ),
     "invariant-ekf": BuiltIn(
         "invariant EKF on SE2(3) of gtsam (extra 'graph'), nine states, fixes only, slow",
         "bench.navigation.graph.invariant_ekf:InvariantEkf",
-        InvariantOptions,
+        "InvariantOptions",
         {},
         package="gtsam",
     ),
     "graph-smoother": BuiltIn(
         "smoother as a factor graph of preintegrated IMU and fixes, by gtsam (extra 'graph'), slow",
         "bench.navigation.graph.factor_graph:GraphSmoother",
-        GraphOptions,
+        "GraphOptions",
         {},
         package="gtsam",
     ),

@@ -22,6 +22,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from bench.navigation.estimator import BUILT_IN
 from bench.wording import as_toml, describe_error, suggest
 
 
@@ -55,6 +56,15 @@ class Options(BaseModel):
     """The options of an estimator: no unknown name, no guessed type, no NaN, no infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def list_wrong(cls, given: Mapping[str, Any], fixed: Mapping[str, Any]) -> list[str]:
+        """Return a line for each option that is wrong, beside those that are ``fixed``; empty if none is."""
+        try:
+            cls(**{**given, **fixed})
+        except ValidationError as error:
+            return _lines(cls, error, fixed)
+        return []
 
 
 FixAccuracy = Literal["datasheet", "reported", "larger"]
@@ -192,16 +202,6 @@ class TightOptions(FusionOptions):
         return True
 
 
-STATES: Mapping[str, Mapping[str, bool]] = {
-    "loose-15": {"gnss_markov": False},
-    "loose-22": {"gnss_markov": True},
-    "loose-mems": {"gnss_markov": True, "mems": True},
-    "loose-full": {"gnss_markov": True, "every_error": True},
-    "tight": {"gnss_markov": False},
-}
-"""The options that make a compiled filter what it is."""
-
-
 class SmootherOptions(FusionOptions):
     """Options of the smoother: which filter runs forward, and the options of that."""
 
@@ -216,7 +216,8 @@ class SmootherOptions(FusionOptions):
     def _fix(cls, given: dict[str, Any]) -> dict[str, Any]:
         """Return the options with those that make the forward filter what it is."""
         over = given.get("over", "loose-full")
-        states = STATES.get(over, {}) if isinstance(over, str) else {}
+        known = BUILT_IN.get(over) if isinstance(over, str) else None
+        states = known.fixed if known else {}
         wrong = [
             f"option {name!r} is {as_toml(value)} in over = {as_toml(over)}; leave it out"
             for name, value in states.items()
@@ -367,15 +368,6 @@ def read_options(model: type[_O], given: Mapping[str, Any]) -> _O:
         return model(**given)
     except ValidationError as error:
         raise ValueError("\n".join(_lines(model, error, {}))) from None
-
-
-def wrong_options(model: type[Options], given: Mapping[str, Any], fixed: Mapping[str, Any]) -> list[str]:
-    """Return a line for each option that is wrong, beside those that are ``fixed``; empty if none is."""
-    try:
-        model(**{**given, **fixed})
-    except ValidationError as error:
-        return _lines(model, error, fixed)
-    return []
 
 
 def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any]) -> list[str]:

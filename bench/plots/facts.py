@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bench.config.library import find_unit
+from bench.config.listing import find_unit
 from bench.instruments import INSTRUMENTS
 from bench.run_result import RunResult
 

@@ -17,7 +17,7 @@ from bench.campaigns.campaign_file import CampaignSpec
 from bench.campaigns.outcome import Outcome
 from bench.config import load_profile
 from bench.config.library import find_datasheet
-from bench.config.tables import read_toml
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import compare_rmse
 from bench.evaluation.metrics import find_metric

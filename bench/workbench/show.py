@@ -10,10 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import config
-from bench.config.datasheets import SENSORS
-from bench.config.library import CatalogEntry, KeyEntry
+from bench.config.listing import KINDS, CatalogEntry, KeyEntry
 from bench.navigation.estimator import BUILT_IN
-from bench.navigation.options import Options, described
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
@@ -89,7 +87,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     "profiles": ("bench run NAME", config.list_profiles),
     "aircraft": ("aircraft = NAME", config.list_aircraft),
     "legs": ("[[leg]] kind = NAME", config.list_legs),
-    "sensors": (f"[sensors] {', '.join(SENSORS)} = NAME", config.list_sensors),
+    "sensors": (f"[sensors] {', '.join(KINDS)} = NAME", config.list_sensors),
     "estimators": (
         "use = NAME, 'module:Class', 'file:SOLUTION' or 'command:PROGRAM ...'",
         config.list_estimators,
@@ -152,6 +150,8 @@ def _describe_key(key: KeyEntry) -> tuple[str, ...]:
 
 def _print_options(console: Console) -> None:
     """Print the options of the built-in estimators; those that share options are shown together."""
+    from bench.navigation.options import Options, described
+
     owners: dict[type[Options], list[str]] = {}
     for name, row in BUILT_IN.items():
         owners.setdefault(row.options, []).append(name)

@@ -535,6 +535,12 @@ def test_help_imports_nothing_heavy(tmp_path):
         assert not loaded & {"numpy", "pydantic", "rich", "numba", "pyarrow", "bench.data"}
 
 
+def test_the_list_imports_only_what_it_uses(tmp_path):
+    loaded = modules(["list"], tmp_path)
+    assert "bench.workbench.show" in loaded
+    assert not loaded & {"pydantic", "numba", "scipy", "pyarrow", "pandas", "bench.navigation.options"}
+
+
 def test_a_cached_run_imports_only_what_it_uses(here, capsys):
     assert say(capsys, "fly", "short.toml")[0] == 0
     loaded = modules(["run", "short.toml", "--no-rrd"], here)

@@ -19,7 +19,7 @@ import pytest
 from bench import config
 from bench.config.datasheets import read_imu
 from bench.config.overrides import split_overrides
-from bench.config.tables import read_toml
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.fields import triad_figures_of
 from bench.flight.legs.climbs import Climb

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import bench
-from bench.config.library import list_profiles
+from bench.config.listing import list_profiles
 from bench.data import GnssFixes, ImuData
 from bench.evaluation.recorded_motion import Check
 from bench.evaluation.validity import check_recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config.library import list_profiles
+from bench.config.listing import list_profiles
 from bench.evaluation import motion_checks, motion_fit
 from bench.evaluation.recorded_motion import RecordedMotion
 from tests.evaluation import seeded

@@ -11,7 +11,7 @@ import bench
 from bench.campaigns.groups import Group
 from bench.campaigns.plan import Condition, plan_runs
 from bench.campaigns.worker import CHANNELS
-from bench.config.library import list_profiles
+from bench.config.listing import list_profiles
 from bench.navigation import estimator
 from tests import nees_table
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench import store
 from bench.baselines.baseline_file import read_baseline
-from bench.config.tables import read_toml
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.exchange.imports import bags, text, ulog
 from bench.exchange.mat_file import read_mat

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.config.library import list_aircraft, read_aircraft, read_jsbsim_aircraft
+from bench.config.library import read_aircraft, read_jsbsim_aircraft
+from bench.config.listing import list_aircraft
 from bench.flight.executive import load_aircraft
 from bench.flight.trimming import Condition, trim_aircraft
 from bench.specs import AircraftSpec
