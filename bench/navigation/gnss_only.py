@@ -29,11 +29,10 @@ from bench.data import (
 from bench.navigation import timeline
 from bench.navigation.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.blocks import assumed
-from bench.navigation.in_pieces import answer_now
+from bench.navigation.in_pieces import answer_now, refuse
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import LATENCY, fix_errors, fix_variance, remaining, weigh_fixes
 from bench.navigation.options import GnssOnlyOptions, read_options
-from bench.navigation.schedule import refuse
 from bench.navigation.singer import Fixes, FixLog, Manoeuvres, Track, track_kernel, track_work
 from bench.navigation.waiting import columns, join_rows
 from bench.specs import AssumedSpecs

@@ -113,3 +113,16 @@ def refuse_gap(longest: float) -> None:
             f"it cannot run in pieces over a gap of {longest:.3g} s in the IMU record, after which it starts "
             f"again; up to {LONGEST_BRIDGE:g} s are bridged: open another behind it"
         )
+
+
+def refuse(what: str, t: float, reached: float) -> None:
+    """Raise the error of what comes after the filter has gone on.
+
+    Raises
+    ------
+    EstimatorError
+    """
+    raise EstimatorError(
+        f"{what} for {t:.6g} s comes when the filter has gone on to {reached:.6g} s; "
+        "open it with a longer look_back"
+    )

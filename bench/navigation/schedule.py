@@ -19,6 +19,7 @@ from bench.navigation import ranging, timeline
 from bench.navigation.aiding import SATELLITE_ROWS
 from bench.navigation.blocks import assumed
 from bench.navigation.error_state import StateLayout
+from bench.navigation.in_pieces import refuse
 from bench.navigation.measurements import AidingSensor, fix_variance, weigh_fixes
 from bench.navigation.moved_fixes import MovedFixes
 from bench.navigation.options import FixAccuracy
@@ -63,6 +64,8 @@ class Schedule:
         Leaves out positions that moved otherwise than the velocities say; None: no such test.
     cut : bool
         End a step at every answer: a smoother has a node there.
+    as_sampled : bool
+        End no step at what arrives in a gap either, and answer at the first step's end from the instant on.
     """
 
     def __init__(
@@ -74,9 +77,11 @@ class Schedule:
         accuracy: FixAccuracy = "datasheet",
         watch: MovedFixes | None = None,
         cut: bool = False,
+        as_sampled: bool = False,
     ) -> None:
         self.start, self.t = start, start
         self._spec, self._compensate, self._cut = imu, compensate, cut
+        self._as_sampled = as_sampled
         self._accuracy, self._watch = accuracy, watch
         self._intake = ImuIntake(start)
         self.events: list[EventRow] = []
@@ -327,7 +332,7 @@ class Schedule:
             self.span,
             self.t,
             everywhere,
-            np.concatenate([everywhere, arrivals]),
+            everywhere if self._as_sampled else np.concatenate([everywhere, arrivals]),
             self._earlier,
         )
         go_to = len(steps.t) - 1
@@ -384,7 +389,7 @@ class Schedule:
     def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:
         """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
         t = self.output_t
-        if self._cut:
+        if self._cut or self._as_sampled:
             inside = (t >= self.start - TIME_TOLERANCE) & (t <= self.end + TIME_TOLERANCE)
             step = self._step_at(steps.t, t)
             due = np.flatnonzero(inside & (step <= go_to))
@@ -435,16 +440,3 @@ class Schedule:
 
 def _whole(parts: list[IntArray]) -> IntArray:
     return np.concatenate([np.empty(0, np.int64), *parts])
-
-
-def refuse(what: str, t: float, reached: float) -> None:
-    """Raise the error of what comes after the filter has gone on.
-
-    Raises
-    ------
-    EstimatorError
-    """
-    raise EstimatorError(
-        f"{what} for {t:.6g} s comes when the filter has gone on to {reached:.6g} s; "
-        "open it with a longer look_back"
-    )

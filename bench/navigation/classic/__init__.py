@@ -21,21 +21,30 @@ covariance is `filterpy`'s, and everything else is its own, so that one can be h
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment, timeline
+from bench.data import EventRow, GnssFixes, InitialState, NavSolution, SensorData
+from bench.navigation import alignment
 from bench.navigation.blocks import GNSS_MARKOV
-from bench.navigation.classic.filter_loop import SENSORS, FilterLoop
-from bench.navigation.classic.navigator import FRD_OF_FUR
+from bench.navigation.classic.filter_loop import FilterLoop
 from bench.navigation.error_state import StateLayout
 from bench.navigation.measurements import BARO, FIXES, unmodelled
 from bench.navigation.options import ClassicOptions, read_options
 from bench.navigation.restart import run_between_gaps
+from bench.navigation.schedule import Schedule
+from bench.navigation.stepping import SteppedPassage
 from bench.specs import AssumedSpecs
+
+
+def _read_fixes(fixes: GnssFixes, *_: object) -> tuple[FloatArray, FloatArray]:
+    return np.column_stack([fixes.lla, fixes.vel_n, fixes.satellites]), np.zeros(6)
+
+
+_AIDING = replace(FIXES, read=_read_fixes), BARO
 
 
 class Classic22:
@@ -64,57 +73,16 @@ class Classic22:
         return run_between_gaps(self._run, sensors, initial, "datasheet")
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        initial, aligned = alignment.complete(sensors, initial)
-        rows, span, events = timeline.imu_rows(sensors.imu, initial.t, sensors.specs.imu)
-        events += aligned
-        nowhere = np.empty(0)
-        steps = timeline.steps(sensors.imu, rows, span, initial.t, nowhere, nowhere)
-        t = steps.t
-        arrived: dict[int, list[tuple[int | None, int | None]]] = {}
-        fixes, baro = sensors.fixes, sensors.baro
-        if fixes is not None:
-            used, at, left = timeline.fix_rows(fixes, t, initial.t)
-            events += left
-            for row, k in zip(used.tolist(), at.tolist(), strict=True):
-                arrived.setdefault(k, []).append((row, None))
-        if baro is not None:
-            used, at, left = timeline.aiding_rows(baro, baro.alt_baro[:, None], "baro", t, initial.t)
-            events += left
-            for row, k in zip(used.tolist(), at.tolist(), strict=True):
-                waiting = arrived.setdefault(k, [])
-                if waiting and waiting[-1][1] is None:
-                    waiting[-1] = (waiting[-1][0], row)
-                else:
-                    waiting.append((None, row))
+        initial, events = alignment.complete(sensors, initial)
+        return self.in_pieces(sensors, initial, events).run(sensors)
 
-        share = steps.share[:, None]
-        dtheta = (steps.dtheta_b[steps.row] * share @ FRD_OF_FUR).tolist()
-        dvel = (steps.dvel_b[steps.row] * share @ FRD_OF_FUR).tolist()
-        interval = (1.0 - 1e-6) / self.options.covariance_hz
-        wanted = sensors.output_t
-        served = wanted >= initial.t - timeline.TIME_TOLERANCE
-        served &= wanted <= (t[-1] if len(t) else initial.t) + timeline.TIME_TOLERANCE
-        output_at = np.searchsorted(t, wanted[served] - timeline.TIME_TOLERANCE)
-        output_at[wanted[served] < initial.t + timeline.TIME_TOLERANCE] = -1
-        outputs: dict[int, int] = {}
-        for k in output_at.tolist():
-            outputs[k] = outputs.get(k, 0) + 1
-
-        flight = self.make_loop(sensors, initial)
-        if len(t):  # what is measured at the start sees the rate of the first sample
-            flight.w_b = np.array(dtheta[0]) / steps.span[0]
-        for fix_row, baro_row in arrived.get(-1, ()):
-            flight.update(initial.t, fix_row, baro_row)
-        answers = [flight.answer(initial.t)] * outputs.get(-1, 0)
-        for k, (now, dt) in enumerate(zip(t.tolist(), steps.span.tolist(), strict=True)):
-            flight.advance(dt, dtheta[k], dvel[k], steps.unknown[k])
-            if k in arrived or k in outputs or flight.elapsed >= interval:
-                flight.predict()
-            for fix_row, baro_row in arrived.get(k, ()):
-                flight.update(now, fix_row, baro_row)
-            if k in outputs:
-                answers += [flight.answer(now)] * outputs[k]
-        return _solution(sensors, served, answers, flight, events)
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+        """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        used = [sensor for sensor in _AIDING if getattr(first, sensor.record) is not None]
+        schedule = Schedule(initial.t, first.specs.imu, compensate=False, as_sampled=True)
+        schedule.events += events
+        flight = self.make_loop(first, initial)
+        return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
 
     def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
         """Return navigator and filter at the start of a record."""
@@ -127,34 +95,3 @@ class Classic22:
             if triad.bias_instability > 0 and triad.turn_on_bias_sd == 0 and triad.bias_model != "flicker":
                 found += (f"{name} bias instability that fades (taken as a random walk)",)
         return found
-
-
-def _solution(
-    sensors: SensorData,
-    served: Any,
-    answers: list[tuple[FloatArray, ...]],
-    flight: FilterLoop,
-    events: list[EventRow],
-) -> NavSolution:
-    for name in list(flight.refused):
-        flight.close(name)
-    m = len(sensors.output_t)
-    columns = [np.full((m, *shape), np.nan) for shape in ((3,), (3,), (4,), (13,), (13,), (9, 9))]
-    for column, values in zip(columns, zip(*answers, strict=True), strict=False):
-        column[served] = np.array(values)
-    lla, vel_n, q_nb, states, sd, cov = columns
-    layout = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
-    return NavSolution(
-        t=sensors.output_t,
-        lla=lla,
-        vel_n=vel_n,
-        q_nb=q_nb,
-        gyro_bias_b=states[:, :3],
-        accel_bias_b=states[:, 3:6],
-        cov=cov,
-        extra_names=layout.labels(),
-        extra=states,
-        extra_sd=sd,
-        innovations=Innovations.from_rows(SENSORS, flight.innovations),
-        events=Events.from_rows(events + flight.events),
-    )

@@ -7,8 +7,9 @@ to rounding. R is diagonal, so that roots take a row at a time (A-5.4.8R).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from copy import copy, deepcopy
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -24,8 +25,25 @@ from bench.navigation.square_root import Floats
 class Form:
     """What every form does; ``x`` is the estimate (n,), in the form's own precision."""
 
+    carried: tuple[str, ...] = ("x",)  # from one step to the next
+
     def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
         self.x: Floats = np.zeros(len(P), dtype)
+
+    def copy(self) -> Self:
+        """Return a form that goes on from here by itself."""
+        other = copy(self)
+        other.restore(deepcopy(self.state()))
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, by name."""
+        return {name: getattr(self, name) for name in self.carried}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        for name in self.carried:
+            setattr(self, name, state[name])
 
     @property
     def covariance(self) -> FloatArray:
@@ -58,6 +76,15 @@ class Joseph(Form):
         self.kf: Any = KalmanFilter(dim_x=len(P), dim_z=7)
         self.kf._I = np.eye(len(P), dtype=dtype)  # the rest keeps the type of what it is given
         self.kf.P = P.astype(dtype)
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, by name."""
+        return {"x": self.x, "P": self.kf.P}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.x, self.kf = state["x"], copy(self.kf)
+        self.kf.P = state["P"]
 
     @property
     def covariance(self) -> FloatArray:
@@ -98,6 +125,8 @@ class Conventional(Joseph):
 class Root(Form):
     """A square root S of P, stepped as a triangle; Potter's update or Carlson's."""
 
+    carried = ("x", "S")
+
     def __init__(self, P: FloatArray, dtype: DTypeLike, step: Callable[..., tuple[Floats, Floats]]) -> None:
         super().__init__(P, dtype)
         self.step = step
@@ -127,6 +156,8 @@ class Root(Form):
 
 class Factors(Form):
     """U and D of P = U D U': Thornton's step, Bierman's update."""
+
+    carried = ("x", "U", "D")
 
     def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
         super().__init__(P, dtype)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from bench.navigation.classic.navigator import (
     reduced,
     turn_matrix,
 )
-from bench.navigation.classic.observation_model import antenna_sweep
+from bench.navigation.classic.observation_model import Fix, antenna_sweep
 from bench.navigation.classic.process_model import SIZE
 
 
@@ -81,6 +82,8 @@ _STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)
 class _Errors(Form):
     """x and P of an :class:`ErrorEkf` on what a loop was given."""
 
+    carried = ("x", "_P")
+
     def __init__(self, P: FloatArray, loop: _Loop) -> None:
         super().__init__(P, np.float64)
         self.loop, self.ekf, self._P = loop, ErrorEkf(_M1, _M2, _STEPS), P
@@ -109,22 +112,27 @@ class _Errors(Form):
 class _Loop(FilterLoop):
     """Navigator and measurements; positions are reduced metres from where the navigator is."""
 
-    def update(self, now: float, fix_row: int | None, baro_row: int | None) -> None:
+    def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
         """Use what has arrived."""
-        self.given = (fix_row, baro_row)
-        super().update(now, fix_row, baro_row)
+        self.given = (fix, alt_baro)
+        super().update(now, fix, alt_baro)
+
+    def copy(self) -> Self:
+        """Return a loop that goes on from here by itself, and its form with it."""
+        other = super().copy()
+        assert isinstance(other.form, _Errors)
+        other.form.loop = other
+        return other
 
     def measured(self) -> FloatArray:
         """Return z2 (7,): height by the barometer, position and velocity of the fix, NaN without one."""
-        z2, nav, (fix_row, baro_row) = np.full(7, np.nan), self.nav, self.given
-        fixes, baro = self.sensors.fixes, self.sensors.baro
-        if baro is not None and baro_row is not None:
-            z2[0] = baro.alt_baro[baro_row] - nav.h
-        if fixes is not None and fix_row is not None:
-            lat, lon, h = fixes.lla[fix_row].tolist()
-            z2[1] = np.remainder(lon - nav.lon + np.pi, 2.0 * np.pi) * R3 - np.pi * R3
-            z2[2], z2[3] = (lat - nav.lat) * R3, h - nav.h
-            z2[4:] = NED_OF_ENU @ fixes.vel_n[fix_row]
+        z2, nav, (fix, alt_baro) = np.full(7, np.nan), self.nav, self.given
+        if alt_baro is not None:
+            z2[0] = alt_baro - nav.h
+        if fix is not None:
+            z2[1] = np.remainder(fix.lon - nav.lon + np.pi, 2.0 * np.pi) * R3 - np.pi * R3
+            z2[2], z2[3] = (fix.lat - nav.lat) * R3, fix.h - nav.h
+            z2[4:] = NED_OF_ENU @ fix.vel_n
         return z2
 
     def expect(self, z: FloatArray) -> FloatArray:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy, deepcopy
+from dataclasses import asdict, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import EventRow, InitialState, SensorData
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.navigation import timeline
 from bench.navigation.classic.covariance_forms import Form, make_form
 from bench.navigation.classic.extrapolation import extrapolate
@@ -30,27 +32,39 @@ from bench.navigation.classic.navigator import (
     reduced,
 )
 from bench.navigation.classic.observation_model import (
+    Fix,
     antenna_matrix,
     antenna_sweep,
     measurement_matrix,
     measurement_noise,
     ned_matrix,
+    pair_measurements,
 )
 from bench.navigation.classic.process_model import SIZE, gnss_decay, model, model_van_loan, per_axis, sigmas
+from bench.navigation.error_state import StateLayout
 from bench.navigation.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
 from bench.navigation.options import ClassicOptions
+from bench.navigation.stepping import Measured
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro")
 _CURVE = 8  # estimates that a curve needs
 _ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
+_LAYOUT = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
+_CARRIED = (
+    "eps", "da", "scale", "elapsed", "lost", "B_sum", "dv_sum", "w_b", "before", "next_correction",
+    "satellites", "misses", "refused",
+)  # fmt: skip
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
 
 class FilterLoop:
-    """The navigator, its filter and their book-keeping over one record."""
+    """The navigator, its filter and their book-keeping (`bench.navigation.stepping.Flight`)."""
+
+    shapes: tuple[tuple[int, ...], ...] = (3,), (3,), (4,), (13,), (13,), (9, 9)
+    one_antenna = True
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
-        self.options, self.sensors = options, sensors
+        self.options, self.interval = options, (1.0 - 1e-6) / options.covariance_hz
         self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
         self.sig = replace(
             sigmas(sensors.specs), jump_white=options.jump_white_sd, jump_markov=options.jump_markov_sd
@@ -90,6 +104,30 @@ class FilterLoop:
         self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.events: list[EventRow] = []
+
+    # -- a step, and what follows
+
+    def increments(self, increments_b: FloatArray) -> list[list[float]]:
+        """Return increments in the axes of the source."""
+        turned: list[list[float]] = (increments_b @ FRD_OF_FUR).tolist()
+        return turned
+
+    def begin(self, dt: float, dtheta: list[float]) -> None:
+        """Take the rate of the first step: what is measured at the start sees it."""
+        self.w_b = np.array(dtheta) / dt
+
+    def step(
+        self, now: float, dt: float, dtheta: list[float], dvel: list[float], unknown: FloatArray, due: bool
+    ) -> None:
+        """Go a step on; the filter follows at its own rate, and where something is ``due``."""
+        self.advance(dt, dtheta, dvel, unknown)
+        if due or self.elapsed >= self.interval:
+            self.predict()
+
+    def measure(self, now: float, arrived: list[Measured]) -> None:
+        """Use what has arrived, a fix with a reading of the barometer."""
+        for fix, alt_baro in pair_measurements(arrived):
+            self.update(now, fix, alt_baro)
 
     # -- the navigator
 
@@ -149,33 +187,31 @@ class FilterLoop:
 
     # -- the measurements
 
-    def update(self, now: float, fix_row: int | None, baro_row: int | None) -> None:
+    def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
         """Use what has arrived: the rows of Y, their tests, the update and the correction."""
         earth = ellipsoid(self.nav.lat, self.nav.h)
         east, north = reduced(self.nav, earth)
-        jump = fix_row is not None and self._satellites_changed(fix_row)
+        jump = fix is not None and self._satellites_changed(fix.satellites)
         if jump:
             self._grow(range(16, SIZE), np.square(per_axis(self.sig.jump_markov) * [east, north, 1, 1, 1, 1]))
         H, Q = measurement_matrix(), measurement_noise(self.sig, east, north, jump)
         antenna_matrix(H, self.nav, earth, self.antenna, self.w_b)
         R = Q @ Q.T
-        Y = self._measurements(earth, fix_row, baro_row)
+        Y = self._measurements(earth, fix, alt_baro)
         x, PH = self.form.x.astype(float), self.form.covariance @ H.T
         y, S = Y - H @ x, H @ PH + R  # A-5.4.6
         metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
         error = H[:, :15] @ x[:15]  # of the INS, as far as it is known
         apart = (Y - error) * metres  # corrected INS less measured
         use = []
-        vel_row = fix_row
-        if fix_row is not None and self.sensors.fixes is not None:
-            moving = np.isfinite(self.sensors.fixes.vel_n[fix_row]).all()
-            vel_row = fix_row if moving else None  # a fix may have no velocity
-        for name, given in (("gnss_position", fix_row), ("gnss_velocity", vel_row), ("baro", baro_row)):
-            if given is not None and self._is_sound(
+        moving = fix is not None and bool(np.isfinite(fix.vel_n).all())  # a fix may have no velocity
+        given = ("gnss_position", fix is not None), ("gnss_velocity", moving), ("baro", alt_baro is not None)
+        for name, there in given:
+            if there and self._is_sound(
                 now, name, apart, y * metres, S * np.outer(metres, metres), PH * metres
             ):
                 use += _ROWS[name]
-        if fix_row is not None and baro_row is not None:
+        if fix is not None and alt_baro is not None:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
             if ratio > self.options.monitor_sigmas:
                 text = f"barometer and GNSS height differ by {ratio:.1f} sigma"
@@ -197,29 +233,27 @@ class FilterLoop:
             self._remember(now)
         self._correct(now)
 
-    def _satellites_changed(self, row: int) -> bool:
-        count = int(self.sensors.fixes.satellites[row]) if self.sensors.fixes is not None else None
+    def _satellites_changed(self, count: int) -> bool:
         changed = self.satellites is not None and count != self.satellites
         self.satellites = count
         return changed
 
-    def _measurements(self, earth: Earth, fix_row: int | None, baro_row: int | None) -> FloatArray:
+    def _measurements(self, earth: Earth, fix: Fix | None, alt_baro: float | None) -> FloatArray:
         """Return Y (8,), INS less measured (A-5.4.3), NaN in the rows of what has not arrived."""
         Y = np.full(8, np.nan)
         nav = self.nav
-        if baro_row is not None and self.sensors.baro is not None:
-            Y[0] = nav.h - self.sensors.baro.alt_baro[baro_row]
-        if fix_row is not None and self.sensors.fixes is not None:
+        if alt_baro is not None:
+            Y[0] = nav.h - alt_baro
+        if fix is not None:
             east, north = reduced(nav, earth)
             arm = nav.B @ self.antenna
-            lat, lon, h = self.sensors.fixes.lla[fix_row].tolist()
-            dlon = nav.lon - lon
+            dlon = nav.lon - fix.lon
             dlon -= 2.0 * math.pi * round(dlon / (2.0 * math.pi))
             Y[1] = dlon * R3 + arm[0] * east
-            Y[2] = (nav.lat - lat) * R3 + arm[1] * north
-            Y[3] = nav.h - h + arm[2]
+            Y[2] = (nav.lat - fix.lat) * R3 + arm[1] * north
+            Y[3] = nav.h - fix.h + arm[2]
             swept = nav.B @ antenna_sweep(nav, self.antenna, self.w_b)
-            Y[4:7] = nav.V + swept - NED_OF_ENU @ self.sensors.fixes.vel_n[fix_row]
+            Y[4:7] = nav.V + swept - NED_OF_ENU @ fix.vel_n
         Y[7] = Y[3] - Y[0]
         return Y
 
@@ -345,3 +379,59 @@ class FilterLoop:
             np.sqrt(np.diag(to_ned @ P[9:, 9:] @ to_ned.T)),
             J @ P[:9, :9] @ J.T,
         )
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return answers at instants (M,) [s], with innovations and events since this was called last."""
+        if last:
+            for name in list(self.refused):
+                self.close(name)
+        lla, vel_n, q_nb, states, sd, cov = answers
+        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        events, self.events = events + self.events, []
+        return NavSolution(
+            t=t,
+            lla=lla,
+            vel_n=vel_n,
+            q_nb=q_nb,
+            gyro_bias_b=states[:, :3],
+            accel_bias_b=states[:, 3:6],
+            cov=cov,
+            extra_names=_LAYOUT.labels(),
+            extra=states,
+            extra_sd=sd,
+            innovations=table,
+            events=Events.from_rows(events),
+        )
+
+    # -- from one piece of a record to the next
+
+    def copy(self) -> Self:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.form = self.form.copy()
+        other.innovations, other.events = list(self.innovations), list(self.events)
+        other.restore(deepcopy(self.state()))
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays, numbers and words by name."""
+        known_t, errors = zip(*self.known, strict=True) if self.known else ((), np.empty((0, 9)))
+        return {
+            "form": self.form.state(),
+            "nav": asdict(self.nav),
+            "start": asdict(self.start),
+            **{name: getattr(self, name) for name in _CARRIED},
+            "known": {"t": np.array(known_t), "errors": np.array(errors)},
+            "accepted": {name: {"t": t, "offset": offset} for name, (t, offset) in self.accepted.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.form.restore(state["form"])
+        self.nav, self.start = Nav(**state["nav"]), Nav(**state["start"])
+        for name in _CARRIED:
+            setattr(self, name, state[name])
+        self.known = deque(zip(state["known"]["t"].tolist(), state["known"]["errors"], strict=True))
+        self.accepted = {name: (one["t"], one["offset"]) for name, one in state["accepted"].items()}

@@ -32,6 +32,8 @@ _BARO, _FIX = [0], [1, 2, 3, 4, 5, 6]  # rows of A-5.4.3
 class GivenGain(Form):
     """x and P of a filter with a gain of its own; ``x`` may have a column for each of many flights."""
 
+    carried: tuple[str, ...] = ("x", "_P")
+
     def __init__(self, P: FloatArray) -> None:
         super().__init__(P, np.float64)
         self._P = P.copy()
@@ -168,6 +170,8 @@ class FadingFit(GivenGain):
     (stabilized forgetting, R. Kulhavy, M. Zarrop, Int. J. Control 58 (4), 1993); the sum is carried on from
     measurement to measurement.
     """
+
+    carried = ("x", "_P", "normal", "age")
 
     def __init__(self, P: FloatArray, sig: Sigmas, memory: float) -> None:
         super().__init__(P)

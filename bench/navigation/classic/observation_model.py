@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
+from bench.navigation.aiding import BARO_ROWS, FIX_ROWS
 from bench.navigation.classic.navigator import NED_OF_ENU, Earth, Nav, reduced
 from bench.navigation.classic.process_model import SIZE, Sigmas, per_axis
+from bench.navigation.stepping import Measured
+
+
+class Fix(NamedTuple):
+    """What a receiver reports."""
+
+    lat: float  # [rad]
+    lon: float  # [rad]
+    h: float  # ellipsoidal [m]
+    vel_n: FloatArray  # (3,) [m/s], n; not finite: none
+    satellites: int
+
+
+def pair_measurements(arrived: Sequence[Measured]) -> list[tuple[Fix | None, float | None]]:
+    """Return fixes, the last with the first height by the barometer that has come with them, then the rest.
+
+    The values of a fix are latitude, longitude, height, velocity (n) and the number of satellites.
+    """
+    heights = [float(values[0]) for kind, values, _ in arrived if kind == BARO_ROWS]
+    fixes = [values for kind, values, _ in arrived if kind == FIX_ROWS]
+    pairs = list[tuple[Fix | None, float | None]]()
+    for row in fixes:
+        lat, lon, h = row[:3].tolist()
+        pairs.append((Fix(lat, lon, h, row[3:6], int(row[6])), None))
+    if pairs and heights:
+        pairs[-1] = (pairs[-1][0], heights.pop(0))
+    return pairs + [(None, height) for height in heights]
 
 
 def measurement_matrix() -> FloatArray:
