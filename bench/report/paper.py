@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,12 @@ COLUMN_MM = 88.0
 
 _INCH_MM = 25.4
 _ROW_MM = 32.0  # height of a plot [mm]
-_INSIDE = 70  # letters of all names of a legend for which there is room in a plot
+_POINT_MM = _INCH_MM / 72.0
+_TITLE, _NAME = 8.0, 6.0  # size of a title and of a name in a legend [pt]
+_LETTER = 0.53  # width of a letter over its size, on the average
+_SAMPLE = 20.0  # width of a line before its name, and what is between them [pt]
+_NAME_ROW = 8.5  # height of a row of a legend [pt]
+_MARGIN = 40.0  # left of a plot [pt]
 _MOST_NAMES = 6  # in a legend; a line for each satellite has none
 _DARKER = 0.72  # of the colours of the viewer, for white paper
 _SHADES = {"outage": (0.9, 0.9, 0.9), "fault": (0.94, 0.87, 0.94)}
@@ -133,30 +138,63 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
     family = "serif" if serif else "sans-serif"
     style: Any = {"font.size": 8.0, "font.family": family, "axes.linewidth": 0.6}
     with mpl.rc_context(style):
-        size = (width_mm / _INCH_MM, len(plots) * _ROW_MM / _INCH_MM + 0.35)
+        legends = _plan_legends(plots, width_mm / _POINT_MM - _MARGIN)
+        height = len(plots) * _ROW_MM + sum(one.rows for one in legends) * _NAME_ROW * _POINT_MM
+        size = (width_mm / _INCH_MM, height / _INCH_MM + 0.35)
         figure = Figure(figsize=size, dpi=300, layout="constrained")
         rows = figure.subplots(len(plots), 1, sharex=True, squeeze=False)[:, 0]
-        told: set[str] = set()
-        for axes, plot in zip(rows, plots, strict=True):
-            names = _draw_plot(axes, plot, shades)
-            if not names <= told and len(names) <= _MOST_NAMES:
-                _add_legend(figure, axes, names)
-            told |= names
+        for axes, plot, legend in zip(rows, plots, legends, strict=True):
+            _draw_plot(axes, plot, shades)
+            axes.set_title(_shorten_title(plot), fontsize=_TITLE, loc="left", pad=2 + legend.rows * _NAME_ROW)
+            if legend.columns:
+                corner, at = ("lower left", (0.0, 1.0)) if legend.rows else ("lower right", (1.0, 1.0))
+                axes.legend(
+                    fontsize=_NAME, frameon=False, ncols=legend.columns, loc=corner, bbox_to_anchor=at,
+                    borderaxespad=0.0, borderpad=0.2, handlelength=1.5, handletextpad=0.4, columnspacing=1.0,
+                    labelspacing=0.3,
+                )  # fmt: skip
         rows[-1].set_xlabel(f"{plots[-1].over} [{plots[-1].across}]")
     return figure
 
 
-def _add_legend(figure: Figure, axes: Axes, names: set[str]) -> None:
-    """Put the legend into a plot, or below all where its names are too long for that."""
-    if sum(map(len, names)) <= _INSIDE:
-        axes.legend(fontsize=6, frameon=False, ncols=3, loc="upper right", borderaxespad=0.1)
-    else:
-        lines = axes.get_legend_handles_labels()
-        figure.legend(*lines, fontsize=6, frameon=False, ncols=2, loc="outside lower center")
+class _Legend(NamedTuple):
+    """Where the names of a plot stand: beside its title, or in rows of their own below it."""
+
+    columns: int  # 0: without a legend
+    rows: int  # 0: beside the title
 
 
-def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> set[str]:
-    """Draw a plot and return the names of its lines, bands and dots."""
+def _plan_legends(plots: Sequence[Plot], room: float) -> list[_Legend]:
+    """Return the legend of each plot, outside its lines; one whose names stand above already has none.
+
+    ``room`` is the width of a plot [pt].
+    """
+    legends, told = [], set[str]()
+    for plot in plots:
+        names = _list_names(plot)
+        widths = [_SAMPLE + len(name) * _LETTER * _NAME for name in names]
+        if told >= {*names} or len(names) > _MOST_NAMES:
+            legends.append(_Legend(0, 0))
+        elif (len(_shorten_title(plot)) + 1) * _LETTER * _TITLE + sum(widths) <= room:
+            legends.append(_Legend(len(names), 0))
+        else:
+            columns = min(max(int(room / max(widths)), 1), len(names))
+            legends.append(_Legend(columns, -(-len(names) // columns)))
+        told |= {*names}
+    return legends
+
+
+def _list_names(plot: Plot) -> list[str]:
+    """Return the names of the lines, bands and dots of a plot."""
+    return list(dict.fromkeys(name for one in plot.series for name in one.names))
+
+
+def _shorten_title(plot: Plot) -> str:
+    return plot.title.partition(": ")[2] or plot.title
+
+
+def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
+    """Draw the lines, bands and dots of a plot."""
     for shade in shades:
         for start, end in shade.intervals:
             axes.axvspan(start, end, color=_SHADES[shade.key], lw=0)
@@ -176,10 +214,8 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> set[str]:
     for axis in plot.log:
         getattr(axes, f"set_{axis}scale")("log")
     axes.set_ylim(plot.limits())
-    axes.set_title(plot.title.partition(": ")[2] or plot.title, fontsize=8, loc="left", pad=2)
     axes.tick_params(width=0.6, length=2.5)
     axes.spines[["top", "right"]].set_visible(False)
-    return seen
 
 
 def _darken(colour: Colour) -> tuple[float, float, float]:

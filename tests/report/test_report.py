@@ -223,3 +223,20 @@ def test_figures_for_a_paper_hold_the_data_and_are_the_same_twice(result, tmp_pa
         bench.plot_result(result, "positions")
     with pytest.raises(ConfigError, match="Did you mean 'loose-15'"):
         bench.plot_result(result, "position", "loose-16")
+
+
+@pytest.mark.parametrize(("tab", "width"), [("flight", 88.0), ("comparison", 60.0)])
+def test_a_legend_covers_neither_lines_nor_titles(result, tab, width):
+    figure = bench.plot_result(result, tab, width_mm=width)
+    figure.draw_without_rendering()
+    page = figure.bbox
+    inside = [axes.get_window_extent() for axes in figure.axes]
+    titles = [axes._left_title.get_window_extent() for axes in figure.axes]
+    legends = [axes.get_legend().get_window_extent() for axes in figure.axes if axes.get_legend()]
+    assert legends
+    for legend in legends:
+        assert page.x0 <= legend.x0 < legend.x1 <= page.x1
+        for other in (*inside, *titles):
+            across = min(legend.x1, other.x1) - max(legend.x0, other.x0)
+            up = min(legend.y1, other.y1) - max(legend.y0, other.y0)
+            assert min(across, up) <= 1.0  # [pixel] of 300 an inch
