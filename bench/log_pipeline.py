@@ -119,9 +119,12 @@ def _describe_accuracy(records: LogRecords) -> Check:
     fixes = records.fixes
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
     low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0]) if len(sd) else np.full(3, np.nan)
+    spread = f"{low:.3g} to {high:.3g} m horizontally, median {median:.3g} m"
+    if high - low < 1e-3 * high:
+        spread = f"{median:.3g} m horizontally, the same for all"
     text = (
-        f"each fix is weighed by the {records.reported} it came with: {low:.3g} to {high:.3g} m "
-        f"horizontally, median {median:.3g} m; option fix_accuracy = 'datasheet' weighs all alike"
+        f"each fix is weighed by the {records.reported} it came with: {spread}; "
+        "option fix_accuracy = 'datasheet' weighs all alike"
     )
     return Check("fix_accuracy_m", float(median), text, True)
 

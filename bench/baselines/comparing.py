@@ -326,7 +326,11 @@ def _list_differences(first: Side, other: Side, one: str, two: str) -> list[str]
     ]
     if old.sensors != new.sensors:
         shared = len(set(old.sensors) & set(new.sensors))
-        found.append(f"draws: {old.draws} and {new.draws}, {shared} in both")
+        found.append(f"draws: {old.draws} and {new.draws}, {shared or 'none'} in both")
+    if old.estimators.keys() & new.estimators.keys():
+        for side, its, others in ((first, old, new), (other, new, old)):
+            if alone := [label for label in its.estimators if label not in others.estimators]:
+                found.append(f"only in {side.name}: {', '.join(alone)}")
     found += [
         f"{name}: {old.versions.get(name)} and {new.versions.get(name)}"
         for name in dict.fromkeys([*old.versions, *new.versions])

@@ -75,7 +75,8 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
         found.append(Check(f"{name}_unordered_rows", float(len(back)), text, False))
     if len(long):
         k = int(long[np.argmax(steps[long])])
-        text = f"{name}: {len(long)} gaps, the longest {steps[k]:.3g} s before row {k + 2}, at {t[k]:.2f} s"
+        gaps = "1 gap, of" if len(long) == 1 else f"{len(long)} gaps, the longest"
+        text = f"{name}: {gaps} {steps[k]:.3g} s before row {k + 2}, at {t[k]:.2f} s"
         found.append(Check(f"{name}_gaps", float(len(long)), text, False))
     if len(bad):
         text = f"{name}: {len(bad)} rows are flagged or hold no finite number, the first is row {bad[0] + 1}"

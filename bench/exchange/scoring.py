@@ -49,6 +49,8 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
         if seconds is not None and not math.isfinite(seconds):
             raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
+    if path.is_dir() and folder.is_file():
+        raise ConfigError(f"{folder} is a file and {path} a folder; the solution comes first, then the run")
     with store.report_damage(folder):
         run = store.load(folder)
         if label in run.metrics:

@@ -14,10 +14,12 @@ from rich.console import Console
 from bench.arrays import FloatArray
 from bench.config.log import load_log
 from bench.errors import ConfigError
+from bench.exchange.exports.column_files import START
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.log_records import read_records
 from bench.exchange.rows import MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
+from bench.files import read_json
 from bench.units import split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
@@ -129,7 +131,7 @@ def new_log(name: str, *, console: Console) -> None:
         found = {kind: _Found(path, {}, ()) for kind in ("imu", "gnss")}
     else:
         found = _find_tables(path)
-    text = _write_log(path.stem, found)
+    text = _write_log(path.stem, found, _read_antenna(path.parent))
     try:
         log.write_text(text, encoding="utf-8")
         last = float(read_records(load_log(str(log))).imu.t.max())
@@ -232,7 +234,16 @@ def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mappin
     return min(fitting, key=len, default=None)
 
 
-def _write_log(title: str, found: Mapping[str, _Found]) -> str:
+def _read_antenna(beside: Path) -> list[float] | None:
+    """Return where the antenna is [m], b, if a folder is an export of the bench, which says so."""
+    try:
+        x, y, z = (float(value) for value in read_json(beside / START)["antenna_b_m"])
+    except (ConfigError, KeyError, TypeError, ValueError):
+        return None
+    return [x, y, z]
+
+
+def _write_log(title: str, found: Mapping[str, _Found], antenna: Sequence[float] | None) -> str:
     """Return the text of the log; what a file cannot say is a comment that asks."""
     lines = [f"title = {json.dumps(title)}"]
     asked = {
@@ -243,6 +254,8 @@ def _write_log(title: str, found: Mapping[str, _Found]) -> str:
         "gnss": ["# where is its antenna: forward, right, down?  position_m = [0.0, 0.0, 0.0]"],
         "baro": [],
     }
+    if antenna is not None:
+        asked["gnss"] = [f"position_m = {json.dumps(list(antenna))}  # by {START}"]
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
         if one.structure:

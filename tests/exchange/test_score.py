@@ -337,6 +337,13 @@ def test_what_is_no_file_or_no_table_is_one_line(run, tmp_path, capsys):
         assert (status, out, err.count("\n")) == (2, "", 1), (name, err)
 
 
+def test_a_run_before_the_solution_is_told_the_order(run, tmp_path, capsys):
+    (tmp_path / "his.csv").write_text("t_s\n0\n")
+    assert main(["score", str(run[0]), str(tmp_path / "his.csv")]) == 2
+    assert "his.csv is a file and " in (said := capsys.readouterr().err)
+    assert "the solution comes first, then the run" in said
+
+
 def test_a_huge_table_is_refused_in_bounded_memory(tmp_path):
     path = tmp_path / "huge.csv"
     with path.open("w") as file:

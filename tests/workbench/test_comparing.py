@@ -51,7 +51,7 @@ def test_runs_are_paired_by_seed_and_number(draws):
     lost = make_side("other", after[turned], [f"seed 2, run {k}" for k in turned])
     unpaired = comparing._compare_sides(make_side("first", before, keys), lost)
     assert {row.word for row in unpaired.verdicts if row.metric != "converged"} == {"undecided"}
-    assert "draws: 20 and 20, 0 in both" in unpaired.differences
+    assert "draws: 20 and 20, none in both" in unpaired.differences
     check_sentence(unpaired, "undecided")
 
 
@@ -105,6 +105,17 @@ def test_a_single_estimator_of_each_is_compared_whatever_its_label(draws):
     two.draws["flight"].estimators["third"] = two.draws["flight"].estimators["mine"]
     with pytest.raises(ConfigError, match="has no estimator in common with first: mine, third and loose-15"):
         comparing._compare_sides(first, two)
+
+
+def test_estimators_of_one_side_alone_are_named(draws):
+    keys = [f"seed 1, run {k}" for k in range(20)]
+    first, other = (
+        make_side(name, values, keys) for name, values in zip(("first", "other"), draws, strict=True)
+    )
+    (own,) = other.draws["flight"].estimators
+    other.draws["flight"].estimators["third"] = other.draws["flight"].estimators[own]
+    assert "only in other: third" in comparing._compare_sides(first, other).differences
+    assert "only in other: third" in comparing._compare_sides(other, first).differences
 
 
 @pytest.fixture(scope="module")

@@ -63,6 +63,7 @@ def test_an_export_of_the_bench_is_found(tmp_path):
     assert_array_equal(found.imu.dvel_b, data.imu.dvel_b)
     assert_array_equal(found.imu.dt, data.imu.dt)
     assert_allclose(found.fixes.lla, data.fixes.lla, atol=1e-12)
+    assert_array_equal(log.antenna_b, data.antenna_b)
     assert log.assumed.baro is not None
 
 
