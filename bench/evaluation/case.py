@@ -47,6 +47,7 @@ class Case:
 
     t: FloatArray  # (M,) [s]
     pos_n: FloatArray  # (M, 3) errors [m], n
+    pos_h: FloatArray  # (M,) length of their horizontal part [m]
     vel_n: FloatArray  # (M, 3) [m/s], n
     phi_n: FloatArray  # (M, 3) [rad], n
     heading: FloatArray  # (M,) [rad]
@@ -149,6 +150,7 @@ def build_case(
     return Case(
         t=errors.t,
         pos_n=errors.pos_n,
+        pos_h=np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1]),
         vel_n=errors.vel_n,
         phi_n=errors.phi_n,
         heading=errors.heading,
@@ -191,6 +193,7 @@ def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case
         whole,
         t=whole.t[taken],
         pos_n=whole.pos_n[taken],
+        pos_h=whole.pos_h[taken],
         vel_n=whole.vel_n[taken],
         phi_n=whole.phi_n[taken],
         heading=whole.heading[taken],

@@ -188,8 +188,9 @@ def _nees_kernel(
 ) -> None:
     """Fill nees (M,) of errors (M, n) with covariances (M, n, n); L (n, n) and rows (2, n) are memory.
 
-    The square root of what is not positive is NaN or 0, and what follows from it is not finite. Above the
-    diagonal it counts only whether a number is finite.
+    L is the Cholesky factor with the reciprocals of its diagonal: the square root of what is not positive is
+    NaN or 0, and what follows from it is not finite. Above the diagonal it counts only whether a number is
+    finite.
     """
     n, y, scale = L.shape[0], rows[0], rows[1]
     for k in range(error.shape[0]):
@@ -202,11 +203,11 @@ def _nees_kernel(
                 value = P[i, j] * scale[i] * scale[j]
                 for m in range(j):
                     value -= L[i, m] * L[j, m]
-                L[i, j] = np.sqrt(value) if i == j else value / L[j, j]
+                L[i, j] = 1.0 / np.sqrt(value) if i == j else value * L[j, j]
             for j in range(i):
                 y[i] -= L[i, j] * y[j]
                 total += 0.0 * P[j, i]
-            y[i] /= L[i, i]
+            y[i] *= L[i, i]
             total += y[i] * y[i]
         nees[k] = total if np.isfinite(total) else np.nan
 

@@ -73,7 +73,8 @@ def rmse(block: str, case: Case) -> Values:
     """Root mean square of the error of a block by axis, horizontal and 3D [m or m/s]."""
     error_n = getattr(case, f"{block}_n")
     by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
-    return by_axis | {"h": _rms(_horizontal_norm(error_n)), "3d": _rms(lengths(error_n))}
+    horizontal = case.pos_h if block == "pos" else _horizontal_norm(error_n)
+    return by_axis | {"h": _rms(horizontal), "3d": _rms(lengths(error_n))}
 
 
 def phi_rmse(case: Case) -> Values:
@@ -98,7 +99,7 @@ def heading_max(case: Case) -> float:
 
 def pos_max_h(case: Case) -> float:
     """Largest horizontal position error [m]."""
-    return float(_horizontal_norm(case.pos_n).max())
+    return float(case.pos_h.max())
 
 
 def pos_max_v(case: Case) -> float:
@@ -122,7 +123,7 @@ def _order_statistic(values: FloatArray, fraction: float) -> float:
 
 def cep(fraction: float, case: Case) -> float:
     """Radius that holds a fraction of the horizontal errors [m]; navigation standards call cep95 R95."""
-    return _order_statistic(_horizontal_norm(case.pos_n), fraction)
+    return _order_statistic(case.pos_h, fraction)
 
 
 def pos_95_v(case: Case) -> float:

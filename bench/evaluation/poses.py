@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, read_only
+from bench.compiled import inner, kernel
 from bench.data import ErrorSeries, NavSolution
 
 _PACE = 1.0  # a relative error begins every so many seconds [s]
@@ -55,19 +56,17 @@ class Poses:
 
     def distance(self, first: IntArray, last: IntArray) -> FloatArray:
         """Return the error (K,) of the displacements from first to last rows, seen in b at the first [m]."""
-        moved = [
-            rotation.rotate(rotation.conjugate(q[first]), pos_e[last] - pos_e[first])
-            for pos_e, q in ((self.estimate_e, self.q_estimate), (self.truth_e, self.q_truth))
-        ]
-        return lengths(moved[0] - moved[1])
+        apart = np.empty(len(first))
+        estimate_e, truth_e = read_only(self.estimate_e), read_only(self.truth_e)
+        q_estimate, q_truth = read_only(self.q_estimate), read_only(self.q_truth)
+        _distance_kernel(first, last, estimate_e, q_estimate, truth_e, q_truth, apart)
+        return apart
 
     def angle(self, first: IntArray, last: IntArray) -> FloatArray:
         """Return the angle (K,) between the estimated and the true rotation from first to last rows [rad]."""
-        turned = [
-            rotation.multiply(rotation.conjugate(q[first]), q[last]) for q in (self.q_estimate, self.q_truth)
-        ]
-        apart = rotation.to_rotvec(rotation.multiply(rotation.conjugate(turned[1]), turned[0]))
-        return lengths(apart)
+        apart = np.empty(len(first))
+        _angle_kernel(first, last, read_only(self.q_estimate), read_only(self.q_truth), apart)
+        return apart
 
 
 def lengths(vectors: FloatArray) -> FloatArray:
@@ -80,6 +79,60 @@ def lengths(vectors: FloatArray) -> FloatArray:
     """
     x, y, z = vectors.T
     return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+@inner
+def _turn_between_kernel(
+    a: float, i: float, j: float, k: float, w: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return the product of the conjugate of the first quaternion and the second."""
+    return (
+        a * w + i * x + j * y + k * z,
+        a * x - i * w - j * z + k * y,
+        a * y + i * z - j * w - k * x,
+        a * z - i * y + j * x - k * w,
+    )
+
+
+@kernel
+def _angle_kernel(
+    first: IntArray, last: IntArray, q_estimate: FloatArray, q_truth: FloatArray, out: FloatArray
+) -> None:
+    """Fill out (K,) with the angle between the estimated and the true rotation from first to last rows."""
+    for k in range(first.shape[0]):
+        p, q, r, s = q_estimate[first[k]], q_estimate[last[k]], q_truth[first[k]], q_truth[last[k]]
+        estimate = _turn_between_kernel(p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3])
+        truth = _turn_between_kernel(r[0], r[1], r[2], r[3], s[0], s[1], s[2], s[3])
+        w, x, y, z = _turn_between_kernel(
+            truth[0], truth[1], truth[2], truth[3], estimate[0], estimate[1], estimate[2], estimate[3]
+        )
+        out[k] = 2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), abs(w))
+
+
+@inner
+def _turn_back_kernel(pos_e: FloatArray, q: FloatArray, first: int, last: int) -> tuple[float, float, float]:
+    """Return the displacement from the first to the last row, in b of the first."""
+    w, x, y, z = q[first, 0], -q[first, 1], -q[first, 2], -q[first, 3]
+    a, b, c = (
+        pos_e[last, 0] - pos_e[first, 0],
+        pos_e[last, 1] - pos_e[first, 1],
+        pos_e[last, 2] - pos_e[first, 2],
+    )
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)
+
+
+@kernel
+def _distance_kernel(
+    first: IntArray, last: IntArray, estimate_e: FloatArray, q_estimate: FloatArray, truth_e: FloatArray,
+    q_truth: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (K,) with the distance between the estimated and the true displacement, both in b."""
+    for k in range(first.shape[0]):
+        a, b, c = _turn_back_kernel(estimate_e, q_estimate, first[k], last[k])
+        x, y, z = _turn_back_kernel(truth_e, q_truth, first[k], last[k])
+        x, y, z = a - x, b - y, c - z
+        out[k] = np.sqrt(x * x + y * y + z * z)
 
 
 def align(points: FloatArray, reference: FloatArray) -> FloatArray:

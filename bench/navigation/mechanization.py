@@ -46,8 +46,8 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
     """Multiply q_nb by the quaternion of a rotation vector [rad], on the left (in n) or the right (in b)."""
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-2:  # series: the next terms are below 1e-15
-        c = 1.0 - angle2 / 8.0 * (1.0 - angle2 / 48.0 * (1.0 - angle2 / 120.0))
-        s = 0.5 - angle2 / 48.0 * (1.0 - angle2 / 80.0 * (1.0 - angle2 / 168.0))
+        c = 1.0 - angle2 * (1.0 / 8.0 - angle2 * (1.0 / 384.0 - angle2 * (1.0 / 46080.0)))
+        s = 0.5 - angle2 * (1.0 / 48.0 - angle2 * (1.0 / 3840.0 - angle2 * (1.0 / 645120.0)))
     else:
         angle = np.sqrt(angle2)
         c = np.cos(0.5 * angle)
@@ -61,8 +61,9 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
     p = a * x + i * c + j * z - k * y
     q = a * y - i * z + j * c + k * x
     r = a * z + i * y - j * x + k * c
-    norm = np.sqrt(w * w + p * p + q * q + r * r)
-    nav[6], nav[7], nav[8], nav[9] = w / norm, sign * p / norm, sign * q / norm, sign * r / norm
+    scale = 1.0 / np.sqrt(w * w + p * p + q * q + r * r)
+    sign *= scale
+    nav[6], nav[7], nav[8], nav[9] = scale * w, sign * p, sign * q, sign * r
 
 
 @kernel
@@ -104,8 +105,8 @@ def body_step_kernel(
     z = c + f * (a0 * b - b0 * a)
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-2:  # series: the next terms are below 1e-14
-        m1 = 0.5 - angle2 / 24.0 * (1.0 - angle2 / 30.0 * (1.0 - angle2 / 56.0))
-        m2 = 1.0 / 6.0 - angle2 / 120.0 * (1.0 - angle2 / 42.0 * (1.0 - angle2 / 72.0))
+        m1 = 0.5 - angle2 * (1.0 / 24.0 - angle2 * (1.0 / 720.0 - angle2 * (1.0 / 40320.0)))
+        m2 = 1.0 / 6.0 - angle2 * (1.0 / 120.0 - angle2 * (1.0 / 5040.0 - angle2 * (1.0 / 362880.0)))
     else:
         angle = np.sqrt(angle2)
         m1 = (1.0 - np.cos(angle)) / angle2

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import (
     EventRow,
     Events,
@@ -169,8 +169,8 @@ def _has_long_gap(sensors: SensorData, start: float) -> bool:
         samples = take_rows(imu, block)
         if len(waiting):
             samples = join_rows(waiting, samples)
-        rows, span, _, again = intake.take(samples, spec, last=block.stop == len(imu))
-        if (span - take_increasing(samples.dt, rows) > timeline.LONGEST_BRIDGE).any():
+        rows, span, events, again = intake.take(samples, spec, last=block.stop == len(imu))
+        if events and (span - samples.dt[rows] > timeline.LONGEST_BRIDGE).any():
             return True
         waiting = take_rows(samples, again)
     return False
