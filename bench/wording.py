@@ -94,6 +94,20 @@ def _describe_wanted(kind: str, message: str, context: Mapping[str, Any]) -> str
     return f"must be {kinds[kind]}" if kind in kinds else f"is wrong: {message}"
 
 
+def format_number(value: Any, digits: int = 4) -> str:
+    """Return a number with so many digits, without a power of ten below ten million; a dash for None.
+
+    Examples
+    --------
+    >>> format_number(15510.4), format_number(2.0 / 3.0, 3), format_number(None)
+    ('15510', '0.667', '-')
+    """
+    if value is None:
+        return "-"
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
+
+
 def as_toml(value: object) -> str:
     """Return a value as it would be written in a TOML file, shortened to 60 characters."""
     if isinstance(value, bool):

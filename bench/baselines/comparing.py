@@ -22,9 +22,9 @@ from bench.baselines.experiments import (
 from bench.baselines.verdict_rows import ERROR, SAME, Candidate, Verdict, Word, compare, decide
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
-from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.run_result import RunResult
+from bench.wording import format_number
 
 ONE_DRAW = "one draw: no interval"
 """Note of a verdict on single runs."""

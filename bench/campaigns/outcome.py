@@ -42,7 +42,7 @@ class Outcome:
         rate, bad = self.converged, self.runs - self.converged_runs
         least, most = (f"{100 * (1 - end):.2g}" for end in (rate.high, rate.low))
         found = [
-            f"{self.label}: all {self.runs} runs converged; of many, at most {most} % would not"
+            f"{self.label}: all {self.runs} runs converged; the share that does not is 0 to {most} %"
             if bad == 0
             else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all"
         ]

@@ -16,7 +16,7 @@ from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
-from bench.wording import suggest
+from bench.wording import format_number, suggest
 
 DEFAULT_FACTORS = (
     "imu.gyro.noise",
@@ -52,8 +52,8 @@ class Tuning:
         for name, title in (("nees_ratio", "NEES over its expectation"), ("rmse_h_m", "horizontal RMSE [m]")):
             old, new = (getattr(one, name) for one in (self.before, self.after))
             found.append(
-                f"{title}, on data not used for tuning: {old.value:.3g} ({old.low:.3g} to {old.high:.3g}) "
-                f"before, {new.value:.3g} ({new.low:.3g} to {new.high:.3g}) after"
+                f"{title}, on data not used for tuning: {format_number(old.value, 3)} ({old.interval}) "
+                f"before, {format_number(new.value, 3)} ({new.interval}) after"
             )
         found += [
             f"innovations of {sensor} still repeat from one update to the next: correlation {value:.2f}, "

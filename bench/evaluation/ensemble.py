@@ -15,6 +15,7 @@ from bench.arrays import BoolArray, FloatArray
 from bench.data import Innovations
 from bench.evaluation import regression
 from bench.evaluation.consistency import MeanNis, SensorNis, mean_band, mean_nis
+from bench.wording import format_number
 
 CONFIDENCE = 0.95
 """Confidence of an interval [1]."""
@@ -30,6 +31,11 @@ class Estimate:
     value: float
     low: float
     high: float
+
+    @property
+    def interval(self) -> str:
+        """The interval in words, with three digits."""
+        return f"{format_number(self.low, 3)} to {format_number(self.high, 3)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,11 +353,12 @@ class Comparison:
         if low <= 0.0 <= high:
             return (
                 f"{self.first} and {self.second} do not differ in {self.runs} runs: the first minus the "
-                f"second is {low:.3g} to {high:.3g} {self.unit}"
+                f"second is {self.difference.interval} {self.unit}"
             )
         better, other = (self.second, self.first) if low > 0.0 else (self.first, self.second)
         low, high = sorted((abs(low), abs(high)))
-        return f"{better} is better than {other} by {low:.3g} to {high:.3g} {self.unit}"
+        by = Estimate(abs(self.difference.value), low, high)
+        return f"{better} is better than {other} by {by.interval} {self.unit}"
 
 
 def compare_rmse(

@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.verdict import find_bounds
+from bench.wording import format_number
 
 Measured = Mapping[str, Mapping[str, Any]]
 """Estimator -> metric -> value."""
@@ -97,16 +98,7 @@ def format_bounds(name: str, values: Mapping[str, Any]) -> str:
     bounds = find_bounds(name, values)
     if bounds is None:
         return ""
-    low, high = (None if end is None else f"{end:.2f}" if end < 10 else _format(end, 3) for end in bounds)
+    low, high = (
+        None if end is None else f"{end:.2f}" if end < 10 else format_number(end, 3) for end in bounds
+    )
     return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
-
-
-def format_number(value: Any, digits: int = 4) -> str:
-    """Return a number with so many digits; a dash for None."""
-    return "-" if value is None else _format(value, digits)
-
-
-def _format(value: float, digits: int) -> str:
-    """Return a number with so many digits; without a power of ten below ten million."""
-    text = f"{value:.{digits}g}"
-    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text

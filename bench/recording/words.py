@@ -8,7 +8,6 @@ from typing import Any
 
 import rerun as rr
 
-from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.plots.content import Content
@@ -16,7 +15,7 @@ from bench.plots.facts import list_facts, list_units
 from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
 from bench.recording.drawing import TIMELINE
 from bench.run_result import RunResult
-from bench.wording import replace_control
+from bench.wording import format_number, replace_control
 
 _MARKUP = re.compile(r"[\\`*_\[\]<>#!|~]")
 """Characters that mean something in Markdown."""

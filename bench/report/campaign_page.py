@@ -14,13 +14,13 @@ from bench.campaigns.outcome import POOLED, Outcome
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
-from bench.evaluation.key_figures import format_number
 from bench.evaluation.metrics import find_metric
 from bench.plots import series
 from bench.plots.series import Colour, Plot, Series
 from bench.report import page, svg
 from bench.report.page import Figure
 from bench.units import unit_of
+from bench.wording import format_number
 
 _MOST_CONDITIONS = 6  # that have plots
 _MOST_LOST = 50  # runs that are listed
@@ -150,7 +150,7 @@ def _make_row(outcome: Outcome, errors: Sequence[str]) -> Row:
 
 
 def _format(estimate: Estimate) -> tuple[str, str]:
-    return format_number(estimate.value), f"{estimate.low:.3g} to {estimate.high:.3g}"
+    return format_number(estimate.value), estimate.interval
 
 
 def _list_extremes(campaign: Campaign, labels: Iterable[str]) -> list[tuple[str, str, str, str]]:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from bench import store
 from bench.campaigns.card import Card, Line, describe_suite
-from bench.evaluation.key_figures import format_number
 from bench.report import page
+from bench.wording import format_number
 
 _TITLES = {
     "convergence": "Does it converge?",

@@ -8,11 +8,11 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.evaluation.key_figures import format_number
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.plots import series
 from bench.plots.series import AXIS_COLOURS, FIX, Plot, Series
 from bench.report import page, svg
+from bench.wording import format_number
 
 _WORST = 50.0  # a larger DOP is no geometry to speak of
 _SIGMA = "±3σ, as computed"

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from bench import store
 from bench.errors import ConfigError
-from bench.evaluation.key_figures import format_number
 from bench.report import page
+from bench.wording import format_number
 
 INDEX = "index.html"
 

@@ -16,14 +16,7 @@ from bench import disk_arrays, earth, store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
-from bench.evaluation.key_figures import (
-    MEANING,
-    OUTAGES,
-    explain_rows,
-    format_bounds,
-    format_number,
-    list_key_figures,
-)
+from bench.evaluation.key_figures import MEANING, OUTAGES, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.places import PACKAGE
@@ -33,7 +26,7 @@ from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
 from bench.report import svg
 from bench.run_result import RunResult
-from bench.wording import replace_control
+from bench.wording import format_number, replace_control
 
 _MARKS = {
     verdict.CONSISTENT: ("good", "✓"),

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.evaluation.key_figures import format_number
 from bench.plots.series import Plot
 from bench.report import page
 from bench.report.page import Figure
 from bench.studies.study import StudyResult, StudyTable
+from bench.wording import format_number
 
 _LONG = 40  # text in a cell that is broken into lines
 

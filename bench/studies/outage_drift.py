@@ -25,7 +25,6 @@ from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import accel_bias_drift, drift_sd, gyro_bias_drift
 from bench.evaluation.ensemble import Estimate, pool_rmse
-from bench.evaluation.key_figures import format_number
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.specs import Profile
@@ -43,6 +42,7 @@ from bench.studies.study import (
     make_table,
 )
 from bench.units import SAME_INSTANT
+from bench.wording import format_number
 
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]

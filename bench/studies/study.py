@@ -19,11 +19,10 @@ from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.evaluation.ensemble import Estimate
-from bench.evaluation.key_figures import format_number
 from bench.plots.series import Plot
 from bench.studies import STUDIES, Entry
 from bench.units import unit_of
-from bench.wording import as_toml, describe_error, suggest
+from bench.wording import as_toml, describe_error, format_number, suggest
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -87,8 +86,7 @@ def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Seq
 
 def format_estimate(found: Estimate) -> str:
     """Return a value with its interval, as a sentence has it."""
-    value, low, high = (format_number(one, 3) for one in (found.value, found.low, found.high))
-    return f"{value} ({low} to {high})"
+    return f"{format_number(found.value, 3)} ({found.interval})"
 
 
 @dataclass(frozen=True)

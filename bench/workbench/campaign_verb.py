@@ -20,8 +20,8 @@ from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.evaluation.key_figures import format_number
 from bench.report.writing import write_report
+from bench.wording import format_number
 from bench.workbench.console import PlainConsole
 from bench.workbench.divided_table import Column, print_table
 from bench.workbench.flight_verbs import find_own_estimators
@@ -169,7 +169,7 @@ def _find_ratio(outcome: Outcome) -> Estimate | None:
 def _format_estimate(estimate: Estimate | None) -> str:
     if estimate is None:
         return "-"
-    return f"{format_number(estimate.value)} ({estimate.low:.3g} to {estimate.high:.3g})"
+    return f"{format_number(estimate.value)} ({estimate.interval})"
 
 
 def run_card(

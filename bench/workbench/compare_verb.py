@@ -19,9 +19,10 @@ from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
-from bench.evaluation.key_figures import format_number, is_key_figure
+from bench.evaluation.key_figures import is_key_figure
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
+from bench.wording import format_number
 from bench.workbench.check_verb import STYLES
 from bench.workbench.flight_verbs import print_end
 

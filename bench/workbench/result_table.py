@@ -18,12 +18,11 @@ from bench.evaluation.key_figures import (
     Measured,
     explain_rows,
     format_bounds,
-    format_number,
     list_key_figures,
 )
 from bench.run_result import RunResult
 from bench.specs import Profile
-from bench.wording import one_line
+from bench.wording import format_number, one_line
 
 _STYLES = {
     verdict.OVERCONFIDENT: "bold red",

@@ -34,9 +34,9 @@ from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import Estimate
-from bench.evaluation.key_figures import format_number
 from bench.recording import drawing
 from bench.report import campaign_page
+from bench.wording import format_number
 from bench.workbench import record_verbs
 
 PROFILE = """

@@ -2,8 +2,9 @@
 
 import pytest
 
-from bench.evaluation.key_figures import explain_rows, format_number, list_key_figures
+from bench.evaluation.key_figures import explain_rows, list_key_figures
 from bench.evaluation.metrics import METRICS
+from bench.wording import format_number
 
 PLAIN = (
     "pos_rmse", "vel_rmse", "tilt_rmse", "heading_rmse",  # named as in every textbook

@@ -16,9 +16,10 @@ import rerun_cli
 import bench
 from bench.cli import main
 from bench.errors import ConfigError
-from bench.evaluation.key_figures import format_number, list_key_figures
+from bench.evaluation.key_figures import list_key_figures
 from bench.plots.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
+from bench.wording import format_number
 from tests.test_api import SHORT
 
 HOSTILE = "<script>alert(1)</script>\u202e\x1b[2J"
