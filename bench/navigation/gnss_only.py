@@ -115,11 +115,12 @@ class FixPassage:
         self.passed -= 2.0 * timeline.TIME_TOLERANCE
         final = np.full(len(wanted), last) | (wanted <= self.passed)
         output_t, self.wanted = wanted[final], wanted[~final]
-        x, P = np.full((len(output_t), 9), np.nan), np.full((len(output_t), 9, 9), np.nan)
         if fixes is not None:
-            self._use_fixes(fixes, piece, output_t, x, P, self.passed - look_back, last)
+            x, P = self._use_fixes(fixes, piece, output_t, self.passed - look_back, last)
         elif self.track is not None:
             x, P = self.track.at(output_t)
+        else:
+            x, P = _unknown(len(output_t))
         arm = unknown_arm(piece.antenna_b)
         P[:, range(6), range(6)] += arm
         accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
@@ -161,12 +162,10 @@ class FixPassage:
         fixes: GnssFixes,
         piece: SensorData,
         output_t: FloatArray,
-        x: FloatArray,
-        P: FloatArray,
         due: float,
         last: bool,
-    ) -> None:
-        """Fill states (M, 9) and P (M, 9, 9) at the outputs; fixes that arrived until ``due`` need none."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return states (M, 9) and P (M, 9, 9) at the outputs; a fix that arrived by ``due`` needs none."""
         start, arrival = self.initial.t, fixes.t_arrival
         at = np.searchsorted(output_t, arrival - timeline.TIME_TOLERANCE)
         before = arrival <= start - timeline.TIME_TOLERANCE
@@ -189,8 +188,13 @@ class FixPassage:
             text = f"{origin} of the first fix; attitude is not estimated"
             until = output_t[begin] if begin < len(output_t) else arrival[first]
             self.events.append((start, float(until), "alignment", text))
-        if self.track is not None:
-            x[begin:], P[begin:] = self.track.run(fixes, used, r, at[used] - begin, output_t[begin:])
+        if self.track is None:
+            return _unknown(len(output_t))
+        x, P = self.track.run(fixes, used, r, at[used] - begin, output_t[begin:])
+        if begin:  # the first fix has not arrived
+            nothing = _unknown(begin)
+            x, P = np.concatenate([nothing[0], x]), np.concatenate([nothing[1], P])
+        return x, P
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at :attr:`end`, by all that has arrived."""
@@ -228,9 +232,17 @@ class FixPassage:
             self.track.restore(state["track"])
 
 
+def _unknown(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return states (M, 9) and P (M, 9, 9) that say nothing."""
+    return np.full((count, 9), np.nan), np.full((count, 9, 9), np.nan)
+
+
 def _latest(t: float, *more: FloatArray) -> float:
     """Return the latest finite instant of all [s]."""
-    return max([t, *(float(one[np.isfinite(one)].max(initial=-np.inf)) for one in more)])
+    for one in more:
+        newest = float(np.fmax.reduce(one, initial=t))
+        t = newest if newest < np.inf else float(one[np.isfinite(one)].max(initial=t))
+    return t
 
 
 def unknown_arm(antenna_b: FloatArray) -> FloatArray:
