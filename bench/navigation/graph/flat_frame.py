@@ -94,6 +94,21 @@ class FlatFrame:
         return C_tn @ C_nb, p_t, C_tn @ initial.vel_n, J @ initial.cov @ J.T
 
 
+def schedule_fixes(first: SensorData, initial: InitialState, events: list[EventRow]) -> Schedule:
+    """Return a schedule from a complete start, with what went before; a step ends at every answer.
+
+    Raises
+    ------
+    ValueError
+        If there are fixes and no datasheet of a receiver.
+    """
+    if first.fixes is not None and first.specs.gnss is None:
+        raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
+    schedule = Schedule(initial.t, first.specs.imu, compensate=False, cut=True)
+    schedule.events += events
+    return schedule
+
+
 class Work(NamedTuple):
     """What there is to do in a record."""
 
@@ -115,12 +130,9 @@ def plan_fixes(sensors: SensorData, initial: InitialState) -> Work:
         If there are fixes and no datasheet of a receiver.
     """
     initial, aligned = alignment.complete(sensors, initial)
-    schedule = Schedule(initial.t, sensors.specs.imu, compensate=False, cut=True)
-    schedule.events += aligned
+    schedule = schedule_fixes(sensors, initial, aligned)
     schedule.take(sensors, last=True)
     if sensors.fixes is not None:
-        if sensors.specs.gnss is None:
-            raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
         schedule.add(FIXES, sensors, initial, StateLayout())
     plan = schedule.plan()
     row, share = plan.steps.row, plan.steps.share[:, None]

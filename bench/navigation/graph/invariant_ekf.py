@@ -8,19 +8,24 @@ last for ``bias_time``. Fixes only, their errors taken as white, compared with t
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
+from bench.navigation import alignment
 from bench.navigation.classic.process_model import bias_and_walk
-from bench.navigation.graph.flat_frame import FlatFrame, load_gtsam, plan_fixes
+from bench.navigation.error_state import StateLayout
+from bench.navigation.graph.flat_frame import FlatFrame, load_gtsam, schedule_fixes
 from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.measurements import FIXES
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.restart import run_between_gaps
-from bench.navigation.schedule import OUTPUT
+from bench.navigation.stepping import Measured, SteppedPassage
 from bench.specs import AssumedSpecs, ImuSpec
 
 SENSORS = ("gnss_position", "gnss_velocity")
@@ -42,28 +47,15 @@ class InvariantEkf:
         return run_between_gaps(self._run, sensors, initial, "datasheet")
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        gtsam = load_gtsam()
-        initial, plan, dtheta, dvel, events = plan_fixes(sensors, initial)
-        steps = plan.steps
-        todo: dict[int, list[list[int]]] = {}
-        for step, *what in plan.entries.tolist():
-            todo.setdefault(step, []).append(what)
-        flight = _Flight(gtsam, self.options, sensors, initial)
-        m = len(sensors.output_t)
-        out, cov = np.full((m, 10), np.nan), np.full((m, 9, 9), np.nan)
-        waiting = iter(plan.outputs.tolist())
-        for k in range(-1, len(steps.t)):
-            if k >= 0:
-                flight.predict(float(steps.span[k]), dtheta[k], dvel[k], steps.unknown[k])
-            for action, _, row, _ in todo.get(k, []):
-                if action == OUTPUT:
-                    at = next(waiting)
-                    out[at], cov[at] = flight.answer()
-                else:
-                    now = float(steps.t[k]) if k >= 0 else initial.t
-                    w_b = dtheta[max(k, 0)] / steps.span[max(k, 0)]
-                    flight.use_fix(now, plan.values[row], plan.variance[row], sensors.antenna_b, w_b)
-        return only_motion(sensors, out, cov, Innovations.from_rows(SENSORS, flight.innovations), events)
+        initial, events = alignment.complete(sensors, initial)
+        return self.in_pieces(sensors, initial, events).run(sensors)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+        """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        flight = _Flight(load_gtsam(), self.options, first.specs.imu, initial)
+        schedule = schedule_fixes(first, initial, events)
+        used = [] if first.fixes is None else [FIXES]
+        return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
@@ -71,41 +63,20 @@ class InvariantEkf:
         return tuple(found)
 
 
-def only_motion(
-    sensors: SensorData, out: FloatArray, cov: FloatArray, table: Innovations, events: list[Any]
-) -> NavSolution:
-    """Return a solution of position, velocity and attitude (M, 10) alone."""
-    blank, none = np.full((len(out), 3), np.nan), np.empty((len(out), 0))
-    return NavSolution(
-        t=sensors.output_t,
-        lla=out[:, :3],
-        vel_n=out[:, 3:6],
-        q_nb=out[:, 6:],
-        gyro_bias_b=blank,
-        accel_bias_b=blank,
-        cov=cov,
-        extra_names=(),
-        extra=none,
-        extra_sd=none,
-        innovations=table,
-        events=Events.from_rows(events),
-    )
-
-
 def _triads(imu: ImuSpec) -> tuple[tuple[str, Any], ...]:
     return ("gyro", imu.gyro), ("accelerometer", imu.accel)
 
 
 class _Flight:
-    """The filter over one record."""
+    """The filter over one record (`bench.navigation.stepping.Flight`)."""
 
-    def __init__(
-        self, gtsam: Any, options: InvariantOptions, sensors: SensorData, initial: InitialState
-    ) -> None:
+    shapes: tuple[tuple[int, ...], ...] = (10,), (9, 9)
+    one_antenna = False
+
+    def __init__(self, gtsam: Any, options: InvariantOptions, imu: ImuSpec, initial: InitialState) -> None:
         self.gtsam, self.options = gtsam, options
         self.frame = FlatFrame.at(initial.lla, not options.flat)
         C_tb, p_t, v_t, P = self.frame.begin(initial)
-        imu = sensors.specs.imu
         self.params = gtsam.PreintegrationParams(self.frame.g_t)
         for one, put in (
             (imu.gyro, self.params.setGyroscopeCovariance),
@@ -119,10 +90,32 @@ class _Flight:
         self.coriolis = 2.0 * rotation.skew(self.frame.w_t)
         self.limit = nis_limit(3, options.gate_probability)
         self.misses = [0, 0]
+        self.w_ib_b = np.zeros(3)  # of the last step after which something is measured [rad/s]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
 
     def _begin(self, state: Any, P: FloatArray) -> None:
         self.ekf = self.gtsam.NavStateImuEKF(state, P, self.params)
+
+    def increments(self, increments_b: FloatArray) -> FloatArray:
+        """Return increments as they are."""
+        return increments_b
+
+    def begin(self, dt: float, dtheta: FloatArray) -> None:
+        """Take the rate of the first step."""
+        self.w_ib_b = dtheta / dt
+
+    def step(
+        self, now: float, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray, due: bool
+    ) -> None:
+        """Go a step on."""
+        self.predict(dt, dtheta, dvel, unknown)
+        if due:
+            self.w_ib_b = dtheta / dt
+
+    def measure(self, now: float, arrived: list[Measured]) -> None:
+        """Use what has arrived."""
+        for _, values, variance in arrived:
+            self.use_fix(now, values[:6], variance, values[6:], self.w_ib_b)
 
     def predict(self, dt: float, dtheta: FloatArray, dvel: FloatArray, unknown: FloatArray) -> None:
         """Carry the filter over a step; ``unknown`` (2,) is what a gap adds to velocity and attitude."""
@@ -136,12 +129,60 @@ class _Flight:
     def _grow(self, added: FloatArray) -> None:
         self._begin(self.ekf.state(), self.ekf.covariance() + added)
 
-    def answer(self) -> tuple[FloatArray, ...]:
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
         """Return the state (10,) and its covariance (9, 9)."""
         state = self.ekf.state()
         return self.frame.answer(
             state.attitude().matrix(), state.position(), state.velocity(), self.ekf.covariance()
         )
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return answers at instants (M,) [s], with the innovations since this was called last."""
+        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        state, cov = answers
+        blank, none = np.full((len(t), 3), np.nan), np.empty((len(t), 0))
+        return NavSolution(
+            t=t,
+            lla=state[:, :3],
+            vel_n=state[:, 3:6],
+            q_nb=state[:, 6:],
+            gyro_bias_b=blank,
+            accel_bias_b=blank,
+            cov=cov,
+            extra_names=(),
+            extra=none,
+            extra_sd=none,
+            innovations=table,
+            events=Events.from_rows(events),
+        )
+
+    def copy(self) -> _Flight:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other._begin(self.ekf.state(), self.ekf.covariance())
+        other.misses, other.innovations = list(self.misses), list(self.innovations)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays and numbers by name."""
+        state = self.ekf.state()
+        return {
+            "C_tb": state.attitude().matrix(),
+            "p_t": state.position(),
+            "v_t": state.velocity(),
+            "P": self.ekf.covariance(),
+            "gravity": self.gravity,
+            "misses": self.misses,
+            "w_ib_b": self.w_ib_b,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        attitude = self.gtsam.Rot3(state["C_tb"])
+        self._begin(self.gtsam.NavState(attitude, state["p_t"], state["v_t"]), state["P"])
+        self.gravity, self.misses, self.w_ib_b = state["gravity"], list(state["misses"]), state["w_ib_b"]
 
     def use_fix(
         self, t: float, fix: FloatArray, r: FloatArray, antenna_b: FloatArray, w_b: FloatArray
