@@ -13,7 +13,6 @@ from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import EstimatorError, ExportError
 from bench.exchange.rinex.lines import leap_seconds
-from bench.navigation import alignment
 from bench.navigation.waiting import take_rows
 from bench.store import make_sensor_data, read_initial_state, write_initial_state
 from bench.store.columns import MOTION, Layout, flatten
@@ -132,6 +131,8 @@ class ExportData:
         ExportError
             If the record does not allow the alignment.
         """
+        from bench.navigation import alignment  # kernels: not for who lists the formats
+
         asked = read_initial_state(self.start)
         data = make_sensor_data(
             self.start, self.imu, self.fixes, self.instruments, self.output_t, self.observations
