@@ -302,7 +302,16 @@ class Aiding:
         self.kf, self.sound, self.readmit_after = kf, 1 - gate_probability, readmit_after
         self.refused, self.rows = {}, []
 
-    def use(self, name, z, H, R):
+    def drifted(self, z, H, R):
+        """A position is beyond the gate, and its velocity too, or what P makes of such a drift."""
+        kf, sound = self.kf, chi2.ppf(self.sound, 3)
+        e, P = np.asarray(z) - H @ kf.x[: H.shape[1], 0], kf.P[: H.shape[1], : H.shape[1]]
+        S = H @ P @ H.T + R
+        place, speed, both = (e[k] @ np.linalg.solve(S[k, k], e[k]) for k in map(slice, (0, 3, 0), (3, 6, 6)))
+        apart = np.trace(S[:3, :3] - R[:3, :3]) > np.trace(R[:3, :3])
+        return place > sound and (speed > sound or (apart and both - place <= sound))
+
+    def use(self, name, z, H, R, drifted=False):
         """Gate one sub-vector of predicted less measured values z (m,), then update error and P."""
         kf, column = self.kf, np.asarray(z).reshape(-1, 1)
         wide = np.zeros((len(z), kf.dim_x))
@@ -311,17 +320,18 @@ class Aiding:
         S = wide @ kf.P @ wide.T + R
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
         sound = nis <= chi2.ppf(self.sound, len(z))
-        accepted = sound or self.refused.get(name, 0) >= self.readmit_after
+        accepted = sound or drifted or self.refused.get(name, 0) >= self.readmit_after
         self.refused[name] = 0 if accepted else self.refused.get(name, 0) + 1
         self.rows.append((nis, accepted))
         if accepted and not sound and name in OWN:  # a step of its own, or an error P had too small
             refused = kf.P @ wide.T @ np.linalg.solve(S, innovation)
             step = np.zeros(kf.dim_x)
-            step[OWN[name]] = innovation[:, 0]
+            step[OWN[name]] = 0.0 if drifted else innovation[:, 0]
             kf.P = kf.P + refused @ refused.T + np.diag(step**2)
         if accepted:
             kf.update(column, R=R, H=wide)
             assert kf.x.shape == (kf.dim_x, 1)
+        return accepted
 
 
 def first_sample(imu_t, arrival):
@@ -387,7 +397,7 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
     out = []
     if wanted[0] < initial.t + 1e-6:
         out.append((lla, vel, C, bias, kf.P.copy()))
-    before, points, now = None, [], initial.t
+    before, points, now, used = None, [], initial.t, initial.t
     for k in range(len(imu)):
         dt, now = imu.t[k] - now, imu.t[k]
         dtheta, dvel = imu.dtheta_b[k] - bias[:3] * dt, imu.dvel_b[k] - bias[3:6] * dt
@@ -413,9 +423,15 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
         if k in fixes_at:
             row = fixes_at[k]
             place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
-            aiding.use("position", (place - sensors.fixes.lla[row]) * metres(lla), H[:3], fix_R[:3, :3])
-            if np.isfinite(sensors.fixes.vel_n[row]).all():
-                aiding.use("velocity", speed - sensors.fixes.vel_n[row], H[3:], fix_R[3:, 3:])
+            z = np.concatenate(
+                [(place - sensors.fixes.lla[row]) * metres(lla), speed - sensors.fixes.vel_n[row]]
+            )
+            missed = aiding.refused.get("position", 0) + aiding.refused.get("velocity", 0)
+            drifted = now - used >= 10.0 and not missed and aiding.drifted(z, H, fix_R)
+            accepted = aiding.use("position", z[:3], H[:3], fix_R[:3, :3], drifted)
+            if np.isfinite(z).all():
+                accepted |= aiding.use("velocity", z[3:], H[3:], fix_R[3:, 3:], drifted)
+            used = now if accepted else used
             lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
             kf.x = np.zeros((n, 1))
         if k in epochs_at:

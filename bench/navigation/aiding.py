@@ -30,7 +30,8 @@ from bench.navigation.blocks import Index
 from bench.navigation.constraints import along_kernel
 from bench.navigation.cycle import FilterState, Pending, Work
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
-from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.integrity import OUTAGE
+from bench.navigation.kalman import drifted_kernel, nis_kernel, open_kernel, stretch_kernel, update_kernel
 from bench.navigation.mechanization import matrix_kernel
 from bench.navigation.rough_heading import blind_kernel, turn_tilts_kernel
 
@@ -94,6 +95,13 @@ class Log(NamedTuple):
 
 
 @inner
+def returns_kernel(t: float, gate: Gate) -> bool:
+    """Return whether a fix comes after an outage: none was there, used or refused."""
+    waited = t - max(gate.used[POSITION], gate.used[VELOCITY])
+    return bool(gate.misses[POSITION] + gate.misses[VELOCITY] == 0 and waited >= OUTAGE)
+
+
+@inner
 def use_kernel(
     t: float,
     first: int,
@@ -112,7 +120,7 @@ def use_kernel(
     P, dx, n = now.P, now.dx, now.P.shape[0]
     if rows > 0 and pending.tags[first, 0] != MAGNETIC:
         blind_kernel(now.state, P, pending.H[first : first + rows])
-    a = first
+    a, drifted = first, False
     while a < first + rows:
         code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
         if code == ABSENT:
@@ -124,6 +132,11 @@ def use_kernel(
             r[b] *= level
         nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
         sound = nis <= gate.nis[m]
+        if not sound and code == POSITION and a + 3 < first + rows and returns_kernel(t, gate):
+            H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
+            drifted = drifted_kernel(P, dx, H_6, z_6, r_6, gate.nis[3], work.var, work.square, work.rows)
+        beyond = drifted and not sound
+        sound = sound or beyond
         squares, spread, excess = 0.0, 0.0, 0.0
         waited = t - gate.used[channel]
         reach = gate.max_acceleration * waited
@@ -158,6 +171,8 @@ def use_kernel(
             if not sound and gate.own[code, 0] >= 0:
                 e = log.numbers[row : row + m, 1]
                 open_kernel(P, before, H, e, gate.own[code], work.square, work.row)
+            elif beyond:
+                stretch_kernel(P, H, work.square, work.row)
             for b in range(m):
                 update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
         if gate.memory > 0.0 and np.isfinite(excess):

@@ -92,9 +92,9 @@ class Work(NamedTuple):
     factor: FloatArray  # (D,)
     row: FloatArray  # (n,)
     other_row: FloatArray  # (n,)
-    square: FloatArray  # (3, 4)
-    rows: FloatArray  # (3, n)
-    var: FloatArray  # (3,)
+    square: FloatArray  # (6, 7)
+    rows: FloatArray  # (6, n)
+    var: FloatArray  # (6,)
     lever: FloatArray  # (3,)
     slope: FloatArray  # (6,) of gyros and accelerometers along their axes
     ahead: FilterState  # of a filter that goes ahead for an answer
@@ -130,9 +130,9 @@ def work_for(n: int, drives: int) -> Work:
         factor=np.zeros(drives),
         row=np.zeros(n),
         other_row=np.zeros(n),
-        square=np.zeros((3, 4)),
-        rows=np.zeros((3, n)),
-        var=np.zeros(3),
+        square=np.zeros((6, 7)),
+        rows=np.zeros((6, n)),
+        var=np.zeros(6),
         lever=np.zeros(3),
         slope=np.ones(6),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),

@@ -57,20 +57,36 @@ def nis_kernel(
 
 
 @kernel
-def open_kernel(
+def drifted_kernel(
     P: FloatArray,
-    before: FloatArray,
+    dx: FloatArray,
     H: FloatArray,
-    e: FloatArray,
-    own: IntArray,
+    z: FloatArray,
+    r: FloatArray,
+    limit: float,
+    var: FloatArray,
     work: FloatArray,
-    row: FloatArray,
-) -> None:
-    """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
+    HP: FloatArray,
+) -> bool:
+    """Return `bench.navigation.integrity.tells_of_drift` of a fix (6,) whose position is beyond the gate.
 
-    It has two explanations, and P grows by both: an error along the covariance, which is the refused
-    correction x = P H' S^-1 e, and a step of the measured states ``own`` (m,) alone. The next measurements
-    tell them apart. ``before`` (n, n), the P that a smoother uses, grows alike. ``work`` (m, m + 1) is as
+    ``work`` (6, 7) and ``HP`` (6, n) end as :func:`nis_kernel` of the position leaves them.
+    """
+    both = nis_kernel(P, dx, H, z, r, var, work, HP)
+    velocity = nis_kernel(P, dx, H[3:], z[3:], r[3:], var, work, HP)
+    position = nis_kernel(P, dx, H[:3], z[:3], r[:3], var, work, HP)
+    apart = 0.0
+    for a in range(3):
+        apart += var[a] - 2.0 * r[a]
+    return velocity > limit or (apart > 0.0 and both - position <= limit)
+
+
+@kernel
+def stretch_kernel(P: FloatArray, H: FloatArray, work: FloatArray, row: FloatArray) -> None:
+    """Let P (n, n) grow by x x', x = P H' S^-1 e the correction that the filter refused; ``row`` ends as x.
+
+    An error along the covariance explains the innovation then. A smoother's P stays as it is: the gain of
+    its way back is that of an error which has been too large all along. ``work`` (m, m + 1) is as
     :func:`nis_kernel` left it.
     """
     m, n = H.shape
@@ -87,6 +103,28 @@ def open_kernel(
     for i in range(n):
         for j in range(n):
             P[i, j] += row[i] * row[j]
+
+
+@kernel
+def open_kernel(
+    P: FloatArray,
+    before: FloatArray,
+    H: FloatArray,
+    e: FloatArray,
+    own: IntArray,
+    work: FloatArray,
+    row: FloatArray,
+) -> None:
+    """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
+
+    It has two explanations, and P grows by both: an error along the covariance (:func:`stretch_kernel`), and
+    a step of the measured states ``own`` (m,) alone. The next measurements tell them apart. ``before``
+    (n, n), the P that a smoother uses, grows alike.
+    """
+    m, n = H.shape
+    stretch_kernel(P, H, work, row)
+    for i in range(n):
+        for j in range(n):
             before[i, j] += row[i] * row[j]
     for a in range(m):
         P[own[a], own[a]] += e[a] * e[a]

@@ -27,7 +27,7 @@ from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, moved_state, state_difference
 from bench.navigation.forward import solution
-from bench.navigation.integrity import nis, nis_limit
+from bench.navigation.integrity import OUTAGE, nis, nis_limit, tells_of_drift
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import UnscentedOptions, read_options
@@ -143,6 +143,7 @@ class _Flight:
         self.before = np.zeros(7)
         self.gates = {m: nis_limit(m, options.gate_probability) for m in (1, 3)}
         self.misses = [0, 0, 0]
+        self.used = initial.t  # instant of the last fix of which a part was used [s]
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
         self.covered = initial.t  # until when P is carried [s]
@@ -201,6 +202,7 @@ class _Flight:
             "P": self.P,
             "before": self.before,
             "misses": self.misses,
+            "used": self.used,
             "covered": self.covered,
             "since": {str(k): dict(zip(_STEP, step, strict=True)) for k, step in enumerate(self.since)},
             "w_ib_b": self.w_ib_b,
@@ -210,6 +212,7 @@ class _Flight:
         """Take over what :meth:`state` returned."""
         self.estimate, self.P, self.before = state["estimate"], state["P"], state["before"]
         self.misses, self.covered, self.w_ib_b = list(state["misses"]), state["covered"], state["w_ib_b"]
+        self.used = state["used"]
         self.since = [(one["dt"], *(one[name] for name in _STEP[1:])) for one in state["since"].values()]
 
     def points(self) -> _Points:
@@ -283,9 +286,13 @@ class _Flight:
             w_b = w_ib_b - truth[:, 10:13] - rotation.rotate(rotation.conjugate(q_nb), earth_n)
             return truth[:, 3:6] + rotation.rotate(q_nb, np.cross(w_b, antenna_b)) - fix[3:]
 
-        self._update(t, 0, place, r[:3], slice(POS, POS + 3))
-        if np.isfinite(fix[3:]).all():
-            self._update(t, 1, motion, r[3:], slice(VEL, VEL + 3))
+        moving, drifted = bool(np.isfinite(fix[3:]).all()), False
+        if moving and t - self.used >= OUTAGE and self.misses[:2] == [0, 0]:
+            y, S, _ = self._expect(lambda x: np.hstack([place(x), motion(x)]), r)
+            drifted = tells_of_drift(y, S, r[:3], self.gates[3])
+        self._update(t, 0, place, r[:3], slice(POS, POS + 3), drifted)
+        if moving:
+            self._update(t, 1, motion, r[3:], slice(VEL, VEL + 3), drifted)
 
     def use_baro(self, t: float, alt_baro: float, r: float) -> None:
         """Use a barometric altitude."""
@@ -301,7 +308,13 @@ class _Flight:
         self._update(t, 2, height, np.array([r]), slice(at, at + 1))
 
     def _update(
-        self, t: float, code: int, measure: Callable[[FloatArray], FloatArray], r: FloatArray, own: slice
+        self,
+        t: float,
+        code: int,
+        measure: Callable[[FloatArray], FloatArray],
+        r: FloatArray,
+        own: slice,
+        drifted: bool = False,
     ) -> None:
         """Gate and use a sub-vector of the states ``own``.
 
@@ -310,16 +323,19 @@ class _Flight:
         y, S, K = self._expect(measure, r)
         value = nis(y, S)
         sound = value <= self.gates[len(r)]
-        use = sound or self.misses[code] >= self.options.readmit_after
+        use = sound or drifted or self.misses[code] >= self.options.readmit_after
         self.misses[code] = 0 if use else self.misses[code] + 1
         for i in range(len(r)):
             self.innovations.append((t, code, i, -y[i], S[i, i], value, use))
         if not use:
             return
+        if code < 2:
+            self.used = t
         if not sound:
-            x = K @ y  # as `bench.navigation.kalman.open_kernel`
+            x = K @ y  # as `bench.navigation.kalman.open_kernel`, or `stretch_kernel`
             self.P += np.outer(x, x)
-            self.P[own, own] += np.diag(y**2)
+            if not drifted:
+                self.P[own, own] += np.diag(y**2)
             y, S, K = self._expect(measure, r)
         P = self.P - K @ S @ K.T
         self.P = 0.5 * (P + P.T)

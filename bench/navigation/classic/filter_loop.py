@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import timeline
+from bench.navigation import integrity, timeline
 from bench.navigation.classic.covariance_forms import Form, make_form
 from bench.navigation.classic.extrapolation import extrapolate
 from bench.navigation.classic.navigator import (
@@ -64,7 +64,7 @@ class FilterLoop:
     one_antenna = True
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
-        self.options, self.interval = options, (1.0 - 1e-6) / options.covariance_hz
+        self.options, self.interval, self.began = options, (1.0 - 1e-6) / options.covariance_hz, initial.t
         self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
         self.sig = replace(
             sigmas(sensors.specs), jump_white=options.jump_white_sd, jump_markov=options.jump_markov_sd
@@ -101,6 +101,7 @@ class FilterLoop:
         self.misses = dict.fromkeys(_ROWS, 0)
         self.refused: dict[str, tuple[float, float, str]] = {}
         self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
+        self.drifted = False  # while there were no fixes: so says the one in use
         self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
         self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.events: list[EventRow] = []
@@ -205,11 +206,11 @@ class FilterLoop:
         apart = (Y - error) * metres  # corrected INS less measured
         use = []
         moving = fix is not None and bool(np.isfinite(fix.vel_n).all())  # a fix may have no velocity
+        y_m, S_m = y * metres, S * np.outer(metres, metres)
+        self.drifted = moving and self._has_drifted(now, y_m, S_m, np.diag(R) * metres**2)
         given = ("gnss_position", fix is not None), ("gnss_velocity", moving), ("baro", alt_baro is not None)
         for name, there in given:
-            if there and self._is_sound(
-                now, name, apart, y * metres, S * np.outer(metres, metres), PH * metres
-            ):
+            if there and self._is_sound(now, name, apart, y_m, S_m, PH * metres):
                 use += _ROWS[name]
         if fix is not None and alt_baro is not None:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
@@ -270,14 +271,17 @@ class FilterLoop:
         failed = [
             test for test in options.integrity if self._fails(test, now, name, apart[rows], y, S, value)
         ]
+        refused = PH[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.stretch_kernel`
+        if self.drifted and name != "baro" and failed == ["nis"]:
+            self.form.add(refused[:, None])
+            failed = []
         readmitted = bool(failed) and self.misses[name] >= options.readmit_after
         use = not failed or readmitted
         if readmitted:
             earth = ellipsoid(self.nav.lat, self.nav.h)
             unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
             states = _STATES[name]
-            x = PH[:, rows] @ np.linalg.solve(S, y)  # as `bench.navigation.kalman.open_kernel`
-            self.form.add(x[:, None])
+            self.form.add(refused[:, None])  # as `bench.navigation.kalman.open_kernel`
             self._grow(states, np.square(y * unit))
         if failed and not readmitted:
             self.misses[name] += 1
@@ -292,6 +296,14 @@ class FilterLoop:
         for i, (z, s) in enumerate(zip(along_n.tolist(), variance.tolist(), strict=True)):
             self.innovations.append((now, code, i, z, s, value, use))
         return use
+
+    def _has_drifted(self, now: float, y: FloatArray, S: FloatArray, r: FloatArray) -> bool:
+        """Return whether a fix comes after an outage, its position beyond the gate by a drift."""
+        missed = self.misses["gnss_position"] + self.misses["gnss_velocity"]
+        used = max((at for at, _ in self.accepted.values()), default=self.began)
+        if missed > 0 or now - used < integrity.OUTAGE:
+            return False
+        return integrity.tells_of_drift(y[1:7], S[1:7, 1:7], r[1:4], self.gates["gnss_position"])
 
     def _fails(
         self, test: str, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, value: float
