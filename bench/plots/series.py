@@ -45,6 +45,9 @@ SLOW = 5.0
 DRIFTING = 2.0
 """The same for what drifts over minutes, such as biases [Hz]."""
 
+SILENT = 5.0
+"""So many of its usual intervals without a value are a gap."""
+
 AXES_N = ("north", "east", "down")
 AXES_B = ("x", "y", "z")
 
@@ -200,6 +203,29 @@ def draw_dots(
     return shorten(Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True))
 
 
+def find_gaps(t: FloatArray) -> IntArray:
+    """Return the rows (K,) of times (N,) before which much more than the usual interval has passed."""
+    if len(t) < 3:
+        return np.empty(0, np.int64)
+    steps = np.diff(t)
+    return np.flatnonzero(steps > SILENT * np.median(steps)) + 1
+
+
+def break_at_gaps(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return times (N,) and values (N, k) with a row of NaN in each gap, so that no line crosses it.
+
+    Examples
+    --------
+    >>> t, values = break_at_gaps(np.array([0.0, 1.0, 2.0, 50.0]), np.array([[5.0], [6.0], [7.0], [8.0]]))
+    >>> t, values[:, 0]
+    (array([ 0.,  1.,  2., 26., 50.]), array([ 5.,  6.,  7., nan,  8.]))
+    """
+    gaps = find_gaps(t)
+    if not len(gaps):
+        return t, values
+    return np.insert(t, gaps, 0.5 * (t[gaps - 1] + t[gaps])), np.insert(values, gaps, np.nan, axis=0)
+
+
 def draw_three_sigma(
     key: str,
     t: FloatArray,
@@ -211,7 +237,7 @@ def draw_three_sigma(
     most: float = MOST_ROWS,
 ) -> Series:
     """Return a value, and 3 sigma either side of zero or of other values; ``most`` rows a second [Hz]."""
-    values = np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd])
+    t, values = break_at_gaps(t, np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd]))
     names, pale = (name, "±3σ", "±3σ"), paler(colour)
     widths = (1.5, 1.0, 1.0)
     return shorten(Series(key, t, values, names, (colour, pale, pale), widths, band=(1, 2), most=most))

@@ -41,7 +41,7 @@ _INTRODUCTIONS = {
     "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
     "Velocity": "Estimate minus {against}, and ±3σ as the filter claims it.",
     "Attitude": "Error angles about north, east and down, and ±3σ as the filter claims it.",
-    "Biases": "Biases as estimated, with ±3σ, and as they were drawn.",
+    "Biases": "Biases as estimated, with ±3σ{drawn}.",
     "Innovations": "Measured minus expected, with ±3√S. NIS and NEES, with the central 95 % of chi-square.",
     "Flight": "How it was flown, and what the instruments reported of it.",
     "Satellites": "What the receiver had of the sky.",
@@ -49,6 +49,7 @@ _INTRODUCTIONS = {
 """Name of a tab -> what its plots show."""
 
 
+_TRUTH = "truth"
 _COLUMNS = 3  # of plots on a wide page
 
 
@@ -188,7 +189,7 @@ def list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
 def _name_standard(result: RunResult) -> str:
     """Return what errors are relative to."""
     if "log" not in result.more:
-        return "truth"
+        return _TRUTH
     return "the reference" if "reference" in result.profile else "the fixes that were kept from the filters"
 
 
@@ -215,7 +216,8 @@ def _draw_sections(
             if any(rows)
         ]
         if groups:
-            introduction = _INTRODUCTIONS.get(tab.name, "").format(against=against)
+            drawn = ", and as they were drawn" if against == _TRUTH else ""
+            introduction = _INTRODUCTIONS.get(tab.name, "").format(against=against, drawn=drawn)
             yield {"name": tab.name, "introduction": introduction, "groups": groups}
 
 

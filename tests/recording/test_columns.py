@@ -151,12 +151,14 @@ def check_innovation(tables, one, label, sensor, axis, which):
         table["component"] == (0 if axis == "value" else AXES_N.index(axis))
     )
     if which == "bounds":
-        three = 3.0 * np.sqrt(table["S"][here])
-        values = np.array(one["scalars"], object)
-        broken = np.array([row is None or not len(row) for row in values])
-        assert broken.sum() <= 1  # through the outage
-        three[np.flatnonzero(broken)] = np.nan
-        check(one, "scalars", table["t_s"][here], np.column_stack([three, -three]))
+        t, three = table["t_s"][here], 3.0 * np.sqrt(table["S"][here])
+        empty = [k for k, row in enumerate(one["scalars"]) if row is None or not len(row)]
+        assert len(empty) <= 1  # in the middle of the outage
+        for k in empty:
+            after = int(np.searchsorted(t, one["t"][k]))
+            assert t[after] - t[after - 1] > 5.0 * np.median(np.diff(t))
+        drawn = {name: [v for k, v in enumerate(one[name]) if k not in empty] for name in ("t", "scalars")}
+        check(drawn, "scalars", t, np.column_stack([three, -three]))
         return
     here &= table["accepted"] == (which == "used")
     assert here.sum() == len(one["t"])

@@ -20,6 +20,7 @@ from bench.plots.series import (
     Plot,
     Rows,
     Series,
+    break_at_gaps,
     draw_dots,
     draw_line,
     shorten,
@@ -32,7 +33,6 @@ _MEASURED = {
 }
 """Title and unit by sensor."""
 _WIDE = 3  # plots in a row
-_SILENT = 5.0  # a sensor is silent after so many of its usual intervals
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
@@ -67,7 +67,8 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
         else:
             others += [*row, consistency]
     if np.isfinite(error.nees).any():
-        nees = draw_line("value", error.t, error.nees, "NEES", colour, MOST_ROWS)
+        t, squared = break_at_gaps(error.t, error.nees[:, None])
+        nees = draw_line("value", t, squared[:, 0], "NEES", colour, MOST_ROWS)
         others.append(
             _chi_square(content, ("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
         )
@@ -76,12 +77,8 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
 
 def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> tuple[Series, ...]:
     t, z, three, used = table.t[rows], table.z[rows], 3.0 * np.sqrt(table.S[rows]), table.accepted[rows]
-    three = three.copy()
-    if len(t) > 2:  # the gates end where the sensor falls silent
-        three[:-1][np.diff(t) > _SILENT * np.median(np.diff(t))] = np.nan
-    bounds = Series(
-        "bounds", t, np.column_stack([three, -three]), ("±3√S",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1)
-    )
+    ends, gates = break_at_gaps(t, np.column_stack([three, -three]))  # none while the sensor is silent
+    bounds = Series("bounds", ends, gates, ("±3√S",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1))
     series = [shorten(bounds), draw_dots("used", t[used], z[used], "used", colour)]
     if not used.all():
         series.append(draw_dots("rejected", t[~used], z[~used], "rejected", REJECTED, size=3.0))
