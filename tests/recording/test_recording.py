@@ -444,10 +444,13 @@ def test_every_innovation_is_there_used_or_rejected(run, flight):
             t, z = recording.column(flight, entity_of(MAIN, "innovation", sensor, axis, name), SCALARS)
             assert_allclose(t, table.t[rows], rtol=0, atol=1e-9)
             assert_array_equal(z[:, 0], table.z[rows])
-        _, bounds = recording.column(flight, entity_of(MAIN, "innovation", sensor, axis, "bounds"), SCALARS)
-        silent = np.append(np.diff(table.t[here]) > 5 * np.median(np.diff(table.t[here])), False)
-        assert_array_equal(bounds[:, 0], np.where(silent, np.nan, 3 * np.sqrt(table.S[here])))
-        assert silent.any() == (sensor != "baro")  # the gates end where GNSS is lost
+        t, bounds = recording.column(flight, entity_of(MAIN, "innovation", sensor, axis, "bounds"), SCALARS)
+        steps = np.diff(table.t[here])
+        after = np.flatnonzero(steps > 5 * np.median(steps)) + 1
+        assert_array_equal(bounds[:, 0], np.insert(3 * np.sqrt(table.S[here]), after, np.nan))
+        assert (len(after) > 0) == (sensor != "baro")  # the gates end where GNSS is lost
+        lost, instants = np.isnan(bounds[:, 0]), table.t[here]
+        assert_allclose(t[lost], 0.5 * (instants[after - 1] + instants[after]), rtol=0, atol=1e-9)
         _, nis = recording.column(flight, entity_of(MAIN, "nis", sensor, "value"), SCALARS)
         assert_array_equal(nis[:, 0], table.nis[here])
 
