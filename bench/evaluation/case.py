@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
 from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
@@ -146,7 +147,8 @@ def build_case(
     """
     nis = nis_by_sensor(solution.innovations)
     with np.errstate(invalid="ignore"):
-        sd = np.sqrt(variances(solution))
+        variance = variances(solution)
+        sd = disk_arrays.fill(variance.shape, lambda rows: np.sqrt(variance[rows]))
     return Case(
         t=errors.t,
         pos_n=errors.pos_n,

@@ -265,6 +265,7 @@ def check_convergence(
         bad = ~positive_definite(cov)
         if bad.any():
             return False, f"covariance is not positive definite at {_describe_epochs(solution, bad)}"
+    disk_arrays.release()
     if "pos" in blocks:
         distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
         sigma = np.sqrt(variances(solution)[:, :2].sum(axis=1))

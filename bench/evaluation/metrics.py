@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries, NavSolution, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors
@@ -396,6 +397,8 @@ def _compute_metrics(case: Case, solution: NavSolution, metrics: Sequence[Metric
             result = metric.function(case)
             named = result if isinstance(result, Mapping) else {"": result}
             values.update({metric.name.format(key): value for key, value in named.items()})
+            if len(case.t) > disk_arrays.LONG * disk_arrays.ROWS:
+                disk_arrays.release()
     return {
         name: float(value) if value is not None and np.isfinite(value) else None
         for name, value in values.items()

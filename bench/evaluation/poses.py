@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
 from bench.data import ErrorSeries, NavSolution
@@ -30,17 +30,20 @@ class Poses:
         """Make the poses from a solution and its errors; None if a position is not finite."""
         if not (np.isfinite(errors.pos_n).all() and np.isfinite(solution.lla).all()):
             return None
-        lla = earth.displace(solution.lla, -errors.pos_n)
-        truth_e = earth.to_ecef(lla)
-        steps = lengths(np.diff(truth_e, axis=0))
-        q_estimate = q_truth = np.tile([1.0, 0.0, 0.0, 0.0], (len(solution), 1))
-        if np.isfinite(errors.phi_n).all():
-            q_en = rotation.from_euler(0.0, -0.5 * np.pi - lla[:, 0], lla[:, 1])
-            q_estimate = rotation.multiply(q_en, solution.q_nb)
-            q_nb = rotation.multiply(rotation.from_rotvec(-errors.phi_n), solution.q_nb)
-            q_truth = rotation.multiply(q_en, q_nb)
-        travelled = np.concatenate([[0.0], np.cumsum(steps)])
-        return cls(solution.t, earth.to_ecef(solution.lla), truth_e, q_estimate, q_truth, travelled)
+        turned = bool(np.isfinite(errors.phi_n).all())
+        estimate_e, truth_e = (disk_arrays.empty((len(solution), 3)) for _ in range(2))
+        q_estimate, q_truth = (disk_arrays.empty((len(solution), 4)) for _ in range(2))
+        for rows in disk_arrays.blocks(len(solution)):
+            lla = earth.displace(solution.lla[rows], -errors.pos_n[rows])
+            estimate_e[rows], truth_e[rows] = earth.to_ecef(solution.lla[rows]), earth.to_ecef(lla)
+            q_estimate[rows] = q_truth[rows] = [1.0, 0.0, 0.0, 0.0]
+            if turned:
+                q_en = rotation.from_euler(0.0, -0.5 * np.pi - lla[:, 0], lla[:, 1])
+                q_estimate[rows] = rotation.multiply(q_en, solution.q_nb[rows])
+                q_nb = rotation.multiply(rotation.from_rotvec(-errors.phi_n[rows]), solution.q_nb[rows])
+                q_truth[rows] = rotation.multiply(q_en, q_nb)
+        travelled = np.concatenate([[0.0], np.cumsum(lengths(np.diff(truth_e, axis=0)))])
+        return cls(solution.t, estimate_e, truth_e, q_estimate, q_truth, travelled)
 
     def select(self, rows: BoolArray | IntArray | slice) -> Poses | None:
         """Return the poses of some epochs; None if there are fewer than three."""

@@ -6,7 +6,8 @@ pyarrow is imported by the functions that use it: what has no files does not wai
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,15 +52,21 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
     import pyarrow.parquet as pq
 
     columns = layout_of(record) if layout is None else layout
+    tables = _cut_tables(record, columns, facts)
+    table = next(tables)
+    with pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False) as file:
+        for one in chain([table], tables):
+            file.write_table(one)
+
+
+def _cut_tables(record: object, columns: Layout, facts: Mapping[str, Any]) -> Iterator[pa.Table]:
+    """Yield a record as tables of a few MB that follow on each other: one at least."""
     count = len(getattr(record, next(iter(columns))))
     step = max(1, _GROUP // max(1, sum(len(one.names) for one in columns.values())))
-    table = to_table(take_block(record, columns, slice(0, step)), columns, facts)
-    with pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False) as file:
-        file.write_table(table)
-        for first in range(step, count, step):
+    for first in range(0, max(count, 1), step):
+        if first:
             disk_arrays.release()
-            block = take_block(record, columns, slice(first, first + step))
-            file.write_table(to_table(block, columns, facts))
+        yield to_table(take_block(record, columns, slice(first, first + step)), columns, facts)
 
 
 def write_csv(path: Path, record: object, layout: Layout) -> None:
@@ -70,13 +77,14 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
     import pyarrow as pa
     from pyarrow import csv
 
-    table = to_table(record, layout, {})
-    for k, field in enumerate(table.schema):
-        if field.type == pa.bool_():
-            table = table.set_column(k, field.name, table.column(k).cast(pa.int8()))
+    names = [name for one in layout.values() for name in one.names]
     with path.open("wb") as file:
-        file.write((",".join(table.column_names) + "\n").encode())
-        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+        file.write((",".join(names) + "\n").encode())
+        for table in _cut_tables(record, layout, {}):
+            for k, field in enumerate(table.schema):
+                if field.type == pa.bool_():
+                    table = table.set_column(k, field.name, table.column(k).cast(pa.int8()))
+            csv.write_csv(table, file, csv.WriteOptions(include_header=False))
 
 
 def write_frame(path: Path, columns: Mapping[str, Any]) -> None:

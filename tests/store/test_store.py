@@ -219,6 +219,16 @@ def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, resul
     equal(again.sensed, sensed)
 
 
+def test_a_csv_written_in_groups_of_rows_is_that_written_at_once(tmp_path, monkeypatch, sensed):
+    imu, written = sensed.data.imu, []
+    for values in (1 << 21, 1000):
+        monkeypatch.setattr(store.parquet, "_GROUP", values)
+        store.parquet.write_csv(tmp_path / "imu.csv", imu, store.parquet.layout_of(imu))
+        written.append((tmp_path / "imu.csv").read_bytes())
+    assert written[0] == written[1]
+    assert written[0].count(b"\n") == len(imu) + 1 > 300
+
+
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
     none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
     bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))

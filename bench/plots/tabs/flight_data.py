@@ -36,7 +36,9 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     measured: dict[str, list[Series]] = {}
     for name, record in sensed.data.instruments.items():
         measured.setdefault(INSTRUMENTS[name].trace.plot, []).extend(_trace(INSTRUMENTS[name], record))
-    euler = np.rad2deg(np.column_stack(rotation.to_euler(q_nb)))
+    euler = disk_arrays.fill(
+        (len(t), 3), lambda rows: np.rad2deg(np.column_stack(rotation.to_euler(q_nb[rows])))
+    )
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
     what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
