@@ -1,19 +1,78 @@
-"""Where the time of an IMU sample goes in ``loose-22`` with a covariance step at 20 Hz.
+"""Where the time of an IMU sample goes in ``loose-22`` with a covariance step at 20 Hz, and that of a step.
 
     python -m tests.perf.parts
 
 Differences of runs that leave a part out, in microseconds of CPU a sample, the least of eleven interleaved
-slices.
+slices; the parts of a step of the covariance by themselves, done again and again.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from bench import config, pipeline
+from bench.compiled import kernel
+from bench.data import Sensed
 from bench.navigation import estimator, forward
+from bench.navigation.cycle import noise_kernel
+from bench.navigation.error_state import covariance_kernel, dynamics_kernel, transition_kernel
+from bench.navigation.fusion import Passage
 from bench.navigation.mechanization import propagate
 from tests.perf.dense import epoch_costs
+
+STEPS = 20_000  # of the covariance, in one slice
+
+
+@kernel
+def _noise_kernel(count, T, process, unknown, decay, noise):
+    fading = 0
+    for k in range(count):  # the interval differs, or the compiler would do it once
+        fading += noise_kernel(T + 1e-9 * k, process, -1, 25.0, unknown, decay, noise)
+    return fading
+
+
+@kernel
+def _dynamics_kernel(count, nav, C, dv, F):
+    for k in range(count):
+        nav[2] += 1e-9 * k
+        dynamics_kernel(nav, C, dv, F)
+
+
+@kernel
+def _transition_kernel(count, T, F, G):
+    for k in range(count):
+        transition_kernel(F, T + 1e-9 * k, G)
+
+
+@kernel
+def _covariance_kernel(count, P, G, decay, noise, fading, drives, factor, memory):
+    for _ in range(count):
+        covariance_kernel(P, G, decay, noise, fading, drives, factor, memory)
+
+
+def step_parts(sensed: Sensed) -> dict[str, tuple[Callable[[], object], int]]:
+    """Return the parts of a step of the covariance of ``loose-22``, each done `STEPS` times."""
+    run = Passage(estimator.load("loose-22", {}), sensed.data, sensed.initial, []).run
+    process, work, T = run.model.process, run.work, 0.05
+    nav, C, dv = run.now.state[:10].copy(), work.C_mean, work.vectors[5]
+    C[:], dv[2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], -9.8
+    fading = _noise_kernel(1, T, process, work.lost, work.decay, work.noise)
+    P, drives, factor = run.now.P, process.drives, work.factor
+    return {
+        "decay and noise of the states": (
+            lambda: _noise_kernel(STEPS, T, process, work.lost, work.decay, work.noise),
+            STEPS,
+        ),
+        "dynamics F": (lambda: _dynamics_kernel(STEPS, nav, C, dv, work.F), STEPS),
+        "transition Phi": (lambda: _transition_kernel(STEPS, T, work.F, work.G), STEPS),
+        "Phi P Phi' + Q": (
+            lambda: _covariance_kernel(
+                STEPS, P, work.G, work.decay, work.noise, fading, drives, factor, work.covariance
+            ),
+            STEPS,
+        ),
+    }
 
 
 def main() -> None:
@@ -36,12 +95,13 @@ def main() -> None:
         "nor answers": run(last, baro=False),
         "nor covariance steps": run(last, baro=False, covariance_hz=1.0),
         "strapdown": (strapdown, len(imu.t)),
+        "every sample": run(data, covariance_hz=None),
     }
     compiled, forward._fusion_kernel = forward._fusion_kernel, lambda *_: None
     prepared = epoch_costs({"prepared": run(last, baro=False, covariance_hz=1.0)}, 11)["prepared"]
     forward._fusion_kernel = compiled
     cost = epoch_costs(works, 11)
-    whole, heights, answers, steps, rest = (cost[name] for name in works)
+    whole, heights, answers, steps, rest, _ = (cost[name] for name in works)
     for what, share in {
         "strapdown": rest,
         "record checked, put in order": prepared,
@@ -51,6 +111,10 @@ def main() -> None:
         f"{len(data.output_t)} answers with their covariance": heights - answers,
         "together": whole,
     }.items():
+        print(f"{what:45} {1e6 * share:.3f} us")
+    print(f"{'the same, a step at every sample':45} {1e6 * cost['every sample']:.3f} us")
+    print("Of a step of the covariance, and an epoch of dense:")
+    for what, share in epoch_costs(step_parts(sensed), 11).items():
         print(f"{what:45} {1e6 * share:.3f} us")
 
 
