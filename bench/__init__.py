@@ -91,7 +91,7 @@ _PUBLIC = {
     "solve_rinex": "bench.api",
     "stream_run": "bench.api",
     "study": "bench.studies.conducting",
-    "take_piece": "bench.navigation.pieces",
+    "take_piece": "bench.navigation.record_pieces",
     "to_arrow": "bench.store",
     "to_pandas": "bench.store",
     "plot_result": "bench.report.paper",

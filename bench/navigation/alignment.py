@@ -20,11 +20,15 @@ unknown: `bench.navigation.hypotheses`.
 
 from __future__ import annotations
 
+import numpy as np
+
 from bench.data import InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.course import align_on_the_move
 from bench.navigation.leveling import Rows, align_at_rest
+from bench.navigation.record_pieces import newest_sample
 
+SETTLED = 2.0  # time after an alignment until which the record may still change it [s]
 UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the airspeed of airliners [m/s]
 
 
@@ -58,3 +62,49 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
     if initial.alignment == "course":
         return align_on_the_move(sensors, initial)
     raise EstimatorError(f"alignment = {initial.alignment!r} must be 'given', 'level' or 'course'")
+
+
+class StartSearch:
+    """Looks for the start in a record that goes on.
+
+    Parameters
+    ----------
+    initial : InitialState
+        As for :func:`complete`.
+    """
+
+    def __init__(self, initial: InitialState) -> None:
+        self.initial = initial
+        self.tried = -np.inf  # last sample when it was looked for last [s]
+
+    def find(self, record: SensorData, look_back: float, *, last: bool) -> tuple[InitialState, Rows] | None:
+        """Return what :func:`complete` finds in the record so far, None while more may change that.
+
+        Parameters
+        ----------
+        record : SensorData
+            All that has come.
+        look_back : float
+            Longest time from the validity of a measurement to its arrival [s].
+        last : bool
+            No more comes.
+
+        Raises
+        ------
+        EstimatorError
+            If the record does not allow the alignment, whatever comes.
+        """
+        initial, newest = self.initial, newest_sample(record)
+        enough = self.tried + SETTLED
+        if initial.alignment == "level":
+            enough = initial.t + initial.align_for + SETTLED + look_back
+        if not last and newest < enough:
+            return None
+        self.tried = newest
+        try:
+            found = complete(record, initial)
+        except EstimatorError:
+            if last or initial.alignment == "level":
+                raise
+            return None
+        return found if last or newest >= found[0].t + SETTLED + look_back else None

@@ -29,8 +29,9 @@ from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_s
 from bench.navigation.constraints import VehicleSampler
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import ForwardRun, Nodes
+from bench.navigation.hypotheses import ManyHeadings
 from bench.navigation.imu_sampler import ImuSampler
-from bench.navigation.in_pieces import answer_now, refuse_gap
+from bench.navigation.in_pieces import InPieces, answer_now
 from bench.navigation.integrity import nis_limit
 from bench.navigation.measurements import (
     AIDING,
@@ -45,12 +46,12 @@ from bench.navigation.measurements import (
 )
 from bench.navigation.moved_fixes import MovedFixes
 from bench.navigation.options import FusionOptions, TightOptions, read_options
-from bench.navigation.restart import run_between_gaps
+from bench.navigation.restart import between_gaps
 from bench.navigation.schedule import Schedule
 from bench.navigation.standstill import StandstillDetector
 from bench.navigation.states import Block
 from bench.navigation.timeline import empty_epochs
-from bench.navigation.turn_on import run_from_turn_on
+from bench.navigation.turn_on import FromTurnOn
 from bench.specs import AssumedSpecs, ImuSpec
 
 _NEVER = np.iinfo(np.int64).max
@@ -77,46 +78,38 @@ class Fusion:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
-
-        def known(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
-            return self.forward(piece, start, keep=False, gyro_sd=gyro_sd)[0]
-
-        def forward(piece: SensorData, start: InitialState) -> NavSolution:
-            large = self.options.every_error
-            return run_from_turn_on(known, piece, start) if large else known(piece, start, None)
-
-        return run_between_gaps(forward, sensors, initial, self.options.accuracy)
+        initial, events = alignment.complete(sensors, initial)
+        filter_ = self.in_pieces(sensors, initial, events)
+        if not in_blocks.is_long(sensors):
+            return filter_.feed(sensors, 0.0, last=True)
+        joined, wait = in_blocks.JoinedSolution(sensors.output_t), in_blocks.longest_wait(sensors)
+        for piece, last in in_blocks.cut_record(sensors):
+            joined.add(filter_.feed(piece, wait, last=last))
+        return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
 
     def forward(
-        self, sensors: SensorData, initial: InitialState, *, keep: bool, gyro_sd: float | None = None
+        self, sensors: SensorData, initial: InitialState, *, gyro_sd: float | None = None
     ) -> tuple[NavSolution, list[Nodes]]:
-        """Return the solution of :meth:`run` and, with ``keep``, the nodes a smoother goes back over.
+        """Return a solution and the nodes a smoother goes back over.
 
         They come in stretches, in their order; a record that is not long is one. There are none where the
-        heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro biases are known at a
-        start that is given; None: as the datasheet says.
+        heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro biases are known at the
+        start; None: as the datasheet says.
         """
         initial, events = alignment.complete(sensors, initial)
         if not hypotheses.heading_is_unknown(initial):
-            return self._forward(sensors, initial, events, keep, gyro_sd)
-        settled = hypotheses.settle_heading(
-            lambda data, start: self._forward(data, start, [], False)[0], sensors, initial
-        )
-        solution, nodes = self._forward(
-            sensors, settled.initial, [*events, settled.event], keep and settled.complete
-        )
-        return settled.join(solution), nodes
+            return self._forward(sensors, initial, events, gyro_sd)
+        search = ManyHeadings(self._passage, sensors, initial, events)
+        solution = search.feed(sensors, 0.0, last=True)
+        if not search.complete:
+            return solution, []
+        return solution, self._forward(sensors, search.starts[0], [], None)[1]
 
     def _forward(
-        self,
-        sensors: SensorData,
-        initial: InitialState,
-        events: list[EventRow],
-        keep: bool,
-        gyro_sd: float | None = None,
+        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
     ) -> tuple[NavSolution, list[Nodes]]:
-        """Return what :meth:`forward` does, from a complete initial state."""
-        passage = Passage(self, sensors, initial, events, keep=keep, gyro_sd=gyro_sd)
+        """Return what :meth:`forward` does, from a complete initial state with a known heading."""
+        passage = Passage(self, sensors, initial, events, keep=True, gyro_sd=gyro_sd)
         if not in_blocks.is_long(sensors):
             passage.take(sensors, last=True)
             solution, nodes = passage.go()
@@ -129,20 +122,34 @@ class Fusion:
                 solution, nodes = passage.go(wait)
                 joined.add(solution)
                 stretches.append(nodes)
-        seen, empty = sensors.observations, list[EventRow]()
-        if seen is not None and SATELLITES in passage.used:
-            empty = empty_epochs(seen.t, seen.epoch_start, initial.t, passage.schedule.end)
-        return joined.solution(empty), stretches
+        return joined.solution(self._empty_epochs(sensors, initial.t, passage.end)), stretches
 
-    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
+    def _empty_epochs(self, sensors: SensorData, start: float, end: float) -> list[EventRow]:
+        """Return the event of the epochs without satellites in a record that is cut in blocks."""
+        seen = sensors.observations
+        if seen is None or SATELLITES not in self.aiding():
+            return []
+        return empty_epochs(seen.t, seen.epoch_start, start, end)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
-        hypotheses.refuse_unknown_heading(initial)
-        large = first.specs.imu.gyro.turn_on_bias_sd >= turn_on.LARGE
-        if self.options.every_error and first.fixes is not None and large:
-            raise EstimatorError(
-                "it cannot run in pieces with every_error = true and gyros of so large a turn-on bias: it is "
-                "learnt from the begin of the whole record; leave it out"
-            )
+        return between_gaps(self._from_start, first, initial, events, self.options.accuracy)
+
+    def _from_start(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU."""
+        if self.options.every_error and turn_on.may_be_learnt(first, initial):
+            return FromTurnOn(self._known, first, initial, events)
+        return self._known(first, initial, events, None)
+
+    def _known(
+        self, first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
+    ) -> InPieces:
+        """Return what :meth:`_from_start` does, for gyro biases known to a sd; None: by the datasheet."""
+        if hypotheses.heading_is_unknown(initial):
+            return ManyHeadings(self._passage, first, initial, events)
+        return Passage(self, first, initial, events, gyro_sd=gyro_sd)
+
+    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
         return Passage(self, first, initial, events)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
@@ -301,8 +308,6 @@ class Passage:
         if not np.array_equal(self.antenna_b, piece.antenna_b):
             self._go_over(piece.antenna_b)
         self.take(piece, last=last)
-        if self.filter.options.accuracy is not None and piece.fixes is not None:
-            refuse_gap(self.schedule.longest_gap)
         if not last and not self.can_go(look_back):
             return self.run.nothing()
         return self.go(look_back)[0]

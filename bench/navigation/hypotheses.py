@@ -15,22 +15,34 @@ Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics, 2018, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from bench import rotation
-from bench.arrays import FloatArray, IntArray
-from bench.data import EventRow, ImuData, InitialState, NavSolution, SensorData
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import (
+    EventRow,
+    Events,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorData,
+    no_innovations,
+)
 from bench.earth import EARTH_RATE, difference_n
-from bench.errors import EstimatorError
 from bench.navigation.aiding import SENSORS
 from bench.navigation.error_state import PHI, POS, VEL
+from bench.navigation.in_blocks import longest_wait
+from bench.navigation.in_pieces import InPieces, answer_now, join_solutions, join_tables, take_answers
 from bench.navigation.leveling import bias_sd
+from bench.navigation.record_pieces import cut_piece, first_sample, newest_sample
 from bench.navigation.rough_heading import UNKNOWN_HEADING_SD, may_stand
 from bench.navigation.timeline import TIME_TOLERANCE
+from bench.navigation.waiting import columns
 
 LINEAR = float(np.deg2rad(15.0))  # sd of a heading up to which one linear filter is good [rad]
 COUNT = 16  # hypotheses around the circle
@@ -41,26 +53,9 @@ MOST_NIS = 30.0  # that a measurement counts with: an outlier decides nothing
 ASSUMED = ("zero_velocity", "zero_rate")  # no measurements; wrong in steady flight
 _APART = 0.5  # spread of the hypotheses, over the sd of the best, from which on it stands for all
 
-Run = Callable[[SensorData, InitialState], NavSolution]
+_PASSED = 2.0  # that a filter is at most behind what may still come late [s]
 
-
-@dataclass(frozen=True, slots=True)
-class Settled:
-    """The hypothesis that is left, and the estimate until then."""
-
-    initial: InitialState  # of the most likely hypothesis
-    early: NavSolution  # of all hypotheses together, at the first instants of the solution
-    complete: bool  # one filter stands for all
-    event: EventRow
-
-    def join(self, late: NavSolution) -> NavSolution:
-        """Return the solution of the hypothesis that is left, with the common estimate before."""
-        m = len(self.early)
-        columns: dict[str, Any] = {}
-        for name in ("lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd"):
-            columns[name] = getattr(late, name).copy()
-            columns[name][:m] = getattr(self.early, name)
-        return replace(late, **columns)
+Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 
 def heading_is_unknown(initial: InitialState) -> bool:
@@ -68,55 +63,170 @@ def heading_is_unknown(initial: InitialState) -> bool:
     return bool(initial.cov[8, 8] > LINEAR**2)
 
 
-def refuse_unknown_heading(initial: InitialState) -> None:
-    """Raise the error of a start in pieces whose heading is unknown.
+class ManyHeadings:
+    """A filter from headings around the circle, until one of them stands for all (`InPieces`).
 
-    Raises
-    ------
-    EstimatorError
-    """
-    if heading_is_unknown(initial):
-        raise EstimatorError(
-            "it cannot run in pieces from an unknown heading: several filters have to find it on the whole "
-            "record; give a heading known to 15 deg"
-        )
-
-
-def settle_heading(run: Run, sensors: SensorData, initial: InitialState) -> Settled:
-    """Run a filter from headings around the circle until one of them stands for all.
+    Innovations are those of the hypothesis that is the estimate, events those of the one that is left.
 
     Parameters
     ----------
-    run : callable
-        The filter: record and initial state to solution.
-    sensors : SensorData
-        The record. Only its beginning is used, as long as it takes.
+    begin : callable
+        Returns the filter before its first piece, from a start whose heading is known.
+    first : SensorData
+        Its records say which sensors there are.
     initial : InitialState
         Complete, with a heading for which :func:`heading_is_unknown`.
+    events : list of (t, t_end, kind, text)
+        What went before.
     """
-    turns = 2.0 * np.pi / COUNT * (np.arange(COUNT) - COUNT // 2)
-    sd = np.sqrt(initial.cov[8, 8])
-    prior = np.zeros(COUNT) if sd >= UNKNOWN_HEADING_SD else -0.5 * (turns / sd) ** 2
-    starts = [turn_heading(initial, turn) for turn in turns]
-    by_rest = ["magnetometer"]
-    e_rate = EARTH_RATE * np.cos(initial.lla[0])
-    if bias_sd(sensors.specs.imu.gyro, 0.0) < UNKNOWN_HEADING_SD * e_rate:  # it can gyrocompass
-        by_rest = list(SENSORS)
-    span, end = FIRST, float(sensors.imu.t.max(initial=initial.t))
-    while True:
-        until = initial.t + span
-        part = _beginning(sensors, until)
-        members = [run(part, start) for start in starts]
-        weight = _weights(members, prior, by_rest)
-        early, best = _combine(members, weight)
-        spread, own = _heading_spread(members, weight, best)
-        complete = spread < _APART * own and not until >= end
-        if complete or until >= end:
-            break
-        span *= 2.0
-    text = f"heading unknown: {COUNT} hypotheses; "
-    text += f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg" if complete else "no motion told it"
-    return Settled(starts[best], early, complete, (initial.t, min(until, end), "alignment", text))
+
+    def __init__(
+        self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
+    ) -> None:
+        turns = 2.0 * np.pi / COUNT * (np.arange(COUNT) - COUNT // 2)
+        sd = np.sqrt(initial.cov[8, 8])
+        self.log = np.zeros(COUNT) if sd >= UNKNOWN_HEADING_SD else -0.5 * (turns / sd) ** 2
+        self.starts = [turn_heading(initial, turn) for turn in turns]
+        self.members = [begin(first, start, []) for start in self.starts]
+        e_rate = EARTH_RATE * np.cos(initial.lla[0])
+        can_gyrocompass = bias_sd(first.specs.imu.gyro, 0.0) < UNKNOWN_HEADING_SD * e_rate
+        self.by_rest = list(SENSORS) if can_gyrocompass else ["magnetometer"]
+        self.start, self.span = initial.t, FIRST
+        self.best = COUNT // 2  # the estimate at the last answer; the heading that was given before
+        self.complete = False  # one stands for all
+        self.apart = np.inf, SD  # spread of the hypotheses, and the sd of the best, at the last answer [rad]
+        self.events: list[list[EventRow]] = [list(events) for _ in turns]
+        self.tables = [no_innovations() for _ in turns]  # since the last answer
+        self.later = np.empty(0)  # answers wanted after the last sample [s]
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.members[0].end
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`bench.navigation.in_pieces.InPieces`)."""
+        if self.complete:
+            return self.members[0].feed(piece, look_back, last=last)
+        wait = max(look_back, longest_wait(piece)) if last else look_back
+        wanted, newest = np.append(self.later, piece.output_t), newest_sample(piece)
+        reached = np.inf if last else max(self.end, newest)
+        self.later = wanted[wanted > reached]
+        rest, found, until = replace(piece, output_t=wanted[wanted <= reached]), list[NavSolution](), -np.inf
+        while not self.complete:  # no further than to where they may be told apart
+            until = max(self.start + self.span + wait + _PASSED, until + FIRST, first_sample(rest))
+            if newest <= until:
+                break
+            ahead = np.flatnonzero(rest.imu.t > until)
+            part = cut_piece(rest, np.setdiff1d(np.arange(len(rest.imu)), ahead), -np.inf, until)
+            rest = cut_piece(rest, ahead, until, np.inf)
+            found += self._step(part, wait, last=False)
+        if self.complete:
+            found.append(self.members[0].feed(rest, look_back, last=last))
+        else:
+            found += self._step(rest, look_back, last=last)
+        return join_solutions(found)
+
+    def _step(self, part: SensorData, look_back: float, *, last: bool) -> list[NavSolution]:
+        """Let all hypotheses take a part; return the estimates, and when one is left what it says."""
+        solutions = [member.feed(part, look_back, last=last) for member in self.members]
+        for k, solution in enumerate(solutions):
+            self.tables[k] = join_tables([one for one in (self.tables[k], solution.innovations) if len(one)])
+            self.events[k] += solution.events.rows()
+        t, found, done = solutions[0].t, list[NavSolution](), 0
+        while True:
+            until = self.start + self.span
+            due = int(np.searchsorted(t, until, side="right"))
+            found.append(self._estimate([take_answers(one, slice(done, due)) for one in solutions]))
+            done = due
+            passed = self.end - (0.0 if last else look_back + _PASSED)
+            if self.end <= until or (done == len(t) and passed <= until):
+                break
+            spread, own = self.apart
+            if spread < _APART * own:
+                text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
+                found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
+                self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
+                self.complete = True
+                return found
+            self.span *= 2.0
+        if last:
+            rest = take_answers(solutions[self.best], slice(done, None))
+            found.append(self._end(rest, self.end, "no motion told it"))
+        return found
+
+    def _end(self, solution: NavSolution, until: float, text: str) -> NavSolution:
+        """Return what the best one says from here on, with its innovations and events that waited."""
+        event = (self.start, until, "alignment", f"heading unknown: {COUNT} hypotheses; {text}")
+        events = Events.from_rows([*self.events[self.best], event])
+        return replace(solution, innovations=self.tables[self.best], events=events)
+
+    def _estimate(self, parts: list[NavSolution]) -> NavSolution:
+        """Return the estimate of all hypotheses at the next answers, with the innovations until the last."""
+        t = parts[0].t
+        if not len(t):
+            return replace(parts[0], innovations=no_innovations(), events=Events.from_rows([]))
+        rest = may_stand(parts[0].vel_n, parts[0].cov)
+        log, tables, rows = np.empty((COUNT, len(t))), list[Innovations](), list[IntArray]()
+        for k, table in enumerate(self.tables):
+            count = int(np.searchsorted(table.t, t[-1] + TIME_TOLERANCE, side="right"))
+            used, self.tables[k] = _take_table(table, slice(count)), _take_table(table, slice(count, None))
+            of = np.searchsorted(t, used.t - TIME_TOLERANCE)
+            total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))
+            log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
+            tables.append(used)
+            rows.append(of)
+        weight = np.exp(log - log.max(axis=0))
+        weight = np.asarray(weight / weight.sum(axis=0))
+        leader = _leading(weight, self.best)
+        self.best = int(leader[-1])
+        self.apart = _heading_spread(parts, weight, self.best)
+        led = [_take_table(tables[k], np.flatnonzero(leader[rows[k]] == k)) for k in range(COUNT)]
+        order = np.argsort(
+            np.concatenate([rows[k][leader[rows[k]] == k] for k in range(COUNT)]), kind="stable"
+        )
+        table = join_tables([one for one in led if len(one)])
+        return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record."""
+        self.later = np.empty(0)
+        return self.members[0].answer(head) if self.complete else answer_now(self, head)
+
+    def copy(self) -> ManyHeadings:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.log, other.tables = self.log.copy(), list(self.tables)
+        other.members = [member.copy() for member in self.members]
+        other.events = [list(rows) for rows in self.events]
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "members": [member.state() for member in self.members],
+            "log": self.log,
+            "span": self.span,
+            "best": self.best,
+            "complete": self.complete,
+            "apart": list(self.apart),
+            "events": [[list(row) for row in rows] for rows in self.events],
+            "tables": [columns(table) for table in self.tables],
+            "later": self.later,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.log, self.span, self.best = state["log"], state["span"], state["best"]
+        self.complete, self.later = state["complete"], state["later"]
+        spread, own = state["apart"]
+        self.apart = spread, own
+        self.events = [[(t, t_end, *texts) for t, t_end, *texts in rows] for rows in state["events"]]
+        self.tables = [Innovations(**one | {"sensor": tuple(one["sensor"])}) for one in state["tables"]]
+        if self.complete:
+            self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
+        for member, own_state in zip(self.members, state["members"], strict=True):
+            member.restore(own_state)
 
 
 def turn_heading(initial: InitialState, turn: float) -> InitialState:
@@ -130,39 +240,28 @@ def turn_heading(initial: InitialState, turn: float) -> InitialState:
     return replace(initial, q_nb=q_nb, cov=T @ cov @ T.T, bias_cov=T @ bias_cov)
 
 
-def _beginning(sensors: SensorData, until: float) -> SensorData:
-    """Return a record without IMU samples and outputs after an instant [s]."""
-    imu, rows = sensors.imu, ~(sensors.imu.t > until)
-    cut = ImuData(**{f.name: getattr(imu, f.name)[rows] for f in fields(imu)})
-    return replace(sensors, imu=cut, output_t=sensors.output_t[sensors.output_t <= until])
+def _take_table(table: Innovations, rows: slice | IntArray) -> Innovations:
+    """Return some rows of a table."""
+    names = [f.name for f in fields(Innovations) if f.name != "sensor"]
+    return replace(table, **{name: getattr(table, name)[rows] for name in names})
 
 
-def _weights(members: list[NavSolution], prior: FloatArray, by_rest: list[str]) -> FloatArray:
-    """Return the weight (K, M) of each hypothesis at each instant of the solution.
+def _gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray:
+    """Return what each innovation (K,) adds to the logarithm of the weight of its hypothesis.
 
-    Up to an instant at which the aircraft may stand only the sensors ``by_rest`` count: in others noise and
-    the drift of the filter lie along some heading by chance, and the filter would take them for motion.
+    Until an instant at which the aircraft may stand, ``rest`` (K,), only the sensors ``by_rest`` count: in
+    others noise and the drift of the filter lie along some heading by chance, and the filter would take them
+    for motion.
     """
-    t = members[0].t
-    rest = np.append(may_stand(members[0].vel_n, members[0].cov), False)
-    log = np.empty((len(members), len(t)))
-    for k, member in enumerate(members):
-        table = member.innovations
-        gain = -0.5 * (np.where(table.component == 0, np.minimum(table.nis, MOST_NIS), 0.0) + np.log(table.S))
-        name = np.array(table.sensor)[table.code]
-        gain[np.isin(name, ASSUMED)] = 0.0
-        gain[rest[np.searchsorted(t, table.t - TIME_TOLERANCE)] & ~np.isin(name, by_rest)] = 0.0
-        total = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(gain), gain, -np.inf))])
-        log[k] = prior[k] + total[np.searchsorted(table.t, t, side="right")]
-    log -= log.max(axis=0)
-    weight = np.exp(log)
-    return np.asarray(weight / weight.sum(axis=0))
+    gain = -0.5 * (np.where(table.component == 0, np.minimum(table.nis, MOST_NIS), 0.0) + np.log(table.S))
+    name = np.array(table.sensor, dtype=str)[table.code]
+    gain[np.isin(name, ASSUMED) | (rest & ~np.isin(name, by_rest))] = 0.0
+    return np.asarray(np.where(np.isfinite(gain), gain, -np.inf))
 
 
-def _leading(weight: FloatArray) -> IntArray:
+def _leading(weight: FloatArray, now: int) -> IntArray:
     """Return which hypothesis is the estimate at each instant; it changes only for a much likelier one."""
     leader = np.empty(weight.shape[1], np.int64)
-    now = len(weight) // 2  # the heading that was given
     for j, column in enumerate(weight.T):
         if column.max() > AHEAD * column[now]:
             now = int(column.argmax())
@@ -170,9 +269,8 @@ def _leading(weight: FloatArray) -> IntArray:
     return leader
 
 
-def _combine(members: list[NavSolution], weight: FloatArray) -> tuple[NavSolution, int]:
-    """Return the estimate of all hypotheses, and which one it is in the end."""
-    leader = _leading(weight)
+def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -> NavSolution:
+    """Return the estimate of all hypotheses, which is that of the leading one, without events."""
     rows = np.arange(weight.shape[1])
 
     def led(name: str) -> FloatArray:
@@ -192,9 +290,8 @@ def _combine(members: list[NavSolution], weight: FloatArray) -> tuple[NavSolutio
         apart = values["extra"] - member.extra
         cov += np.where(w > 0, w, 0.0)[:, None, None] * np.where(w[:, None, None] > 0, square, 0.0)
         variance += np.where(w[:, None] > 0, w[:, None] * (member.extra_sd**2 + apart**2), 0.0)
-    columns: dict[str, Any] = {**values, "cov": cov, "extra_sd": np.sqrt(variance)}
-    early = replace(members[0], **columns)
-    return early, int(leader[-1]) if len(leader) else len(members) // 2
+    found: dict[str, Any] = {**values, "cov": cov, "extra_sd": np.sqrt(variance)}
+    return replace(members[0], **found, events=Events.from_rows([]))
 
 
 def _inverse_jacobian(d: FloatArray) -> FloatArray:
@@ -209,8 +306,6 @@ def _inverse_jacobian(d: FloatArray) -> FloatArray:
 
 def _heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
     """Return at the last instant how far the hypotheses lie from the best, rms, and its own sd [rad]."""
-    if not weight.shape[1]:
-        return np.inf, SD
     last = [member.q_nb[-1] for member in members]
     apart = [rotation.to_rotvec(rotation.multiply(last[best], rotation.conjugate(q)))[2] for q in last]
     spread = np.nansum(weight[:, -1] * np.square(apart))

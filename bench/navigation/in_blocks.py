@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 from typing import Any
@@ -18,13 +17,11 @@ from bench.data import (
     Innovations,
     NavSolution,
     SensorData,
-    no_innovations,
 )
+from bench.navigation.in_pieces import join_events, join_tables
+from bench.navigation.record_pieces import aiding_records, arrivals
 from bench.navigation.timeline import TIME_TOLERANCE
 from bench.navigation.waiting import take_observations, take_rows
-
-_COUNTED = re.compile(r"(\w+): (\d+) (.*)")
-"""Text of an event that counts rows of a record."""
 
 
 def is_long(sensors: SensorData) -> bool:
@@ -34,7 +31,7 @@ def is_long(sensors: SensorData) -> bool:
 
 def longest_wait(sensors: SensorData) -> float:
     """Return the longest time from the validity of a measurement to its arrival [s]."""
-    waits = [one.t_arrival - one.t for one in _aiding(sensors).values()]
+    waits = [one.t_arrival - one.t for one in aiding_records(sensors).values()]
     longest = max((float(wait[np.isfinite(wait)].max(initial=0.0)) for wait in waits), default=0.0)
     return longest + 2.0 * TIME_TOLERANCE
 
@@ -45,8 +42,8 @@ def cut_record(sensors: SensorData) -> Iterator[tuple[SensorData, bool]]:
     A measurement is in the block at whose end it has arrived, an answer wanted in that which reaches it; the
     last block has all that is left. What earlier blocks touched on disk is released.
     """
-    imu, left, reached = sensors.imu, _aiding(sensors), -np.inf
-    arrivals = {name: _arrival(one) for name, one in left.items()}
+    imu, left, reached = sensors.imu, aiding_records(sensors), -np.inf
+    arrived_at = {name: arrivals(one) for name, one in left.items()}
     for rows in disk_arrays.blocks(len(imu)):
         samples = take_rows(imu, rows)
         begin, last = reached, rows.stop == len(imu)
@@ -60,25 +57,11 @@ def cut_record(sensors: SensorData) -> Iterator[tuple[SensorData, bool]]:
 
         cut: dict[str, Any] = {}
         for name, one in left.items():
-            arrived = inside(arrivals[name])
+            arrived = inside(arrived_at[name])
             observed = isinstance(one, GnssObservations)
             cut[name] = take_observations(one, arrived) if observed else take_rows(one, arrived)
         wanted = sensors.output_t[inside(sensors.output_t)]
         yield replace(sensors, imu=samples, output_t=wanted, **cut), last
-
-
-def _aiding(sensors: SensorData) -> dict[str, Any]:
-    """Return the aiding records, by name."""
-    found = {"fixes": sensors.fixes, "observations": sensors.observations}
-    return {name: record for name, record in found.items() if record is not None} | sensors.instruments
-
-
-def _arrival(record: Any) -> FloatArray:
-    """Return when each row of a record arrives [s]; the rows of an epoch arrive with its first."""
-    arrival: FloatArray = record.t_arrival
-    if isinstance(record, GnssObservations):
-        arrival = arrival[record.epoch_start[:-1][record.epoch]]
-    return arrival
 
 
 class JoinedSolution:
@@ -92,7 +75,9 @@ class JoinedSolution:
         self._events: list[EventRow] = []
 
     def add(self, solution: NavSolution) -> None:
-        """Take the answers that come next."""
+        """Take the answers that come next; a filter that knows nothing yet has none."""
+        if not (len(solution) or solution.extra_names):
+            return
         if not self._columns:
             self._names = solution.extra_names
             for f in fields(solution):
@@ -112,39 +97,6 @@ class JoinedSolution:
         return NavSolution(
             **self._columns,
             extra_names=self._names,
-            innovations=_join_tables(self._tables),
+            innovations=join_tables(self._tables),
             events=Events.from_rows(join_events([*self._events, *more])),
         )
-
-
-def _join_tables(tables: list[Innovations]) -> Innovations:
-    """Return innovations that follow on each other as one table."""
-    if not tables:
-        return no_innovations()
-    joined: dict[str, Any] = {}
-    count = sum(len(table.t) for table in tables)
-    for f in fields(Innovations):
-        if f.name != "sensor":
-            parts = [getattr(table, f.name) for table in tables]
-            joined[f.name] = disk_arrays.empty(count, parts[0].dtype.type)
-            np.concatenate(parts, out=joined[f.name])
-    return Innovations(sensor=tables[0].sensor, **joined)
-
-
-def join_events(rows: list[EventRow]) -> list[EventRow]:
-    """Return the events of blocks; those that count the same have their counts added."""
-    found: list[EventRow] = []
-    counts: dict[tuple[str, str, str, str], tuple[float, float, int]] = {}
-    for row in rows:
-        t, t_end, kind, text, *sensor = row
-        match = _COUNTED.fullmatch(text) if kind == "timeline" else None
-        if match is None:
-            found.append(row)
-            continue
-        name, number, what = match.groups()
-        key = (kind, name, what, "".join(sensor))
-        first, last, count = counts.get(key, (np.inf, -np.inf, 0))
-        counts[key] = min(t, first), max(t_end, last), count + int(number)
-    for (kind, name, what, of), (first, last, count) in counts.items():
-        found.append((first, last, kind, f"{name}: {count} {what}", of))
-    return found

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench import disk_arrays
+from bench.data import (
+    EventRow,
+    Events,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorData,
+    no_innovations,
+)
 from bench.errors import EstimatorError
-from bench.navigation.timeline import LONGEST_BRIDGE
+
+_COUNTED = re.compile(r"(\w+): (\d+) (.*)")
+"""Text of an event that counts rows of a record."""
 
 
 class InPieces(Protocol):
@@ -96,23 +108,61 @@ class RunsInPieces(Protocol):
 def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
     """Return the last of the answers to a record that ends with what a filter has taken."""
     solution = filter_.feed(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
-    columns = {f.name: getattr(solution, f.name) for f in fields(solution)}
-    columns = {name: one[-1:] for name, one in columns.items() if isinstance(one, np.ndarray)}
+    return take_answers(solution, slice(-1, None))
+
+
+def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
+    """Return some of the answers of a solution, with its innovations and events."""
+    columns: dict[str, Any] = {f.name: getattr(solution, f.name) for f in fields(solution)}
+    columns = {name: one[rows] for name, one in columns.items() if isinstance(one, np.ndarray)}
     return replace(solution, **columns)
 
 
-def refuse_gap(longest: float) -> None:
-    """Raise the error of a gap in the IMU record [s] after which a filter with fixes starts again.
+def join_solutions(parts: list[NavSolution]) -> NavSolution:
+    """Return solutions that follow on each other, of the same states and sensors, as one."""
+    parts = [one for one in parts if one.extra_names] or parts[:1]  # others know nothing yet
+    if len(parts) == 1:
+        return parts[0]
+    columns = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}
+    for name, column in columns.items():
+        if isinstance(column, np.ndarray):
+            columns[name] = np.concatenate([getattr(one, name) for one in parts])
+    columns["innovations"] = join_tables([one.innovations for one in parts if len(one.innovations)])
+    columns["events"] = Events.from_rows(join_events([row for one in parts for row in one.events.rows()]))
+    return NavSolution(**columns)
 
-    Raises
-    ------
-    EstimatorError
-    """
-    if longest > LONGEST_BRIDGE:
-        raise EstimatorError(
-            f"it cannot run in pieces over a gap of {longest:.3g} s in the IMU record, after which it starts "
-            f"again; up to {LONGEST_BRIDGE:g} s are bridged: open another behind it"
-        )
+
+def join_tables(tables: list[Innovations]) -> Innovations:
+    """Return innovations that follow on each other as one table."""
+    if not tables:
+        return no_innovations()
+    joined: dict[str, Any] = {}
+    count = sum(len(table.t) for table in tables)
+    for f in fields(Innovations):
+        if f.name != "sensor":
+            parts = [getattr(table, f.name) for table in tables]
+            joined[f.name] = disk_arrays.empty(count, parts[0].dtype.type)
+            np.concatenate(parts, out=joined[f.name])
+    return Innovations(sensor=tables[0].sensor, **joined)
+
+
+def join_events(rows: list[EventRow]) -> list[EventRow]:
+    """Return the events of parts of a record; those that count the same have their counts added."""
+    found: list[EventRow] = []
+    counts: dict[tuple[str, str, str, str], tuple[float, float, int]] = {}
+    for row in rows:
+        t, t_end, kind, text, *sensor = row
+        match = _COUNTED.fullmatch(text) if kind == "timeline" else None
+        if match is None:
+            found.append(row)
+            continue
+        name, number, what = match.groups()
+        key = (kind, name, what, "".join(sensor))
+        first, last, count = counts.get(key, (np.inf, -np.inf, 0))
+        counts[key] = min(t, first), max(t_end, last), count + int(number)
+    for (kind, name, what, of), (first, last, count) in counts.items():
+        found.append((first, last, kind, f"{name}: {count} {what}", of))
+    return found
 
 
 def refuse(what: str, t: float, reached: float) -> None:

@@ -13,24 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import (
-    EventRow,
-    GnssFixes,
-    GnssObservations,
-    ImuData,
-    InitialState,
-    NavSolution,
-    SensorData,
-)
+from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
-from bench.instruments import INSTRUMENTS
 from bench.navigation import alignment
 from bench.navigation.in_pieces import InPieces, RunsInPieces
-from bench.navigation.waiting import columns, join_rows, take_observations, take_rows
+from bench.navigation.record_pieces import (
+    aiding_records,
+    as_plain,
+    from_plain,
+    join_pieces,
+    newest_sample,
+    nothing_known,
+    take_head,
+    without_orbits,
+)
+from bench.navigation.waiting import columns
 from bench.specs import AssumedSpecs
-
-_SETTLED = 2.0  # time after an alignment until which the record may still change it [s]
 
 
 class PieceFilter:
@@ -74,7 +72,7 @@ class PieceFilter:
         self.initial, self.look_back = initial, look_back
         self.head: SensorData | None = None
         self.waiting: SensorData | None = None  # until the start is known
-        self.tried = -np.inf  # last sample when it was looked for last [s]
+        self.search = alignment.StartSearch(initial)
         self.start: InitialState | None = None  # that was found
         self.passage: InPieces | None = None
         self.finished = False
@@ -84,7 +82,7 @@ class PieceFilter:
         """Instant of the last IMU sample that was taken [s]."""
         if self.passage is not None:
             return self.passage.end
-        return self.initial.t if self.waiting is None else _newest(self.waiting)
+        return self.initial.t if self.waiting is None else newest_sample(self.waiting)
 
     def feed(self, piece: SensorData) -> NavSolution:
         """Take the next piece of the record.
@@ -125,7 +123,7 @@ class PieceFilter:
         One row; NaN while the start is not known. It is the answer of the whole record, were this its end.
         """
         if self.passage is None:
-            return _nothing(np.array([self.t]))
+            return nothing_known(np.array([self.t]))
         assert self.head is not None
         return self.passage.copy().answer(self.head)
 
@@ -157,8 +155,8 @@ class PieceFilter:
             "look_back": self.look_back,
             "finished": self.finished,
             "initial": columns(self.initial),
-            "head": _plain(self.head),
-            "waiting": None if self.waiting is None else _plain(self.waiting),
+            "head": as_plain(self.head),
+            "waiting": None if self.waiting is None else as_plain(self.waiting),
             "start": None if self.start is None else columns(self.start),
             "passage": None if self.passage is None else self.passage.state(),
         }
@@ -174,9 +172,9 @@ class PieceFilter:
     ) -> PieceFilter:
         """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes."""
         found = cls(use, options, estimator, InitialState(**state["initial"]), state["look_back"])
-        found.head, found.finished = _unplain(state["head"], specs), state["finished"]
+        found.head, found.finished = from_plain(state["head"], specs), state["finished"]
         if state["waiting"] is not None:
-            found.waiting = _unplain(state["waiting"], specs)
+            found.waiting = from_plain(state["waiting"], specs)
         if state["passage"] is not None:
             found.start = InitialState(**state["start"])
             found.passage = found.estimator.in_pieces(found.head, found.start, [])
@@ -186,10 +184,10 @@ class PieceFilter:
     def _check(self, piece: SensorData) -> None:
         """Check that a piece has the sensors of the first."""
         if self.head is None:
-            self.head = _head(piece)
+            self.head = take_head(piece)
             return
         head = self.head
-        have, has = _records(head), _records(piece)
+        have, has = aiding_records(head), aiding_records(piece)
         if have.keys() != has.keys():
             raise EstimatorError(
                 f"the piece holds {', '.join(has) or 'no aiding'}, the first {', '.join(have) or 'none'}; "
@@ -210,7 +208,7 @@ class PieceFilter:
         """Return a filter that goes on from here by itself."""
         copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
         copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
-        copy.tried, copy.start = self.tried, self.start
+        copy.search.tried, copy.start = self.search.tried, self.start
         copy.passage = None if self.passage is None else self.passage.copy()
         return copy
 
@@ -220,105 +218,17 @@ class PieceFilter:
             self.waiting = piece if self.waiting is None else join_pieces(self.waiting, piece)
             begun = self._begin(self.waiting, last)
             if begun is None:
-                return _nothing(np.empty(0))
+                return nothing_known(np.empty(0))
             self.passage, piece, self.waiting = begun, self.waiting, None
         return self.passage.feed(piece, self.look_back, last=last)
 
     def _begin(self, record: SensorData, last: bool) -> InPieces | None:
         """Return the filter at its start, None while the record may still change that."""
         initial, events = self.initial, list[EventRow]()
-        if initial.alignment == "given" or getattr(self.estimator, "finds_start", False):
-            self.start = initial
-            return self.estimator.in_pieces(record, initial, events)
-        newest = _newest(record)
-        enough = self.tried + _SETTLED
-        if initial.alignment == "level":
-            enough = initial.t + initial.align_for + _SETTLED + self.look_back
-        if not last and newest < enough:
-            return None
-        self.tried = newest
-        try:
-            initial, events = alignment.complete(record, initial)
-        except EstimatorError:
-            if last or initial.alignment == "level":
-                raise
-            return None
-        if not last and newest < initial.t + _SETTLED + self.look_back:
-            return None
+        if initial.alignment != "given" and not getattr(self.estimator, "finds_start", False):
+            found = self.search.find(record, self.look_back, last=last)
+            if found is None:
+                return None
+            initial, events = found
         self.start = initial
         return self.estimator.in_pieces(record, initial, events)
-
-
-def _newest(record: SensorData) -> float:
-    t = record.imu.t[np.isfinite(record.imu.t)]
-    return float(t.max(initial=-np.inf))
-
-
-def _nothing(t: FloatArray) -> NavSolution:
-    """Return a solution that knows nothing at instants t (M,)."""
-    none = np.full((len(t), 9, 9), np.nan)
-    three, four = none[:, 0, :3], none[:, 0, :4]
-    return NavSolution(t, three, three, four, three, three, none, (), none[:, 0, :0], none[:, 0, :0])
-
-
-def _records(sensors: SensorData) -> dict[str, Any]:
-    """Return the aiding records, by name."""
-    found = {"fixes": sensors.fixes, "observations": sensors.observations}
-    return {name: record for name, record in found.items() if record is not None} | sensors.instruments
-
-
-def _plain(sensors: SensorData) -> dict[str, Any]:
-    """Return a piece of a record by name, without the datasheets."""
-    whole = {name: getattr(sensors, name) for name in ("antenna_b", "output_t", "ground_alt", "date")}
-    records = {name: columns(record) for name, record in _records(sensors).items()}
-    return whole | {"imu": columns(sensors.imu), "records": records}
-
-
-def _unplain(plain: Mapping[str, Any], specs: AssumedSpecs) -> SensorData:
-    """Return the piece that :func:`_plain` was given."""
-    kinds = {"fixes": GnssFixes, "observations": GnssObservations}
-    kinds |= {name: instrument.record for name, instrument in INSTRUMENTS.items()}
-    records: dict[str, Any] = {"fixes": None}
-    records |= {name: kinds[name](**one) for name, one in plain["records"].items()}
-    whole = {name: plain[name] for name in ("antenna_b", "output_t", "ground_alt", "date")}
-    return SensorData(imu=ImuData(**plain["imu"]), specs=specs, **whole, **records)
-
-
-def without_orbits(specs: Any) -> Any:
-    """Return datasheets without the true orbits of a sky, which no filter knows."""
-    if specs.gnss is None or specs.gnss.sky is None:
-        return specs
-    return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, gps=None, glonass=None)))
-
-
-def _head(piece: SensorData) -> SensorData:
-    """Return a piece without rows."""
-    return replace(take_piece(piece, np.inf, np.inf), specs=without_orbits(piece.specs))
-
-
-def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
-    """Return what came after an instant and until another [s]: the piece that a filter is fed next.
-
-    IMU samples and wanted answers by their time, measurements by their arrival.
-    """
-
-    def inside(t: FloatArray) -> BoolArray:
-        found: BoolArray = (t > begin) & (t <= end)
-        return found
-
-    cut: dict[str, Any] = {}
-    for name, one in _records(record).items():
-        rows = inside(one.t_arrival)
-        observed = isinstance(one, GnssObservations)
-        cut[name] = take_observations(one, rows) if observed else take_rows(one, rows)
-    imu, output_t = record.imu, record.output_t
-    return replace(record, imu=take_rows(imu, inside(imu.t)), output_t=output_t[inside(output_t)], **cut)
-
-
-def join_pieces(first: SensorData, second: SensorData) -> SensorData:
-    """Return two pieces of a record as one."""
-    joined: dict[str, Any] = {
-        name: join_rows(one, getattr(second, name)) for name, one in _records(first).items()
-    }
-    output_t = np.append(first.output_t, second.output_t)
-    return replace(first, imu=join_rows(first.imu, second.imu), output_t=output_t, **joined)

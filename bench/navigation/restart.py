@@ -2,7 +2,7 @@
 
 Over seconds without IMU the tilt may be anything, and the linear error model of a filter breaks: it would
 come back metres off and claim decimetres. So it stops at the last sample before the gap. From there on
-position and velocity come from the fixes alone (`bench.navigation.gnss_only`); the attitude is held and its
+position and velocity come from the fixes alone (`bench.navigation.coast`); the attitude is held and its
 covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
 (`bench.navigation.alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
 all other states begin as at the first start.
@@ -10,174 +10,362 @@ all other states begin as at the first start.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import (
-    EventRow,
-    Events,
-    ImuData,
-    InitialState,
-    Innovations,
-    NavSolution,
-    SensorData,
-    no_innovations,
-)
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import EventRow, Events, ImuData, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import alignment, timeline
-from bench.navigation.blocks import WIND_SD, assumed
+from bench.navigation.alignment import StartSearch
+from bench.navigation.blocks import WIND_SD
+from bench.navigation.coast import Coast, End, fresh_fixes
 from bench.navigation.course import LEAST_SPEED
 from bench.navigation.gnss_only import SENSORS as FIX_SENSORS
-from bench.navigation.gnss_only import FixTrack, unknown_arm
 from bench.navigation.imu_range import find_beyond
-from bench.navigation.measurements import fix_variance, weigh_fixes
-from bench.navigation.options import FixAccuracy, GnssOnlyOptions
-from bench.navigation.rough_heading import UNKNOWN_HEADING_SD
-from bench.navigation.waiting import join_rows, take_observations, take_rows
-from bench.specs import AxisFigures, ImuSpec, TriadSpec
+from bench.navigation.in_pieces import InPieces, answer_now, join_solutions, take_answers
+from bench.navigation.learnt_biases import LearntBiases, learn_biases
+from bench.navigation.options import FixAccuracy
+from bench.navigation.record_pieces import (
+    as_plain,
+    cut_piece,
+    from_plain,
+    goes_beyond,
+    join_pieces,
+    nothing_known,
+    take_head,
+)
+from bench.navigation.waiting import columns, take_rows
+from bench.specs import ImuSpec
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
-_TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
-_WIDTHS = {"lla": 3, "vel_n": 3, "q_nb": 4, "gyro_bias_b": 3, "accel_bias_b": 3, "extra": 0, "extra_sd": 0}
+_ALL = "all"
 
-Run = Callable[[SensorData, InitialState], NavSolution]
-
-
-@dataclass(frozen=True, slots=True)
-class _Biases:
-    """Biases of the IMU that are taken off its increments, and how well they are known; none before a gap."""
-
-    gyro: FloatArray  # (3,) [rad/s], b
-    accel: FloatArray  # (3,) [m/s^2], b
-    gyro_sd: FloatArray  # (3,) [rad/s]; inf: what the datasheet says
-    accel_sd: FloatArray  # (3,) [m/s^2]
-
-    def taken_off(self, imu: ImuData) -> ImuData:
-        """Return a record less the biases."""
-        dt = imu.dt[:, None]
-        return replace(imu, dtheta_b=imu.dtheta_b - self.gyro * dt, dvel_b=imu.dvel_b - self.accel * dt)
-
-    def known(self, spec: ImuSpec) -> ImuSpec:
-        """Return the datasheet of the unit less its biases: what is left of the turn-on biases."""
-        return replace(
-            spec, gyro=_less_turn_on(spec.gyro, self.gyro_sd), accel=_less_turn_on(spec.accel, self.accel_sd)
-        )
+Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 
-class _End(NamedTuple):
-    """A solution at one instant."""
+@dataclass(slots=True)
+class _Pause:
+    """From the last sample before a gap to where the filter starts again."""
 
-    t: float  # [s]
-    lla: FloatArray  # (3,)
-    vel_n: FloatArray  # (3,)
-    q_nb: FloatArray  # (4,)
-    cov: FloatArray  # (9, 9)
+    coast: Coast
+    silent: tuple[float, float]  # [s]
+    because: str  # what it comes from, where that is known
+    wanted: FloatArray  # answers [s]
+    record: SensorData | None  # since the gap, None before its first sample
+    ways: list[StartSearch]  # that have not failed
+    why: list[str]  # the others did
+
+    def copy(self) -> _Pause:
+        """Return one that goes on from here by itself."""
+        ways = [copy(way) for way in self.ways]
+        return replace(self, coast=self.coast.copy(), ways=ways, why=list(self.why))
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, by name."""
+        return {
+            "coast": self.coast.state(),
+            "silent": list(self.silent),
+            "because": self.because,
+            "wanted": self.wanted,
+            "record": None if self.record is None else as_plain(self.record),
+            "ways": [columns(way.initial) | {"tried": way.tried} for way in self.ways],
+            "why": self.why,
+        }
+
+    @classmethod
+    def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> _Pause:
+        """Return the one of :meth:`state`."""
+        coast, (a, b) = Coast.restore(head, accuracy, state["coast"]), state["silent"]
+        record = None if state["record"] is None else from_plain(state["record"], head.specs)
+        ways = []
+        for one in state["ways"]:
+            ways.append(StartSearch(InitialState(**{k: v for k, v in one.items() if k != "tried"})))
+            ways[-1].tried = one["tried"]
+        return cls(coast, (a, b), state["because"], state["wanted"], record, ways, list(state["why"]))
+
+    def due(self, until: float) -> FloatArray:
+        """Return the answers wanted until an instant [s], which are wanted no more."""
+        due = self.wanted <= until
+        found, self.wanted = self.wanted[due], self.wanted[~due]
+        return found
 
 
-def run_between_gaps(
-    run: Run, sensors: SensorData, initial: InitialState, accuracy: FixAccuracy | None
-) -> NavSolution:
-    """Return the solution of a filter, started again after each long gap in the IMU record.
+class BetweenGaps:
+    """A filter that starts again after each long gap of the IMU (`bench.navigation.in_pieces.InPieces`).
 
     Parameters
     ----------
-    run : callable
-        The filter, for a record without gaps longer than `timeline.LONGEST_BRIDGE`.
-    sensors, initial : SensorData, InitialState
-        Record and start. Without a long gap ``run`` gets them as they are.
-    accuracy : str or None
-        How the filter weighs fixes; None: it uses none, and has nothing to start again from.
-
-    Returns
-    -------
-    NavSolution
-        With an event "restart" for every long gap.
-
-    Raises
-    ------
-    bench.errors.EstimatorError
-        If the record does not allow the alignment asked for at the start.
+    begin : callable
+        Returns the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces.in_pieces`). It
+        need not go over a gap longer than `timeline.LONGEST_BRIDGE`.
+    first : SensorData
+        Its records say which sensors there are; fixes among them.
+    start : InitialState
+        Start.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    accuracy : str
+        How the filter weighs fixes.
     """
-    if accuracy is None or sensors.fixes is None or not _has_long_gap(sensors, initial.t):
-        return run(sensors, initial)
-    start, aligned = alignment.complete(sensors, initial)
-    gaps, rows = _long_gaps(sensors, start.t)
-    imu, joined = sensors.imu, _Joined(sensors.output_t, aligned)
-    ends = np.append(start.t, imu.t[rows])  # of the samples, the start before the first
-    biases = _Biases(np.zeros(3), np.zeros(3), np.full(3, np.inf), np.full(3, np.inf))
-    end = _End(start.t, start.lla, start.vel_n, start.q_nb, start.cov)
-    coast: _Coast | None = None
-    for first, behind in zip([0, *gaps], [*gaps, len(rows)], strict=True):
-        if first == behind:  # a gap right at the start
-            continue
-        last = float(ends[behind])
-        begin = float(imu.t[rows[first]] - imu.dt[rows[first]])
-        left = slice(rows[first] if first in gaps else 0, rows[behind] if behind < len(rows) else None)
-        piece = _cut(sensors, left, begin if first in gaps else start.t, last, biases)
-        if first in gaps:
-            if coast is None:
-                coast = _Coast(sensors, end, accuracy)
-            silent = (float(ends[first]), begin)
-            joined.take_coast(coast, begin)
-            found, text = _start_again(piece, begin, coast)
-            until = last if found is None else found.t
-            joined.take_coast(coast, until)
-            length = f"{begin - silent[0]:.6g} s"
-            joined.events.append((*silent, "timeline", f"imu: gap of {length}", "imu"))
-            lost = slice(rows[first - 1] + 1 if first else 0, rows[first])
-            because = _name_ranges(take_rows(imu, lost), sensors.specs.imu)
-            text = f"IMU silent for {length}{because}: {text}"
-            joined.events.append((silent[0], until, "restart", text, "imu"))
-            if found is None:
+
+    def __init__(
+        self,
+        begin: Begin,
+        first: SensorData,
+        start: InitialState,
+        events: list[EventRow],
+        accuracy: FixAccuracy,
+    ) -> None:
+        self._begin, self.head, self.accuracy = begin, take_head(first), accuracy
+        self.filter: InPieces | None = begin(first, start, events)
+        self.start, self.biases = start, LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
+        self.again = False  # it has started again
+        self.intake = timeline.ImuIntake(start.t)
+        self.lost: dict[str, int] = {}  # samples without use since the last, by what was wrong
+        self.held: SensorData | None = None  # what came after the last sample
+        self.newest = -np.inf  # validity of the fixes taken [s]
+        self.sensor: tuple[str, ...] = FIX_SENSORS  # of the innovations
+        self.pause: _Pause | None = None
+        self.stopped: End | None = None  # before the last gap
+        self.names: tuple[str, ...] = ()  # of the further states
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.intake.newest
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`bench.navigation.in_pieces.InPieces`)."""
+        record = self._with_held(piece, look_back)
+        imu, before = record.imu, self.intake.newest
+        rows, span, events, again = self.intake.take(imu, record.specs.imu, last=last)
+        gaps = np.flatnonzero(span - imu.dt[rows] > timeline.LONGEST_BRIDGE).tolist() if events else []
+        found: list[NavSolution] = []
+        first, after = 0, -np.inf
+        for k in gaps:
+            behind, ended = int(rows[k]), float(imu.t[rows[k - 1]]) if k else before
+            sound = first + np.flatnonzero(~(imu.t[first:behind] > imu.t[behind]))  # none with a wild time
+            self._take(cut_piece(record, sound, after, ended), look_back, found, ended=ended)
+            first, after = behind, ended
+            lost = slice(int(rows[k - 1]) + 1 if k else 0, behind)
+            self.lost = _count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
+            self._stop((ended, float(imu.t[behind] - imu.dt[behind])))
+        stop = int(again[0]) if len(again) else len(imu)
+        lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
+        self.lost = _count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
+        until = np.inf if last else self.end
+        rest = record
+        if first or stop < len(imu) or goes_beyond(record, until):
+            rest = cut_piece(record, slice(first, stop), after, until)
+            self.held = None if last else cut_piece(record, slice(stop, None), until, np.inf)
+        else:
+            self.held = None
+        self._take(rest, look_back, found, last=last)
+        return join_solutions(found)
+
+    def _with_held(self, piece: SensorData, look_back: float) -> SensorData:
+        """Return a piece after what was held."""
+        held = self.held
+        if not np.array_equal(self.head.antenna_b, piece.antenna_b):
+            if self.pause is not None:
+                raise EstimatorError("it cannot go over to another antenna before it has started again")
+            if held is not None:  # of the antenna before
+                assert self.filter is not None
+                self.filter.feed(
+                    self._less(cut_piece(held, slice(0), -np.inf, np.inf)), look_back, last=False
+                )
+                held = replace(take_head(held), imu=held.imu)
+            self.head = replace(self.head, antenna_b=piece.antenna_b)
+        return piece if held is None else replace(join_pieces(held, piece), antenna_b=piece.antenna_b)
+
+    def _take(
+        self,
+        part: SensorData,
+        look_back: float,
+        found: list[NavSolution],
+        *,
+        last: bool = False,
+        ended: float | None = None,
+    ) -> None:
+        """Take a part without a long gap; nothing comes after the ``last``, and a gap after ``ended`` [s]."""
+        fixes = part.fixes
+        assert fixes is not None
+        fresh, self.newest = fresh_fixes(fixes, self.newest)
+        if self.pause is not None:
+            self.pause.coast.take(fresh)
+            aligned = self._align(part, look_back, found, last=last, ended=ended)
+            if aligned is None:
+                return
+            part = aligned
+        assert self.filter is not None
+        if ended is None:
+            found.append(self._own(self.filter.feed(self._less(part), look_back, last=last)))
+        else:
+            wanted = np.union1d(part.output_t, ended)
+            solution = self._own(self.filter.feed(self._less(replace(part, output_t=wanted)), 0.0, last=True))
+            asked = len(wanted) == len(part.output_t)
+            found.append(solution if asked else take_answers(solution, slice(-1)))
+            self.stopped, self.names = _last_answer(solution), solution.extra_names
+            self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases)
+            self.filter = None
+        if len(found[-1].innovations.t):
+            self.sensor = found[-1].innovations.sensor
+
+    def _stop(self, silent: tuple[float, float]) -> None:
+        """Go on by the fixes alone from a gap from one instant until another [s]."""
+        if self.pause is None:
+            assert self.stopped is not None
+            coast = Coast(self.head, self.stopped, self.names, self.accuracy)
+            self.pause = _Pause(coast, silent, "", np.empty(0), None, [], [])
+        because = _name_ranges(self.lost)
+        self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
+
+    def _align(
+        self, part: SensorData, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
+    ) -> SensorData | None:
+        """Begin the filter again; return the record since the gap, None while it cannot."""
+        pause = self.pause
+        assert pause is not None
+        (stopped, begin), no_more = pause.silent, last or ended is not None
+        pause.wanted = np.append(pause.wanted, part.output_t)
+        stretch = replace(cut_piece(part, slice(None), begin, np.inf), output_t=np.empty(0))
+        if pause.record is None:
+            found.append(pause.coast.answers(pause.due(begin), self.sensor))
+            pause.record, pause.ways = stretch, _ways(begin, pause.coast)
+        else:
+            pause.record = join_pieces(pause.record, stretch)
+        start, text = None, ""
+        while pause.ways and start is None:
+            try:
+                aligned = pause.ways[0].find(self.biases.taken_off(pause.record), look_back, last=no_more)
+            except EstimatorError as error:
+                pause.why.append(str(error))
+                pause.ways.pop(0)
                 continue
-            joined.coasts += [coast.track.take_innovations()] if coast.track else []
-            coast, start = None, found
-        solution = run(piece, start)
-        joined.take_piece(solution, biases)
-        end, biases = _at_end(solution, sensors.specs.imu, biases)
-    return joined.solution()
+            if aligned is None:
+                until = pause.ways[0].tried - alignment.SETTLED
+                found.append(pause.coast.answers(pause.due(until), self.sensor))
+                return None
+            start, ((_, _, _, text, *_),) = aligned
+        length = f"{begin - stopped:.6g} s"
+        if start is None:
+            until = self.end if ended is None else ended
+            text = f"not started again: {'; '.join(pause.why)}"
+            coasted = pause.coast.answers(pause.due(until), self.sensor)
+        else:
+            until, text = start.t, f"until {start.t:.6g} s; {text}"
+            coasted = pause.coast.answers(pause.due(until - 2.0 * timeline.TIME_TOLERANCE), self.sensor)
+        text = f"IMU silent for {length}{pause.because}: position and velocity by the fixes alone {text}"
+        events: list[EventRow] = [
+            (stopped, begin, "timeline", f"imu: gap of {length}", "imu"),
+            (stopped, until, "restart", text.replace("alone not", "alone; not"), "imu"),
+        ]
+        found.append(replace(coasted, events=Events.from_rows(events)))
+        if start is None:
+            if last:
+                found.append(_unanswered(pause.wanted, coasted))
+            return None
+        self.pause, self.again, self.start = None, True, start
+        self.filter = self._begin(self._less(self.head), start, [])
+        return replace(pause.record, output_t=pause.wanted)
+
+    def _less(self, piece: SensorData) -> SensorData:
+        """Return a piece as the filter takes it."""
+        return self.biases.taken_off(piece) if self.again else piece
+
+    def _own(self, solution: NavSolution) -> NavSolution:
+        """Return a solution of the filter with the biases that it did not see."""
+        return self.biases.given_back(solution) if self.again else solution
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record."""
+        if self.pause is None:
+            assert self.filter is not None
+            return self._own(self.filter.answer(self._less(head)))
+        self.pause.wanted = np.empty(0)
+        if self.held is not None:
+            self.held = replace(self.held, output_t=np.empty(0))
+        return answer_now(self, head)
+
+    def copy(self) -> BetweenGaps:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.intake = copy(self.intake)
+        other.filter = None if self.filter is None else self.filter.copy()
+        other.pause = None if self.pause is None else self.pause.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "start": columns(self.start),
+            "filter": None if self.filter is None else self.filter.state(),
+            "biases": columns(self.biases),
+            "again": self.again,
+            "taken": [self.intake.newest, self.intake.before],
+            "held": None if self.held is None else as_plain(self.held),
+            "lost": self.lost,
+            "newest": self.newest,
+            "sensor": list(self.sensor),
+            "pause": None if self.pause is None else self.pause.state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.start, self.biases = InitialState(**state["start"]), LearntBiases(**state["biases"])
+        self.again, self.newest, self.sensor = state["again"], state["newest"], tuple(state["sensor"])
+        self.intake.newest, self.intake.before = state["taken"]
+        self.lost = dict(state["lost"])
+        self.held = None if state["held"] is None else from_plain(state["held"], self.head.specs)
+        self.filter = None
+        if state["filter"] is not None:
+            self.filter = self._begin(self._less(self.head), self.start, [])
+            self.filter.restore(state["filter"])
+        self.pause = None
+        if state["pause"] is not None:
+            self.pause = _Pause.restore(self.head, self.accuracy, state["pause"])
 
 
-def _long_gaps(sensors: SensorData, start: float) -> tuple[list[int], IntArray]:
-    """Return which samples in use come after a long gap, and the rows in use."""
-    rows, span, events = timeline.imu_rows(sensors.imu, start, sensors.specs.imu)
-    if not events:
-        return [], rows
-    gaps = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
-    return gaps.tolist(), rows
+def between_gaps(
+    begin: Begin,
+    first: SensorData,
+    start: InitialState,
+    events: list[EventRow],
+    accuracy: FixAccuracy | None,
+) -> InPieces:
+    """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
+
+    Without fixes, or with an ``accuracy`` of None, it has nothing to start again from and bridges them.
+    """
+    if accuracy is None or first.fixes is None:
+        return begin(first, start, events)
+    return BetweenGaps(begin, first, start, events, accuracy)
 
 
-def _name_ranges(lost: ImuData, spec: ImuSpec) -> str:
+def _count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
+    """Return counts of samples without use with more of them: of all, and by the words of a range."""
+    if not len(lost):
+        return counts
+    more = {_ALL: len(lost)} | {why: int(rows.sum()) for why, rows in find_beyond(lost, spec)}
+    return {why: counts.get(why, 0) + count for why, count in more.items()}
+
+
+def _name_ranges(lost: dict[str, int]) -> str:
     """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
-    counts = [(int(rows.sum()), why) for why, rows in find_beyond(lost, spec)]
-    listed = " and ".join(f"{count} of {len(lost)} samples have the {why}" for count, why in counts if count)
-    return f" ({listed})" if listed else ""
+    parts = [f"{n} of {lost[_ALL]} samples have the {why}" for why, n in lost.items() if n and why != _ALL]
+    return f" ({' and '.join(parts)})" if parts else ""
 
 
-def _has_long_gap(sensors: SensorData, start: float) -> bool:
-    """Return whether any sample in use comes after a long gap."""
-    intake, imu, spec = timeline.ImuIntake(start), sensors.imu, sensors.specs.imu
-    waiting = take_rows(imu, slice(0))
-    for block in disk_arrays.blocks(len(imu)):
-        samples = take_rows(imu, block)
-        if len(waiting):
-            samples = join_rows(waiting, samples)
-        rows, span, events, again = intake.take(samples, spec, last=block.stop == len(imu))
-        if events and (span - samples.dt[rows] > timeline.LONGEST_BRIDGE).any():
-            return True
-        waiting = take_rows(samples, again)
-    return False
-
-
-def _start_again(piece: SensorData, begin: float, coast: _Coast) -> tuple[InitialState | None, str]:
-    """Return the state that an alignment finds in a stretch, None if there is none, and what was done."""
+def _ways(begin: float, coast: Coast) -> list[StartSearch]:
+    """Return how to look for a start behind a gap that ended at an instant [s]: at rest, then moving."""
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
     wide = np.diag(np.full(9, np.inf))
@@ -194,173 +382,14 @@ def _start_again(piece: SensorData, begin: float, coast: _Coast) -> tuple[Initia
         if np.linalg.norm(before.vel_n) < _STILL and not moved:  # the nose points where it did
             unknown, wide[8, 8] = before.q_nb, before.cov[8, 8]
         ways.insert(0, InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR))
-    why = []
-    for way in ways:
-        try:
-            found, ((_, _, _, text, *_),) = alignment.complete(piece, way)
-        except EstimatorError as error:
-            why.append(str(error))
-        else:
-            return found, f"position and velocity by the fixes alone until {found.t:.6g} s; {text}"
-    return None, f"position and velocity by the fixes alone; not started again: {'; '.join(why)}"
+    return [StartSearch(way) for way in ways]
 
 
-class _Coast:
-    """Position and velocity by the fixes alone, and an attitude that is held."""
-
-    def __init__(self, sensors: SensorData, end: _End, accuracy: FixAccuracy) -> None:
-        assert sensors.fixes is not None
-        self.fixes, self.end, self.reached = sensors.fixes, end, end.t
-        white = fix_variance(assumed(sensors.specs, "gnss"), gnss_markov=False)
-        self.r = weigh_fixes(sensors.fixes, white, accuracy)
-        self.arm = unknown_arm(sensors.antenna_b)  # it follows the antenna
-        rows, _, _ = timeline.fix_rows(self.fixes, np.array([np.inf]), end.t)
-        self.waiting = iter(rows.tolist())
-        self.next = next(self.waiting, None)
-        self.track: FixTrack | None = None
-        if np.isfinite(np.concatenate([end.lla, end.vel_n, end.q_nb, end.cov[:6, :6].ravel()])).all():
-            antenna = earth.displace(end.lla, rotation.rotate(end.q_nb, sensors.antenna_b))
-            self.track = FixTrack(GnssOnlyOptions(), end.t, antenna, end.vel_n, end.cov[:6, :6])
-
-    def at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return position (3,), velocity (3,) and covariance (9, 9) at an instant, in order of time."""
-        fixes = self.fixes
-        while self.next is not None and fixes.t_arrival[self.next] <= t + timeline.TIME_TOLERANCE:
-            lla, vel_n, valid = fixes.lla[self.next], fixes.vel_n[self.next], float(fixes.t[self.next])
-            r = self.r[self.next]
-            if self.track is None:
-                self.track = FixTrack.begin(GnssOnlyOptions(), valid, lla, vel_n, r)
-            else:
-                row, at = np.array([self.next]), np.zeros(1, np.int64)
-                self.track.run(fixes, row, self.r, at, np.empty(0))
-            self.next = next(self.waiting, None)
-        cov = np.full((9, 9), np.nan)
-        if self.track is None:
-            return np.full(3, np.nan), np.full(3, np.nan), cov
-        ((state,), (P,)) = self.track.at([t])
-        cov[:6, :6], cov[:6, 6:], cov[6:, :6] = P[:6, :6] + np.diag(self.arm), 0.0, 0.0
-        elapsed = np.array([t - self.end.t])
-        turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
-        most = np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD])
-        held = np.diag(self.end.cov)[6:]
-        cov[6:, 6:] = np.diag(np.maximum(held, np.minimum(held + turned, most)))
-        return state[:3], state[3:6], cov
+def _last_answer(solution: NavSolution) -> End:
+    return End(*(getattr(solution, name)[-1] for name in End._fields))
 
 
-class _Joined:
-    """A solution put together from pieces."""
-
-    def __init__(self, t: FloatArray, events: list[EventRow]) -> None:
-        m = len(t)
-        self.t, self.events = t, list(events)
-        self.columns = {name: np.full((m, width), np.nan) for name, width in _WIDTHS.items()}
-        self.columns["cov"] = np.full((m, 9, 9), np.nan)
-        self.extra_names: tuple[str, ...] = ()
-        self.sensor: tuple[str, ...] = FIX_SENSORS
-        self.tables: list[Innovations] = []
-        self.coasts: list[Innovations] = []
-
-    def take_piece(self, solution: NavSolution, biases: _Biases) -> None:
-        """Take the answers of a filter, the biases that were taken off its increments given back."""
-        columns = {name: getattr(solution, name).copy() for name in self.columns if name != "extra"}
-        columns["extra"], columns["extra_sd"] = solution.extra.copy(), solution.extra_sd
-        both = np.concatenate([biases.gyro, biases.accel])
-        columns["gyro_bias_b"] += biases.gyro
-        columns["accel_bias_b"] += biases.accel
-        columns["extra"][:, :6] += both
-        if not self.extra_names:
-            self.extra_names = solution.extra_names
-            for name in ("extra", "extra_sd"):
-                self.columns[name] = np.full((len(self.t), len(self.extra_names)), np.nan)
-        answered = np.isfinite(solution.cov).any(axis=(1, 2))
-        rows = np.searchsorted(self.t, solution.t)
-        answered &= np.isin(solution.t, self.t)
-        for name, column in columns.items():
-            self.columns[name][rows[answered]] = column[answered]
-        if len(solution.innovations.t):  # a piece without any names no sensors
-            self.sensor = solution.innovations.sensor
-            self.tables.append(solution.innovations)
-        self.events += solution.events.rows()
-
-    def take_coast(self, coast: _Coast, until: float) -> None:
-        """Take the answers of the fixes alone, from where they were taken last."""
-        begin, end = np.searchsorted(self.t, np.array([coast.reached, until]) + timeline.TIME_TOLERANCE)
-        for k in range(begin, end):
-            now = coast.at(float(self.t[k]))
-            for name, value in zip(("lla", "vel_n", "cov"), now, strict=True):
-                self.columns[name][k] = value
-            self.columns["q_nb"][k] = coast.end.q_nb
-        coast.reached = until
-        held = max(begin - 1, 0)
-        for name in ("gyro_bias_b", "accel_bias_b", "extra", "extra_sd"):
-            self.columns[name][begin:end] = self.columns[name][held]
-
-    def solution(self) -> NavSolution:
-        """Return what was taken."""
-        number = np.array([self.sensor.index(name) for name in FIX_SENSORS])
-        coasts = [replace(own, sensor=self.sensor, code=number[own.code]) for own in self.coasts]
-        tables = [*self.tables, *coasts, no_innovations()]
-        order = np.argsort(np.concatenate([table.t for table in tables]), kind="stable")
-        names = [f.name for f in fields(Innovations) if f.name != "sensor"]
-        whole = {name: np.concatenate([getattr(table, name) for table in tables])[order] for name in names}
-        return NavSolution(
-            t=self.t,
-            extra_names=self.extra_names,
-            innovations=Innovations(sensor=self.sensor, **whole),
-            events=Events.from_rows(self.events),
-            **self.columns,
-        )
-
-
-def _at_end(solution: NavSolution, spec: ImuSpec, biases: _Biases) -> tuple[_End, _Biases]:
-    """Return the last answer of a piece, and the biases to take off the increments from there on."""
-    end = _End(*(getattr(solution, name)[-1] for name in _End._fields))
-    found = np.concatenate([solution.gyro_bias_b[-1], solution.accel_bias_b[-1], solution.extra_sd[-1, :6]])
-    if not np.isfinite(found).all():
-        return end, biases
-    kept = []
-    for triad, before, part in (
-        (spec.gyro, biases.gyro, slice(0, 3)),
-        (spec.accel, biases.accel, slice(3, 6)),
-    ):
-        if triad.turn_on_bias_sd > 0:
-            kept.append((before + found[part], found[6:][part]))
-        else:  # a process that forgets itself begins as at the first start
-            kept.append((np.zeros(3), np.full(3, np.inf)))
-    (gyro, gyro_sd), (accel, accel_sd) = kept
-    return end, _Biases(gyro, accel, gyro_sd, accel_sd)
-
-
-def _less_turn_on(triad: TriadSpec, sd: FloatArray) -> TriadSpec:
-    """Return a triad whose biases are known to ``sd`` (3,), no better than its instability."""
-    left = np.sqrt(np.maximum(sd**2 - triad.instability_by_axis**2, (1e-3 * sd) ** 2))
-    left = np.minimum(triad.by_axis("turn_on_bias_sd"), left)
-    axes = tuple(one for one in triad.axes or () if one.name != "turn_on_bias_sd")
-    own = AxisFigures("turn_on_bias_sd", *left.tolist())
-    return replace(triad, turn_on_bias_sd=float(left.max()), axes=(*axes, own))
-
-
-def _cut(sensors: SensorData, rows: slice, begin: float, last: float, biases: _Biases) -> SensorData:
-    """Return the rows of the IMU and what arrives while they do, with an answer at the last sample."""
-    imu = biases.taken_off(take_rows(sensors.imu, rows))
-    inside = (sensors.output_t >= begin - timeline.TIME_TOLERANCE) & (sensors.output_t <= last)
-    records = {"fixes": sensors.fixes} | sensors.instruments
-    cut = {
-        name: take_rows(record, _arrived(record, begin, last)) for name, record in records.items() if record
-    }
-    if sensors.observations is not None:
-        cut["observations"] = take_observations(
-            sensors.observations, _arrived(sensors.observations, begin, last)
-        )
-    return replace(
-        sensors,
-        imu=imu,
-        specs=replace(sensors.specs, imu=biases.known(sensors.specs.imu)),
-        output_t=np.union1d(sensors.output_t[inside], last),
-        **cut,
-    )
-
-
-def _arrived(record: Any, begin: float, last: float) -> BoolArray:
-    inside: BoolArray = (record.t_arrival > begin) & (record.t_arrival <= last + timeline.TIME_TOLERANCE)
-    return inside
+def _unanswered(t: FloatArray, like: NavSolution) -> NavSolution:
+    """Return what is not known at instants t (M,), with the further states of another solution."""
+    none = np.full((len(t), len(like.extra_names)), np.nan)
+    return replace(nothing_known(t), extra_names=like.extra_names, extra=none, extra_sd=none)

@@ -139,11 +139,6 @@ class Schedule:
         self.events = [(t, t_end, *texts) for t, t_end, *texts in state["events"]]
 
     @property
-    def longest_gap(self) -> float:
-        """Longest time without a sample among those that wait [s]."""
-        return float((self.span - self.imu.dt[self.rows]).max(initial=0.0))
-
-    @property
     def end(self) -> float:
         """Instant of the last sample in use [s], or of the start."""
         return self._intake.newest

@@ -27,9 +27,9 @@ from bench.navigation.error_state import difference_kernel, feedback_kernel
 from bench.navigation.forward import Nodes, answers, spread
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
-from bench.navigation.restart import run_between_gaps
 from bench.navigation.rough_heading import add_arm
 from bench.navigation.turn_on import smooth_from_turn_on
+from bench.navigation.whole_records import run_between_gaps
 from bench.specs import AssumedSpecs
 from bench.wide_rows import LANES, add_row, set_row, wide
 
@@ -59,7 +59,7 @@ class Smoother:
         return run_between_gaps(between, sensors, initial, self.options.accuracy)
 
     def _run(self, sensors: SensorData, initial: InitialState, gyro_sd: float | None) -> NavSolution:
-        forward, stretches = self.filter.forward(sensors, initial, keep=True, gyro_sd=gyro_sd)
+        forward, stretches = self.filter.forward(sensors, initial, gyro_sd=gyro_sd)
         if not any(len(nodes.t) for nodes in stretches):
             return forward
         smooth(stretches)

@@ -16,7 +16,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.error_state import StateLayout
-from bench.navigation.in_pieces import answer_now, refuse_gap
+from bench.navigation.in_pieces import answer_now
 from bench.navigation.measurements import AidingSensor
 from bench.navigation.schedule import GO_ON, OUTPUT, Schedule
 from bench.navigation.timeline import TIME_TOLERANCE
@@ -96,8 +96,6 @@ class SteppedPassage:
         The first piece and the start.
     layout : StateLayout
         Of the filter, as the sensors are read for it.
-    by_fixes : bool
-        Whether it uses fixes: it starts again after a long gap in the IMU record.
     """
 
     def __init__(
@@ -108,22 +106,15 @@ class SteppedPassage:
         first: SensorData,
         initial: InitialState,
         layout: StateLayout,
-        *,
-        by_fixes: bool = True,
     ) -> None:
         self.flight, self.schedule, self.aiding = flight, schedule, aiding
         self.initial, self.layout, self.antenna_b = initial, layout, first.antenna_b
-        self.begun, self.by_fixes = False, by_fixes
+        self.begun = False
 
     @property
     def end(self) -> float:
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.schedule.end
-
-    def run(self, sensors: SensorData) -> NavSolution:
-        """Return the solution of a whole record."""
-        self._take(sensors, last=True)
-        return self._go()
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers to all that has come with it."""
@@ -132,8 +123,6 @@ class SteppedPassage:
                 raise EstimatorError("it cannot go over to another antenna: loose-* and ukf can")
             self.antenna_b = piece.antenna_b
         self._take(piece, last=last)
-        if self.by_fixes and piece.fixes is not None:
-            refuse_gap(self.schedule.longest_gap)
         if not last and self.schedule.end - self.schedule.t < _STRIDE:
             return self._solution(np.empty(0), np.empty(0, np.int64), (), last=False)
         return self._go()

@@ -27,11 +27,12 @@ from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
 from bench.navigation.error_state import GYRO, PHI, POS, VEL, moved_state, state_difference
 from bench.navigation.forward import solution
+from bench.navigation.in_pieces import InPieces
 from bench.navigation.integrity import OUTAGE, nis, nis_limit, tells_of_drift
 from bench.navigation.measurements import BARO, FIXES, AidingSensor, records_needed, unmodelled
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.options import UnscentedOptions, read_options
-from bench.navigation.restart import run_between_gaps
+from bench.navigation.restart import between_gaps
 from bench.navigation.schedule import Schedule
 from bench.navigation.stepping import Measured, SteppedPassage
 from bench.specs import AssumedSpecs
@@ -75,23 +76,17 @@ class Unscented:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
-        return run_between_gaps(self._run, sensors, initial, self.options.accuracy)
-
-    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, events = alignment.complete(sensors, initial)
-        if not hypotheses.heading_is_unknown(initial):
-            return self._run_from(sensors, initial, events)
-        settled = hypotheses.settle_heading(
-            lambda data, start: self._run_from(data, start, []), sensors, initial
-        )
-        return settled.join(self._run_from(sensors, settled.initial, [*events, settled.event]))
+        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
 
-    def _run_from(self, sensors: SensorData, initial: InitialState, events: list[EventRow]) -> NavSolution:
-        return self._passage(sensors, initial, events).run(sensors)
-
-    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
-        hypotheses.refuse_unknown_heading(initial)
+        return between_gaps(self._from_start, first, initial, events, self.options.accuracy)
+
+    def _from_start(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU."""
+        if hypotheses.heading_is_unknown(initial):
+            return hypotheses.ManyHeadings(self._passage, first, initial, events)
         return self._passage(first, initial, events)
 
     def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
@@ -102,8 +97,7 @@ class Unscented:
         )
         schedule.events += events
         flight = _Flight(self.options, model, initial)
-        by_fixes = self.options.accuracy is not None
-        return SteppedPassage(flight, schedule, used, first, initial, model.layout, by_fixes=by_fixes)
+        return SteppedPassage(flight, schedule, used, first, initial, model.layout)
 
     @property
     def needs(self) -> tuple[str, ...]:

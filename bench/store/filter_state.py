@@ -98,6 +98,8 @@ def _take_arrays(value: Any, name: str, arrays: dict[str, Any]) -> Any:
         return {"array": name}
     if isinstance(value, Mapping):
         return {key: _take_arrays(inner, f"{name}/{key}", arrays) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_take_arrays(inner, f"{name}/{k}", arrays) for k, inner in enumerate(value)]
     return value
 
 
@@ -107,6 +109,8 @@ def _give_arrays(value: Any, arrays: Mapping[str, Any]) -> Any:
         if value.keys() == {"array"}:
             return arrays[value["array"]]
         return {key: _give_arrays(inner, arrays) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_give_arrays(inner, arrays) for inner in value]
     return value
 
 

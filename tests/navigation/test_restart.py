@@ -15,9 +15,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation, sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation import forward, restart, timeline
+from bench.navigation import forward, timeline
 from bench.navigation.estimator import load
 from bench.navigation.fusion import Loose
+from bench.navigation.whole_records import run_between_gaps
 from tests.builders import put, take
 from tests.weaving import DEG, units, weaving
 
@@ -266,10 +267,10 @@ def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
 
     def run(data, initial):
         seen.append((data, initial))
-        return FILTER.forward(data, initial, keep=False)[0]
+        return FILTER.forward(data, initial)[0]
 
     data = with_gap(drawn.data, 40.0, 0.5)
-    restart.run_between_gaps(run, data, drawn.initial, "datasheet")
+    run_between_gaps(run, data, drawn.initial, "datasheet")
     assert len(seen) == 1
     assert seen[0][0] is data
     assert seen[0][1] is drawn.initial

@@ -32,9 +32,10 @@ from bench.navigation import alignment
 from bench.navigation.blocks import GNSS_MARKOV
 from bench.navigation.classic.filter_loop import FilterLoop
 from bench.navigation.error_state import StateLayout
+from bench.navigation.in_pieces import InPieces
 from bench.navigation.measurements import BARO, FIXES, unmodelled
 from bench.navigation.options import ClassicOptions, read_options
-from bench.navigation.restart import run_between_gaps
+from bench.navigation.restart import between_gaps
 from bench.navigation.schedule import Schedule
 from bench.navigation.stepping import SteppedPassage
 from bench.specs import AssumedSpecs
@@ -70,14 +71,14 @@ class Classic22:
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
             if record is not None and getattr(sensors.specs, name) is None:
                 raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
-        return run_between_gaps(self._run, sensors, initial, "datasheet")
-
-    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, events = alignment.complete(sensors, initial)
-        return self.in_pieces(sensors, initial, events).run(sensors)
+        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
 
-    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        return between_gaps(self._passage, first, initial, events, "datasheet")
+
+    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
         used = [sensor for sensor in _AIDING if getattr(first, sensor.record) is not None]
         schedule = Schedule(initial.t, first.specs.imu, compensate=False, as_sampled=True)
         schedule.events += events

@@ -26,8 +26,8 @@ from bench.navigation.graph.invariant_ekf import SENSORS
 from bench.navigation.imu_blocks import core_states
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.options import GraphOptions, read_options
-from bench.navigation.restart import run_between_gaps
 from bench.navigation.schedule import OUTPUT
+from bench.navigation.whole_records import run_between_gaps
 from bench.specs import AssumedSpecs, ImuSpec
 
 _SMALL = 0.01  # step of the last pass, in standard deviations

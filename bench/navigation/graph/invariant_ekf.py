@@ -21,10 +21,11 @@ from bench.navigation import alignment
 from bench.navigation.classic.process_model import bias_and_walk
 from bench.navigation.error_state import StateLayout
 from bench.navigation.graph.flat_frame import FlatFrame, load_gtsam, schedule_fixes
+from bench.navigation.in_pieces import InPieces
 from bench.navigation.integrity import nis, nis_limit
 from bench.navigation.measurements import FIXES
 from bench.navigation.options import InvariantOptions, read_options
-from bench.navigation.restart import run_between_gaps
+from bench.navigation.restart import between_gaps
 from bench.navigation.stepping import Measured, SteppedPassage
 from bench.specs import AssumedSpecs, ImuSpec
 
@@ -44,14 +45,14 @@ class InvariantEkf:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and their covariance."""
-        return run_between_gaps(self._run, sensors, initial, "datasheet")
-
-    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         initial, events = alignment.complete(sensors, initial)
-        return self.in_pieces(sensors, initial, events).run(sensors)
+        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
 
-    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`bench.navigation.in_pieces.RunsInPieces`)."""
+        return between_gaps(self._passage, first, initial, events, "datasheet")
+
+    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
         flight = _Flight(load_gtsam(), self.options, first.specs.imu, initial)
         schedule = schedule_fixes(first, initial, events)
         used = [] if first.fixes is None else [FIXES]
