@@ -358,8 +358,10 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
     values and a covariance that is symmetric and positive definite over the blocks it estimates. A block it
     does not estimate is NaN at every instant; before the end of an initial alignment every block is NaN. With
     a given initial state it must also cope with a record without output times, aiding records without rows,
-    and rows that are not finite, flagged or not.
+    and rows that are not finite, flagged or not; one that runs in pieces must give the same bits in them.
     """
+    from bench.navigation.piece_check import check_pieces
+
     before = pickle.dumps((sensors, initial))
     try:
         copy = pickle.loads(pickle.dumps(estimator))
@@ -375,6 +377,7 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
             assert same, f"run() is not repeatable: {name} differs from {how}"
     _sound(first, sensors, initial)
     if initial.alignment == "given":
+        check_pieces(estimator, sensors, initial, first)
         for what, hard in _hardships(sensors).items():
             try:
                 _sound(estimator.run(hard, initial), hard, initial)

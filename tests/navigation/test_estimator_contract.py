@@ -243,7 +243,16 @@ class LosesItsPlace(Changed):
         return changed_columns(solution, lla=lla)
 
 
+class LosesABitInPieces(Loose):
+    def run(self, sensors, initial):
+        return Loose().run(sensors, initial)
+
+    def in_pieces(self, first, initial, events):
+        return super().in_pieces(first, replace(initial, vel_n=initial.vel_n + 1e-9), events)
+
+
 BREACHES = {
+    LosesABitInPieces: "in pieces it gives other bits: lla differs",
     TouchesItsInput: "changed its input",
     Remembers: "not repeatable",
     Draws: "not repeatable",
