@@ -4,6 +4,11 @@ numba is imported when the first kernel is called: that takes a third of a secon
 notice a change in another module and would return stale results. The name of the cache folder is therefore a
 hash of the sources that import this module and of all that they import, the versions of numba, numpy and
 Python, and the CPU.
+
+The first run compiles what it uses, once. A kernel that another one calls becomes a part of it: it gets
+machine code and a file of its own only where Python calls it, too. What a filter may need and seldom does is
+no part: it is called by its address (`bench.call_at`). numba carries every array of a tuple through every use
+of the tuple: kernels take small tuples.
 """
 
 from __future__ import annotations
@@ -28,6 +33,22 @@ _UNUSED_DAYS = 30
 _IMPORT = re.compile(r"^\s*from (bench[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _WORD = re.compile(r"\w+")
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+_IDLE_PASSES = {
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteSemanticConstants",
+    "DeadBranchPrune",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "NoPythonSupportedFeatureValidation",
+    "DumpParforDiagnostics",
+}
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
@@ -52,12 +73,63 @@ class Kernel:
         import numba
 
         choose_cache()
-        return numba.njit(**self._options)(self.py_func)
+        return numba.njit(**self._options, pipeline_class=_compilers()[0])(self.py_func)
+
+    @cached_property
+    def _part(self) -> Any:
+        """The function as a part of other kernels: never on disk, for it lies in what is."""
+        import numba
+
+        own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": _compilers()[1]}
+        return numba.njit(**self._options | own)(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
         """What numba asks for where a kernel names another one."""
-        return self.dispatcher._numba_type_
+        return self._part._numba_type_
+
+
+@cache
+def _compilers() -> tuple[type, type]:
+    """Return the compiler of kernels, and that of a kernel as a part of another one.
+
+    Half of numba's passes look for what no kernel has: closures, branches of other types, array expressions.
+    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimised and
+    made into machine code at once with all its parts.
+    """
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+    from numba.core.compiler_machinery import PassManager
+
+    class Whole(Compiler):
+        def define_pipelines(self) -> list[Any]:
+            """Return numba's passes, less those that find nothing to do."""
+            lean = PassManager("kernel")
+            (whole,) = super().define_pipelines()  # type: ignore[no-untyped-call]
+            lean.passes = [one for one in whole.passes if one[0].__name__ not in _IDLE_PASSES]
+            lean.finalize()
+            return [lean]
+
+    class Library(JITCodeLibrary):
+        def _optimize_final_module(self) -> None:
+            """Leave it to the whole."""
+
+        def _finalize_final_module(self) -> None:
+            self._finalized = True
+
+        @property
+        def codegen(self) -> Any:
+            return self
+
+        def set_env(self, name: str, environment: object) -> None:
+            """Forget what machine code would need."""
+
+    class Part(Whole):
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            library = library or Library(target.codegen(), "part")  # type: ignore[no-untyped-call]
+            super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
+
+    return Whole, Part
 
 
 def kernel(function: _Function) -> _Function:
@@ -73,6 +145,17 @@ def kernel(function: _Function) -> _Function:
 def inner(function: _Function) -> _Function:
     """Compile a function that only kernels call; without its Python wrapper this takes a third less time."""
     return cast(_Function, Kernel(function, no_cpython_wrapper=True))
+
+
+def find_address(function: Callable[..., object], *arguments: Any) -> int:
+    """Return where the machine code of an inner kernel for such arguments lies, for `bench.call_at`."""
+    import numba
+
+    dispatcher = cast(Kernel, function).dispatcher
+    kinds = tuple(numba.typeof(one) for one in arguments)
+    dispatcher.compile(kinds)
+    found = dispatcher.overloads[kinds]
+    return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
 
 def _hash_sources() -> str:

@@ -7,9 +7,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench import compiled, earth, places
+from bench.call_at import call_at
 
 ANSWER = """
 import sys, shutil, pathlib
@@ -100,3 +102,45 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
 def test_importing_bench_imports_nothing_heavy(module):
     code = f"import sys, bench; sys.exit({module!r} in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@compiled.inner
+def add_kernel(number, to):
+    to[0] += number
+    return 7
+
+
+@compiled.kernel
+def call_kernel(at, number, to):
+    return call_at(at, number, to)
+
+
+@compiled.kernel
+def contain_kernel(number, to):
+    return add_kernel(number, to)
+
+
+def test_a_kernel_is_compiled_by_itself_only_where_its_address_is_asked_for():
+    """As a part of another one it has no machine code; called by its address it does the same."""
+    total = np.zeros(1)
+    assert contain_kernel(1.5, total) == 7
+    assert not add_kernel.dispatcher.signatures
+    at = compiled.find_address(add_kernel, 1.5, total)
+    assert len(add_kernel.dispatcher.signatures) == 1
+    assert call_kernel(at, 1.5, total) == 7
+    assert total[0] == 3.0
+
+
+def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
+    """In a process of its own: a barometer was read, no magnetometer and no satellites."""
+    code = """
+from bench import sensors
+from bench.navigation import aiding, estimator, ranging
+from tests.weaving import units, weaving
+sensed = sensors.sense(weaving(5.0, rate=100.0), units(), 1, 0)
+estimator.load("loose-22", {}).run(sensed.data, sensed.initial)
+made = [bool(k.dispatcher.signatures) for k in
+        (aiding._baro_kernel, aiding._magnetic_kernel, ranging.satellites_kernel)]
+assert made == [True, False, False], made
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -253,11 +253,16 @@ class LaserSpec:
             (")\nPOSITION, VELOCITY, BARO", '    "laser",\n'),
             ("_SLOWEST_AIR = ", 'LASER, LASER_ROWS = SENSORS.index("laser"), 99\n'),
             (
-                "    if kind == BARO_ROWS:\n",
-                """    if kind == LASER_ROWS:
-        return _height_kernel(LASER, -1, row, first, now, data, pending)
+                "ROWS: dict[int, Callable[..., int]] = {\n",
+                """
+@inner
+def _laser_kernel(row, first, now, data, index, pending, work):
+    return _height_kernel(LASER, -1, row, first, now, data, pending)
+
+
 """,
             ),
+            ("    FIX_ROWS: _fix_kernel,\n", "    LASER_ROWS: _laser_kernel,\n"),
         ],
         "bench/navigation/measurements.py": [
             (

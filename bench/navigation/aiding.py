@@ -1,4 +1,4 @@
-"""The rows of H of each aiding sensor, and the tests that a measurement has to pass.
+"""The rows of H of each aiding sensor.
 
 Every z is predicted minus measured, z = H dx + noise:
 
@@ -19,21 +19,19 @@ its position only.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
 from bench.navigation.blocks import Index
 from bench.navigation.constraints import along_kernel
-from bench.navigation.cycle import FilterState, Pending, Work
-from bench.navigation.error_state import GYRO, PHI, POS, VEL, feedback_kernel
-from bench.navigation.integrity import OUTAGE
-from bench.navigation.kalman import drifted_kernel, nis_kernel, open_kernel, stretch_kernel, update_kernel
+from bench.navigation.cycle import FilterState, MeasureWork, Pending
+from bench.navigation.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.mechanization import matrix_kernel
-from bench.navigation.rough_heading import blind_kernel, turn_tilts_kernel
 
 SENSORS = (
     "gnss_position",
@@ -69,121 +67,6 @@ class Measurements(NamedTuple):
     antenna_b: FloatArray  # (3,) of the satellites [m], b
     field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
     field_lla: FloatArray  # (3,)
-
-
-class Gate(NamedTuple):
-    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T) and their memories."""
-
-    nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: no test
-    trace: float  # largest trace ratio; inf: no test
-    max_acceleration: float  # tolerance test: unnoticed acceleration of the aircraft [m/s^2]; inf: no test
-    sigmas: float  # tolerance test: standard deviations granted to the receiver
-    memory: float  # weight of a new measurement in the adapted noise; 0: noise of the datasheet
-    readmit_after: IntArray  # (sensors,) refusals in a row after which the next measurement is used
-    own: IntArray  # (sensors, 3) states whose variance then grows; -1: none
-    misses: IntArray  # (channels,) refusals in a row
-    used: FloatArray  # (channels,) instant of the last measurement used [s]
-    level: FloatArray  # (sensors,) adapted variance over that of the datasheet
-
-
-class Log(NamedTuple):
-    """Rows of the innovation table."""
-
-    numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
-    marks: IntArray  # (N, 4) sensor, component, accepted, channel
-    filled: IntArray  # (1,) number of rows written
-
-
-@inner
-def returns_kernel(t: float, gate: Gate) -> bool:
-    """Return whether a fix comes after an outage: none was there, used or refused."""
-    waited = t - max(gate.used[POSITION], gate.used[VELOCITY])
-    return bool(gate.misses[POSITION] + gate.misses[VELOCITY] == 0 and waited >= OUTAGE)
-
-
-@inner
-def use_kernel(
-    t: float,
-    first: int,
-    rows: int,
-    now: FilterState,
-    before: FloatArray,
-    pending: Pending,
-    gate: Gate,
-    log: Log,
-    work: Work,
-) -> None:
-    """Test each sub-vector of a measurement, update with those that pass, log all of them, feed back.
-
-    ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
-    """
-    P, dx, n = now.P, now.dx, now.P.shape[0]
-    if rows > 0 and pending.tags[first, 0] != MAGNETIC:
-        blind_kernel(now.state, P, pending.H[first : first + rows])
-    a, drifted = first, False
-    while a < first + rows:
-        code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
-        if code == ABSENT:
-            a += m
-            continue
-        level = gate.level[code]
-        H, z, r = pending.H[a : a + m], pending.z[a : a + m], pending.r[a : a + m]
-        for b in range(m):
-            r[b] *= level
-        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
-        sound = nis <= gate.nis[m]
-        if not sound and code == POSITION and a + 3 < first + rows and returns_kernel(t, gate):
-            H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
-            drifted = drifted_kernel(P, dx, H_6, z_6, r_6, gate.nis[3], work.var, work.square, work.rows)
-        beyond = drifted and not sound
-        sound = sound or beyond
-        squares, spread, excess = 0.0, 0.0, 0.0
-        waited = t - gate.used[channel]
-        reach = gate.max_acceleration * waited
-        if code == POSITION:
-            reach *= 0.5 * waited
-        row = log.filled[0]
-        for b in range(m):
-            innovation = -z[b]  # measured minus predicted
-            for i in range(n):
-                if H[b, i] != 0.0:
-                    innovation += H[b, i] * dx[i]
-            squares += innovation * innovation
-            spread += work.var[b]
-            most = min(innovation * innovation, gate.nis[1] * work.var[b])
-            excess += (most - work.var[b] + r[b]) / (r[b] / level) / m
-            if code <= VELOCITY and abs(innovation) > reach + gate.sigmas * np.sqrt(r[b]):
-                sound = False
-            log.numbers[row + b, 0], log.numbers[row + b, 1] = t, innovation
-            log.numbers[row + b, 2], log.numbers[row + b, 3] = work.var[b], nis
-        if not squares <= gate.trace * spread:
-            sound = False
-        if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
-            sound = False  # in flight the mean rate is not that of the Earth alone
-        accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
-        gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
-        for b in range(m):
-            log.marks[row + b, 0], log.marks[row + b, 1] = code, pending.tags[a + b, 2]
-            log.marks[row + b, 2], log.marks[row + b, 3] = accepted, channel
-        log.filled[0] += m
-        if accepted:
-            gate.used[channel] = t
-            if not sound and gate.own[code, 0] >= 0:
-                e = log.numbers[row : row + m, 1]
-                open_kernel(P, before, H, e, gate.own[code], work.square, work.row)
-            elif beyond:
-                stretch_kernel(P, H, work.square, work.row)
-            for b in range(m):
-                update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
-        if gate.memory > 0.0 and np.isfinite(excess):
-            gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
-        a += m
-    for slot in range(pending.live.shape[0]):  # rows that wait were measured before this correction
-        for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
-            for i in range(n):
-                pending.z[b] -= pending.H[b, i] * dx[i]
-    turn_tilts_kernel(now.state, P, pending.H, dx)
-    feedback_kernel(now.state, dx)
 
 
 @inner
@@ -237,7 +120,7 @@ def antenna_kernel(
         H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
         z[block], z[block + 1], z[block + 2] = a, b, g
     dlon = nav[1] - lla[1]
-    dlon -= 2.0 * np.pi * np.round(dlon / (2.0 * np.pi))
+    dlon -= 2.0 * np.pi * np.rint(dlon / (2.0 * np.pi))
     z[0] += (nav[0] - lla[0]) * r_m
     z[1] += dlon * r_p * c
     z[2] += lla[2] - nav[2]
@@ -258,7 +141,7 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def place_kernel(now: FilterState, antenna_b: FloatArray, index: Index, work: Work) -> None:
+def place_kernel(now: FilterState, antenna_b: FloatArray, index: Index, work: MeasureWork) -> None:
     """Fill ``work.lever`` with the lever arm, estimated if the layout has it, and ``work.C`` with C_nb."""
     at = index.antenna_b
     for i in range(3):
@@ -268,7 +151,13 @@ def place_kernel(now: FilterState, antenna_b: FloatArray, index: Index, work: Wo
 
 @inner
 def _fix_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     state, values = now.state, data.values[row]
     place_kernel(now, values[6:], index, work)
@@ -291,7 +180,13 @@ def _fix_kernel(
 
 @inner
 def _magnetic_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, pending: Pending, work: Work
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     state, C, m = now.state, work.C, work.vectors[0]
     matrix_kernel(state, C)
@@ -314,7 +209,13 @@ def _magnetic_kernel(
 
 @inner
 def _airspeed_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     state, wind, gust = now.state, index.wind_north, index.gust_n
     u = state[3] - state[wind + 1]
@@ -352,8 +253,40 @@ def _height_kernel(
 
 
 @inner
+def _baro_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    return _height_kernel(BARO, index.baro_bias, row, first, now, data, pending)
+
+
+@inner
+def _radar_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
+
+
+@inner
 def _odometer_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     at = index.odometer_scale
     _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
@@ -373,7 +306,13 @@ def _odometer_kernel(
 
 @inner
 def _vehicle_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     values = data.values[row]
     code = COORDINATED if index.gust_n >= 0 else NONHOLONOMIC
@@ -386,7 +325,13 @@ def _vehicle_kernel(
 
 @inner
 def _standstill_kernel(
-    row: int, first: int, now: FilterState, data: Measurements, index: Index, pending: Pending, work: Work
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
 ) -> int:
     """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
     state, C, at = now.state, work.C, index.g_sensitivity_x
@@ -414,30 +359,17 @@ def _standstill_kernel(
     return 6
 
 
-@inner
-def measure_kernel(
-    kind: int,
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: Work,
-) -> int:
-    """Fill the rows of one measurement from row ``first`` on; return their number."""
-    if kind == FIX_ROWS:
-        return _fix_kernel(row, first, now, data, index, pending, work)
-    if kind == BARO_ROWS:
-        return _height_kernel(BARO, index.baro_bias, row, first, now, data, pending)
-    if kind == RADAR_ROWS:
-        return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
-    if kind == ODOMETER_ROWS:
-        return _odometer_kernel(row, first, now, data, index, pending, work)
-    if kind == VEHICLE_ROWS:
-        return _vehicle_kernel(row, first, now, data, index, pending, work)
-    if kind == MAGNETIC_ROWS:
-        return _magnetic_kernel(row, first, now, data, pending, work)
-    if kind == AIRSPEED_ROWS:
-        return _airspeed_kernel(row, first, now, data, index, pending)
-    return _standstill_kernel(row, first, now, data, index, pending, work)
+ROWS: dict[int, Callable[..., int]] = {
+    FIX_ROWS: _fix_kernel,
+    BARO_ROWS: _baro_kernel,
+    MAGNETIC_ROWS: _magnetic_kernel,
+    AIRSPEED_ROWS: _airspeed_kernel,
+    STANDSTILL_ROWS: _standstill_kernel,
+    RADAR_ROWS: _radar_kernel,
+    ODOMETER_ROWS: _odometer_kernel,
+    VEHICLE_ROWS: _vehicle_kernel,
+}
+"""What fills the rows of each kind of record from row ``first`` of ``pending`` on and returns their number.
+
+The filter calls them by address, so that only those of the records there are get compiled.
+"""

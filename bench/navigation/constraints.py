@@ -23,7 +23,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner
 from bench.data import ImuData
 from bench.navigation.blocks import Index
-from bench.navigation.cycle import FilterState, Work
+from bench.navigation.cycle import FilterState, MeasureWork
 from bench.navigation.error_state import GYRO, PHI, VEL
 from bench.navigation.imu_sampler import ImuSampler, sum_segments
 from bench.navigation.mechanization import matrix_kernel
@@ -85,7 +85,7 @@ def along_kernel(
     now: FilterState,
     index: Index,
     H: FloatArray,
-    work: Work,
+    work: MeasureWork,
 ) -> float:
     """Return a component of the velocity along the vehicle [m/s], and fill its row H (n,).
 

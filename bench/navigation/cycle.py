@@ -66,37 +66,59 @@ class Pending(NamedTuple):
     width: int
 
 
-class Work(NamedTuple):
-    """Memory of the kernels."""
+class MeasureWork(NamedTuple):
+    """Memory of what fills the rows of a measurement, shared with the steps before it."""
 
-    carried: (
-        FloatArray  # (59,) what the next step needs of the steps before: memory of the fields to ``elapsed``
-    )
-    carried_before: FloatArray  # (59,) a copy, while a filter goes ahead for an answer
-    before: FloatArray  # (7,) the step before, for coning and sculling
     w_ib_b: FloatArray  # (3,) rate of the last step [rad/s]
     vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
-    C_mean: FloatArray  # (3, 3)
-    reference: FloatArray  # (10,)
-    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
-    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
-    elapsed: FloatArray  # (1,) since the last step of the covariance [s]
     C: FloatArray  # (3, 3)
-    F: FloatArray  # (9, 15)
-    G: FloatArray  # (9, 15)
-    back: FloatArray  # (9, 15)
-    covariance: CovarianceWork
-    Phi: FloatArray  # (n, n) since the last node of a smoother
-    decay: FloatArray  # (n,)
-    noise: FloatArray  # (n,)
-    factor: FloatArray  # (D,)
+    lever: FloatArray  # (3,)
+
+
+class UpdateWork(NamedTuple):
+    """Memory of an update."""
+
     row: FloatArray  # (n,)
     other_row: FloatArray  # (n,)
     square: FloatArray  # (6, 7)
     rows: FloatArray  # (6, n)
     var: FloatArray  # (6,)
-    lever: FloatArray  # (3,)
+
+
+class Carried(NamedTuple):
+    """What the next step needs of the steps before; also the first two of `MeasureWork`."""
+
+    whole: FloatArray  # (59,) memory of all of it
+    kept: FloatArray  # (59,) a copy, while a filter goes ahead for an answer
+    before: FloatArray  # (7,) the step before, for coning and sculling
+    C_mean: FloatArray  # (3, 3)
+    reference: FloatArray  # (10,)
+    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
+    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
+    elapsed: FloatArray  # (1,) since the last step of the covariance [s]
+
+
+class StepWork(NamedTuple):
+    """Memory of a step of the covariance."""
+
+    F: FloatArray  # (9, 15)
+    G: FloatArray  # (9, 15)
+    back: FloatArray  # (9, 15)
+    Phi: FloatArray  # (n, n) since the last node of a smoother
+    decay: FloatArray  # (n,)
+    noise: FloatArray  # (n,)
+    factor: FloatArray  # (D,)
     slope: FloatArray  # (6,) of gyros and accelerometers along their axes
+
+
+class Work(NamedTuple):
+    """Memory of the kernels, in small tuples (`bench.compiled`)."""
+
+    carried: Carried
+    step: StepWork
+    covariance: CovarianceWork
+    measure: MeasureWork
+    update: UpdateWork
     ahead: FilterState  # of a filter that goes ahead for an answer
 
 
@@ -104,37 +126,19 @@ def work_for(n: int, drives: int) -> Work:
     """Return the memory for n states."""
     shapes = (7,), (3,), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
-    carried = np.zeros(ends[-1])
-    before, w_ib_b, vectors, C_mean, reference, known, lost, elapsed = (
-        part.reshape(shape) for part, shape in zip(np.split(carried, ends[:-1]), shapes, strict=True)
+    whole = np.zeros(ends[-1])
+    before, w_ib_b, vectors, *others = (
+        part.reshape(shape) for part, shape in zip(np.split(whole, ends[:-1]), shapes, strict=True)
     )
+    F, G, back = np.zeros((3, 9, 15))
     return Work(
-        carried=carried,
-        carried_before=np.zeros(ends[-1]),
-        before=before,
-        w_ib_b=w_ib_b,
-        vectors=vectors,
-        C_mean=C_mean,
-        reference=reference,
-        known=known,
-        lost=lost,
-        elapsed=elapsed,
-        C=np.zeros((3, 3)),
-        F=np.zeros((9, 15)),
-        G=np.zeros((9, 15)),
-        back=np.zeros((9, 15)),
+        carried=Carried(whole, np.zeros(ends[-1]), before, *others),
+        step=StepWork(
+            F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), np.zeros(drives), np.ones(6)
+        ),
         covariance=covariance_work(n),
-        Phi=widened(np.eye(n)),
-        decay=widened(np.ones(n)),
-        noise=np.zeros(n),
-        factor=np.zeros(drives),
-        row=np.zeros(n),
-        other_row=np.zeros(n),
-        square=np.zeros((6, 7)),
-        rows=np.zeros((6, n)),
-        var=np.zeros(6),
-        lever=np.zeros(3),
-        slope=np.ones(6),
+        measure=MeasureWork(w_ib_b, vectors, np.zeros((3, 3)), np.zeros(3)),
+        update=UpdateWork(np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6)),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )
 
@@ -291,14 +295,16 @@ def noise_kernel(
 
 
 @inner
-def wait_kernel(T: float, pending: Pending, drives: IntArray, clock: int, work: Work) -> None:
+def wait_kernel(
+    T: float, pending: Pending, drives: IntArray, clock: int, work: StepWork, row: FloatArray
+) -> None:
     """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
     width = pending.width
     transition_kernel(work.F, -T, work.back)
     for slot in range(pending.live.shape[0]):
         for a in range(slot * width, slot * width + pending.live[slot]):
             h = pending.H[a]
-            backward_kernel(h, work.back, work.decay, drives, work.factor, work.row)
+            backward_kernel(h, work.back, work.decay, drives, work.factor, row)
             if clock >= 0:
                 h[clock + 1] -= T * h[clock]
 
@@ -322,24 +328,25 @@ def advance_kernel(
 
     Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are.
     """
-    state, P, Phi = now.state, now.P, work.Phi
+    state, P = now.state, now.P
+    carried, step, memory, measure, update, _ = work
     drives, interval = process.drives, steps.interval
     clock = index.clock_offset
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
-    C, C_mean, reference, F, G = work.C, work.C_mean, work.reference, work.F, work.G
-    memory, decay, noise, factor = work.covariance, work.decay, work.noise, work.factor
-    before, w_ib_b, dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum, lost = (
-        work.before, work.w_ib_b, work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3],
-        work.vectors[4], work.vectors[5], work.vectors[6], work.vectors[7], work.lost,
+    C, C_mean, reference, F, G = measure.C, carried.C_mean, carried.reference, step.F, step.G
+    Phi, decay, noise, factor = step.Phi, step.decay, step.noise, step.factor
+    before, w_ib_b, vectors, lost = carried.before, measure.w_ib_b, measure.vectors, carried.lost
+    dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum = (
+        vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6], vectors[7],
     )  # fmt: skip
-    known, slope = work.known, work.slope
+    known, slope = carried.known, step.slope
     driven = drives.shape[0]
     n = P.shape[0]
     waiting = False
     for slot in range(pending.live.shape[0]):
         waiting = waiting or (pending.live[slot] > 0 and not ahead)
-    T = work.elapsed[0]
+    T = carried.elapsed[0]
     while k < until or (closing and T > 0.0):
         while k < until:
             if T == 0.0:
@@ -411,7 +418,7 @@ def advance_kernel(
                 for j in range(n):
                     Phi[clock, j] += T * Phi[clock + 1, j]
         if waiting:
-            wait_kernel(T, pending, drives, clock, work)
+            wait_kernel(T, pending, drives, clock, step, update.row)
         T = 0.0
-    work.elapsed[0] = T
+    carried.elapsed[0] = T
     mirror_kernel(P)

@@ -11,16 +11,13 @@ import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray, read_only
+from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
 from bench.navigation.aiding import (
     SATELLITE_ROWS,
     SENSORS,
-    Gate,
-    Log,
     Measurements,
-    measure_kernel,
-    use_kernel,
 )
 from bench.navigation.blocks import Index, Process, StateModel
 from bench.navigation.cycle import (
@@ -34,7 +31,8 @@ from bench.navigation.cycle import (
     work_for,
 )
 from bench.navigation.error_state import StateLayout
-from bench.navigation.ranging import Sky, satellites_kernel
+from bench.navigation.gate import Gate, Log, use_kernel, with_channels
+from bench.navigation.ranging import Sky, place_fillers
 from bench.navigation.refusals import refusals
 from bench.navigation.rough_heading import add_arm
 from bench.navigation.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
@@ -80,6 +78,7 @@ def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
 @kernel
 def _fusion_kernel(
     schedule: IntArray,
+    fillers: IntArray,
     ahead: FloatArray,
     now: FilterState,
     process: Process,
@@ -101,20 +100,20 @@ def _fusion_kernel(
     step at each answer, and none is ahead. ``now`` is the state at the start and becomes the last one.
     """
     n = now.P.shape[0]
+    carried, step, _, measure, update, other = work
     keep = stores.node_t.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
-    carried = work.carried_before
     while e < schedule.shape[0]:
         until, action = schedule[e, 0], schedule[e, 1]
         asked = action == OUTPUT and not keep
-        peeking = asked and k == until and (ahead[output] > 0.0 or work.elapsed[0] > 0.0)
+        peeking = asked and k == until and (ahead[output] > 0.0 or carried.elapsed[0] > 0.0)
         target, part, goes = until, 1.0, now
         if peeking:
-            goes = work.ahead
+            goes = other
             _keep_kernel(now, goes.state, goes.P)
-            for i in range(carried.shape[0]):
-                carried[i] = work.carried[i]
+            for i in range(carried.whole.shape[0]):
+                carried.kept[i] = carried.whole[i]
             if ahead[output] > 0.0:
                 target, part = until + 1, ahead[output]
         closing = peeking or not (asked or action == GO_ON)
@@ -124,12 +123,12 @@ def _fusion_kernel(
             )
         k = until
         if peeking:
-            for i in range(carried.shape[0]):
-                work.carried[i] = carried[i]
+            for i in range(carried.whole.shape[0]):
+                carried.whole[i] = carried.kept[i]
             _answer_kernel(goes, output, stores)
             output += 1
             e += 1
-        elif asked and ahead[output] == 0.0 and work.elapsed[0] == 0.0:
+        elif asked and ahead[output] == 0.0 and carried.elapsed[0] == 0.0:
             _answer_kernel(now, output, stores)
             output += 1
             e += 1
@@ -138,28 +137,29 @@ def _fusion_kernel(
         if asked or action == GO_ON:
             continue
         t = steps.t[k]  # the last one serves the start, index -1
-        before = work.Phi  # nobody looks there
+        before = step.Phi  # nobody looks there
         if keep:
             before = stores.node_cov[node, 0]
             stores.node_t[node] = t
             _keep_kernel(now, stores.node_state[node, 0], stores.node_cov[node, 0])
             for i in range(n):
                 for j in range(n):
-                    stores.transition[node, i, j] = work.Phi[i, j]
-                    work.Phi[i, j] = 1.0 if i == j else 0.0
+                    stores.transition[node, i, j] = step.Phi[i, j]
+                    step.Phi[i, j] = 1.0 if i == j else 0.0
         while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] < OUTPUT:
             action, kind, row, slot = schedule[e, 1], schedule[e, 2], schedule[e, 3], schedule[e, 4]
             first = slot * pending.width
             if action != USE:
+                fill = fillers[kind]
                 if kind == SATELLITE_ROWS:
-                    made = satellites_kernel(row, first, now, data, index, sky, pending, work)
+                    made: int = call_at(fill, row, first, now, data, index, pending, measure, sky)
                 else:
-                    made = measure_kernel(kind, row, first, now, data, index, pending, work)
+                    made = call_at(fill, row, first, now, data, index, pending, measure)
                 pending.live[slot] = made
             if action != MEASURE:
                 made = pending.live[slot]
                 pending.live[slot] = 0
-                use_kernel(t, first, made, now, before, pending, gate, log, work)
+                use_kernel(t, first, made, now, before, pending, gate, log, update)
             e += 1
         if keep:
             _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
@@ -237,7 +237,7 @@ class ForwardRun:
             state[lever + 1 : lever + 4] = antenna_b
         self.now = FilterState(state, widened(model.P), np.zeros(n))
         self.work = work_for(n, len(model.process.drives))
-        self.work.known[:] = model.process.thermal[0], *model.process.range
+        self.work.carried.known[:] = model.process.thermal[0], *model.process.range
         self.pending = pending_for(n, 1, 6)
         self.moved = False
         self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
@@ -248,7 +248,7 @@ class ForwardRun:
         state, P, dx = self.now
         other.now = FilterState(state.copy(), widened(P), dx.copy())
         other.work = work_for(len(dx), len(self.model.process.drives))
-        other.work.carried[:] = self.work.carried
+        other.work.carried.whole[:] = self.work.carried.whole
         H, z, r, tags, live, width = self.pending
         other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
         gate = self.gate
@@ -261,7 +261,7 @@ class ForwardRun:
         gate = self.gate
         return {
             "now": self.now._asdict(),
-            "carried": self.work.carried,
+            "carried": self.work.carried.whole,
             "pending": self.pending._asdict(),
             "gate": {"misses": gate.misses, "used": gate.used, "level": gate.level},
             "moved": self.moved,
@@ -272,7 +272,7 @@ class ForwardRun:
         """Take over what :meth:`state` returned."""
         now = state["now"]
         self.now = FilterState(now["state"], widened(now["P"]), now["dx"])
-        self.work.carried[:] = state["carried"]
+        self.work.carried.whole[:] = state["carried"]
         self.pending, self.moved = Pending(**state["pending"]), state["moved"]
         self.gate = self.gate._replace(**state["gate"])
         self.refused = {channel: tuple(so_far) for channel, *so_far in state["refused"]}
@@ -321,10 +321,15 @@ class ForwardRun:
         )
         work = self.work
         if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
-            work.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
+            work.measure.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
             self.moved = True
+        data = Measurements(
+            plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
+        )
+        kinds = np.unique(entries[entries[:, 1] < USE, 2])
         _fusion_kernel(
             entries,
+            place_fillers(kinds, (self.now, data, model.index, self.pending, work.measure), sky),
             plan.ahead,
             self.now,
             model.process,
@@ -339,9 +344,7 @@ class ForwardRun:
                 read_only(steps.dvel_b),
                 self.interval,
             ),
-            Measurements(
-                plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
-            ),
+            data,
             sky,
             self.pending,
             self.gate,
@@ -375,16 +378,6 @@ class ForwardRun:
         table = Events.from_rows(events)
         marked = innovations(numbers, marks)
         return answers(t, model.layout, state, cov, variance, marked, table), nodes
-
-
-def with_channels(gate: Gate, channels: int, start: float) -> Gate:
-    """Return a gate with memories of at least so many channels."""
-    new = channels - len(gate.misses)
-    if new <= 0:
-        return gate
-    return gate._replace(
-        misses=np.append(gate.misses, np.zeros(new, np.int64)), used=np.append(gate.used, np.full(new, start))
-    )
 
 
 def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:

@@ -24,11 +24,12 @@ from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import aiding, alignment, hypotheses, in_blocks, ranging, turn_on
-from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY, Gate
+from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.constraints import VehicleSampler
 from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import ForwardRun, Nodes
+from bench.navigation.gate import Gate
 from bench.navigation.hypotheses import ManyHeadings
 from bench.navigation.imu_sampler import ImuSampler
 from bench.navigation.in_pieces import InPieces, answer_now

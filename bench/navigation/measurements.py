@@ -2,7 +2,7 @@
 
 A row says which record and datasheet belong to the sensor, which rows of `bench.navigation.aiding` it fills
 and how, and the errors that its datasheet lists. A new instrument is a row here
-and its branch in :func:`bench.navigation.aiding.measure_kernel`. Satellites alone come another way
+and its kernel in `bench.navigation.aiding.ROWS`. Satellites alone come another way
 (`bench.navigation.ranging`).
 """
 

@@ -15,12 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner
+from bench.compiled import find_address, inner
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.aiding import (
     PSEUDORANGE,
     RANGE_RATE,
+    ROWS,
+    SATELLITE_ROWS,
     SENSORS,
     Measurements,
     antenna_kernel,
@@ -28,7 +30,7 @@ from bench.navigation.aiding import (
     place_kernel,
 )
 from bench.navigation.blocks import Index
-from bench.navigation.cycle import FilterState, Pending, Work
+from bench.navigation.cycle import FilterState, MeasureWork, Pending
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -168,6 +170,20 @@ class Channels:
         return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
 
 
+def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntArray:
+    """Return by kind of record the address of what fills its rows, 0 for a kind that is not among ``kinds``.
+
+    ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
+    """
+    at = np.zeros(max(ROWS) + 1, np.int64)
+    for kind in kinds.tolist():
+        if kind == SATELLITE_ROWS:
+            at[kind] = find_address(satellites_kernel, 0, 0, *arguments, sky)
+        else:
+            at[kind] = find_address(ROWS[kind], 0, 0, *arguments)
+    return at
+
+
 @inner
 def satellites_kernel(
     epoch: int,
@@ -175,9 +191,9 @@ def satellites_kernel(
     now: FilterState,
     data: Measurements,
     index: Index,
-    sky: Sky,
     pending: Pending,
-    work: Work,
+    work: MeasureWork,
+    sky: Sky,
 ) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
     state, C, H, z = now.state, work.C, pending.H, pending.z

@@ -23,7 +23,6 @@ from tests.navigation.test_error_state import plain
 from tests.rolling import rolling
 from tests.weaving import IMU, units, weaving
 
-MEASURE = plain(aiding.measure_kernel)
 SHAKEN = replace(
     IMU,
     gyro=replace(IMU.gyro, random_walk=20 * IMU.gyro.random_walk),
@@ -69,11 +68,11 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
         pending = cycle.Pending(
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
-        work = cycle.work_for(n, len(model.process.drives))
+        work = cycle.work_for(n, len(model.process.drives)).measure
         work.w_ib_b[:] = values[0, :3] - moved[10:13]
         belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
         code = ROWS.get(kind, aiding.AIRSPEED_ROWS)
-        rows = MEASURE(code, 0, 0, belief, aid, index, pending, work)
+        rows = plain(aiding.ROWS[code])(0, 0, belief, aid, index, pending, work)
         assert rows == (2 if code == aiding.VEHICLE_ROWS else 1)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 

@@ -21,7 +21,6 @@ from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving
 
-MEASURE = plain(aiding.measure_kernel)
 RADAR = RadarSpec("radar", 10.0, white_sd=0.3, range=2000.0, bias_sd=0.5)
 WHEEL = OdometerSpec("wheel", 10.0, white_sd=0.05, scale_factor_sd=0.02)
 GROUND = 700.0
@@ -61,9 +60,8 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
         belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
-        made = MEASURE(
-            code, 0, 0, belief, aid, model.index, pending, cycle.work_for(n, len(model.process.drives))
-        )
+        work = cycle.work_for(n, len(model.process.drives)).measure
+        made = plain(aiding.ROWS[code])(0, 0, belief, aid, model.index, pending, work)
         assert made == 1
         return pending.z[0], pending.H[0].copy()
 

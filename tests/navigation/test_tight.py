@@ -93,7 +93,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     def measured(error):
         state = start.copy()
         plain(error_state.feedback_kernel)(state, -error)
-        work = work_for(n, 0)
+        work = work_for(n, 0).measure
         # the error of a gyro bias is one of the rate
         work.w_ib_b[:] = np.array([0.2, -0.1, 0.3]) - error[9:12]
         width = 2 * int(np.diff(sky.epoch_start).max()) + 6
@@ -101,7 +101,8 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
             np.zeros((width, n)), np.zeros(width), np.zeros(width), np.zeros((width, 4), np.int64),
             np.zeros(1, np.int64), width,
         )  # fmt: skip
-        rows = kernel(3, 0, FilterState(state, np.zeros((n, n)), np.zeros(n)), aid, index, sky, pending, work)
+        belief = FilterState(state, np.zeros((n, n)), np.zeros(n))
+        rows = kernel(3, 0, belief, aid, index, pending, work, sky)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 
     size = np.repeat([30.0, 1.0, 1e-3, 1e-3, 1.0], 3)

@@ -55,20 +55,21 @@ def step_parts(sensed: Sensed) -> dict[str, tuple[Callable[[], object], int]]:
     """Return the parts of a step of the covariance of ``loose-22``, each done `STEPS` times."""
     run = Passage(estimator.load("loose-22", {}), sensed.data, sensed.initial, []).run
     process, work, T = run.model.process, run.work, 0.05
-    nav, C, dv = run.now.state[:10].copy(), work.C_mean, work.vectors[5]
+    step, lost = work.step, work.carried.lost
+    nav, C, dv = run.now.state[:10].copy(), work.carried.C_mean, work.measure.vectors[5]
     C[:], dv[2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], -9.8
-    fading = _noise_kernel(1, T, process, work.lost, work.decay, work.noise)
-    P, drives, factor = run.now.P, process.drives, work.factor
+    fading = _noise_kernel(1, T, process, lost, step.decay, step.noise)
+    P, drives, factor = run.now.P, process.drives, step.factor
     return {
         "decay and noise of the states": (
-            lambda: _noise_kernel(STEPS, T, process, work.lost, work.decay, work.noise),
+            lambda: _noise_kernel(STEPS, T, process, lost, step.decay, step.noise),
             STEPS,
         ),
-        "dynamics F": (lambda: _dynamics_kernel(STEPS, nav, C, dv, work.F), STEPS),
-        "transition Phi": (lambda: _transition_kernel(STEPS, T, work.F, work.G), STEPS),
+        "dynamics F": (lambda: _dynamics_kernel(STEPS, nav, C, dv, step.F), STEPS),
+        "transition Phi": (lambda: _transition_kernel(STEPS, T, step.F, step.G), STEPS),
         "Phi P Phi' + Q": (
             lambda: _covariance_kernel(
-                STEPS, P, work.G, work.decay, work.noise, fading, drives, factor, work.covariance
+                STEPS, P, step.G, step.decay, step.noise, fading, drives, factor, work.covariance
             ),
             STEPS,
         ),

@@ -14,6 +14,7 @@ import math
 import os
 import pickle
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -361,6 +362,33 @@ def commands() -> list[Figure]:
     return figures
 
 
+FIXED_COMPILE = """
+import time
+import numpy as np
+from numba import njit
+from tests.perf.dense import _multiply
+matrix, compile = np.ones((3, 3)), njit(_multiply.py_func)
+begun = time.process_time()
+compile(matrix, matrix, matrix, 0)
+print(time.process_time() - begun)
+"""
+
+
+def compiling() -> list[Figure]:
+    """The first run of a filter where no kernel is compiled, in first compiles of `tests.perf.dense`."""
+    with tempfile.TemporaryDirectory() as folder:
+        there, cache = Path(folder), Path(folder) / "cache"
+        command_cpu("fly", "figure-eight", cwd=there, cache=cache)
+        shutil.rmtree(cache / "kernels", ignore_errors=True)
+        first = command_cpu("run", "figure-eight", "-e", "loose-22", cwd=there, cache=cache)
+    units = [
+        float(subprocess.run([sys.executable, "-c", FIXED_COMPILE], capture_output=True, check=True).stdout)
+        for _ in range(3)
+    ]
+    ratio = first / float(np.median(units))
+    return [Figure("first run of loose-22, truth cached / a fixed numba compile", ratio, 25.0, "units")]
+
+
 FIRST_ANSWER = """
 import pickle, sys
 from bench.navigation.estimator import BUILT_IN, load
@@ -413,6 +441,7 @@ def main() -> None:
         *flying(profile),
         *reporting(profile),
         *commands(),
+        *compiling(),
     ]
     table = Table(title="Speed, as ratios inside one run")
     for heading in ("", "measured", "limit", ""):
