@@ -33,6 +33,8 @@ _UNUSED_DAYS = 30
 _IMPORT = re.compile(r"^\s*from (bench[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _WORD = re.compile(r"\w+")
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+_TRIED = ("0.68",)
+"""Versions of numba whose inner parts are known; another one compiles everything, without shortcuts."""
 _IDLE_PASSES = {
     "WithLifting",
     "InlineClosureLikes",
@@ -73,13 +75,16 @@ class Kernel:
         import numba
 
         choose_cache()
-        return numba.njit(**self._options, pipeline_class=_compilers()[0])(self.py_func)
+        short = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
+        return numba.njit(**self._options | short)(self.py_func)
 
     @cached_property
     def _part(self) -> Any:
         """The function as a part of other kernels: never on disk, for it lies in what is."""
         import numba
 
+        if not _takes_shortcuts():
+            return self.dispatcher
         own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": _compilers()[1]}
         return numba.njit(**self._options | own)(self.py_func)
 
@@ -87,6 +92,14 @@ class Kernel:
     def _numba_type_(self) -> Any:
         """What numba asks for where a kernel names another one."""
         return self._part._numba_type_
+
+
+@cache
+def _takes_shortcuts() -> bool:
+    """Return whether :func:`_compilers` fits the installed numba."""
+    import numba
+
+    return numba.__version__.rpartition(".")[0] in _TRIED
 
 
 @cache

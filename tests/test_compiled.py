@@ -144,3 +144,31 @@ made = [bool(k.dispatcher.signatures) for k in
 assert made == [True, False, False], made
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+STRAPDOWN = """
+import sys
+import numpy as np
+from bench import compiled
+compiled._TRIED = tuple(sys.argv[1:])
+from bench.navigation.mechanization import propagate
+turn, push = np.full((9, 3), 1e-3), np.full((9, 3), -2e-2)
+end = propagate(np.array([0.8, 0.2, 300.0]), np.array([30.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]),
+                np.full(9, 0.01), turn, push)[-1]
+print(compiled._takes_shortcuts(), end.tobytes().hex())
+"""
+
+
+def test_a_numba_whose_parts_are_not_known_compiles_the_same(tmp_path):
+    """Without the shortcuts none of numba's inner parts is touched, and the bits are the same."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", STRAPDOWN, *tried],
+            env=os.environ | {"BENCH_CACHE": str(tmp_path / str(len(tried)))},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for tried in (compiled._TRIED, ())
+    ]
+    assert said[1] == ["False", said[0][1]]
