@@ -146,12 +146,15 @@ class Stretches:
         return [slice(a, b) for a, b in zip(self.begin[:-1], self.begin[1:], strict=True)]
 
     def find_near(self, t: FloatArray) -> IntArray:
-        """Return the rows of an IMU with times (N,) in these stretches, and a margin to either side."""
+        """Return the rows of an IMU with times (N,) in these stretches, and a margin to either side.
+
+        Where the IMU is silent at the end of a stretch, the last interval ends with the row after it.
+        """
         first = np.searchsorted(t, self.fix_t[self.begin[:-1]] - 2.0 * _MARGIN)
         last = np.searchsorted(t, self.fix_t[self.begin[1:] - 1] + 2.0 * _MARGIN)
         inside = np.zeros(len(t) + 1, np.int64)
         np.add.at(inside, first, 1)
-        np.add.at(inside, last, -1)
+        np.add.at(inside, np.minimum(last + 1, len(t)), -1)
         return np.flatnonzero(np.cumsum(inside)[:-1])
 
     def take_liveliest(self, count: int) -> Stretches:

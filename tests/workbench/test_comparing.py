@@ -135,7 +135,7 @@ def folder(tmp_path_factory):
 def test_folders_are_compared_and_laid_over_each_other(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     same, other, flown = bench.compare_results(["a", "b", "c", "d"])
-    assert same.differences == ()
+    assert same.differences == ("only in a: gnss-only",)
     assert {row.word for row in same.verdicts} == {"same"}
     assert "sensors.imu: adis16475 and stim300" in other.differences
     assert {row.word for row in other.verdicts if row.metric.startswith("pos_rmse")} == {"undecided"}
