@@ -30,6 +30,8 @@ TABLES = (
     ("smoother", "gnss-only", "ukf"),
     ("loose-mems", "baro-inertial", "free-inertial"),
     ("tight",),
+    ("invariant-ekf", "graph-smoother"),
+    ("fixed-gain", "complementary", "least-squares"),
 )
 """Estimators of each table, few enough for a terminal."""
 CONFIDENCE = 0.99
