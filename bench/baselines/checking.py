@@ -14,7 +14,7 @@ from bench.baselines.baseline_file import (
     read_baseline,
     write_baseline,
 )
-from bench.baselines.experiments import Draw, Experiment, make_baseline, open_experiment
+from bench.baselines.experiments import Draw, Experiment, lose_draw, make_baseline, open_experiment
 from bench.baselines.verdict_rows import CONVERGED, LOOKS, Candidate, Verdict, compare, decide
 from bench.campaigns.engine import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
@@ -59,7 +59,7 @@ class _Measured:
             pool = open_pool(1)
         first = () if known else (0,)  # compiles what the others load
         for k, draw in compute(self.experiment.measure, range(known, count), pool, first):
-            found[k] = self.experiment.give_up(draw.reason) if isinstance(draw, Lost) else draw
+            found[k] = lose_draw(self.experiment, draw.reason) if isinstance(draw, Lost) else draw
             self._show(known + len(found), count)
         self.draws += [found[k] for k in range(len(found))]
         return make_baseline(self.experiment, self.draws[:count], self.requested)

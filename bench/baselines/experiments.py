@@ -53,6 +53,10 @@ class Experiment(Protocol):
     seed: int
 
     @property
+    def labels(self) -> Sequence[str]:
+        """The estimators."""
+
+    @property
     def draws(self) -> int | None:
         """Number of draws there is, all from one computation; None: any."""
 
@@ -66,8 +70,11 @@ class Experiment(Protocol):
     def measure(self, draw: int) -> Draw:
         """Return what the estimators achieve in a draw; an error counts as a failure of all of them."""
 
-    def give_up(self, reason: str) -> Draw:
-        """Return a draw without a result."""
+
+def lose_draw(experiment: Experiment, reason: str) -> Draw:
+    """Return a draw in which no estimator has a result."""
+    lost = EstimatorDraw(converged=False, reason=reason, metrics={}, expected={}, epochs=0)
+    return Draw(UNKNOWN, dict.fromkeys(experiment.labels, lost))
 
 
 def open_experiment(
@@ -80,7 +87,7 @@ def open_experiment(
     bench.errors.ConfigError, bench.errors.EstimatorError
         If it is missing or wrong.
     """
-    if source.endswith(".toml") and isinstance(read_toml(Path(source), source).get("imu"), Mapping):
+    if source.endswith(".toml") and "imu" in read_toml(Path(source), source):
         return Recording(source, requested, allow_code)
     return Flight(source, requested, allow_code)
 
@@ -96,6 +103,7 @@ class Flight:
         self.seed = self.profile.seed
         self.truth_digest = ""
         pipeline.build_estimators(self.profile)
+        self.labels = [choice.label for choice in self.profile.estimators]
         self._truth_key = store.truth_key(self.profile.flight)
 
     def prepare(self) -> None:
@@ -111,16 +119,11 @@ class Flight:
             truth = get_truth(self._truth_key, self.profile)
             result = pipeline.run(self.profile, run=draw, truth=truth)
         except Exception as error:
-            return self.give_up(describe_error(error))
+            return lose_draw(self, describe_error(error))
         sensed = result.records["sensed"]
         digest = digest_record([sensed.data, sensed.initial])
         rows = {label: collect_draw(result, label, self.profile.evaluation_from) for label in result.metrics}
         return Draw(digest, rows)
-
-    def give_up(self, reason: str) -> Draw:
-        """Return a draw in which no estimator has a result."""
-        lost = EstimatorDraw(converged=False, reason=reason, metrics={}, expected={}, epochs=0)
-        return Draw(UNKNOWN, {choice.label: lost for choice in self.profile.estimators})
 
 
 def collect_draw(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
@@ -156,6 +159,7 @@ class Recording:
     def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool) -> None:
         self.source, self.name = source, get_name(source)
         self.log = log_pipeline.read_log(source, estimators=requested, allow_code=allow_code)
+        self.labels = list(self.log.estimators)
 
     @cached_property
     def result(self) -> RunResult:
@@ -164,10 +168,6 @@ class Recording:
 
     def prepare(self) -> None:
         """Do nothing: the first stretch makes the solutions."""
-
-    def give_up(self, reason: str) -> Draw:
-        """Not called: what ends the computation ends the check."""
-        raise NotImplementedError
 
     def measure(self, draw: int) -> Draw:
         """Return RMSE and mean NEES over one stretch of the judged time."""

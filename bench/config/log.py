@@ -234,10 +234,12 @@ def load_log(
         One message for each problem in the file and the files it names.
     """
     path = Path(name)
-    document = _spread_file(read_toml(path, name), name)
     overrides, changes = split_overrides(overrides or {}, path.parent)
+    at_top = {key: value for key, value in overrides.items() if "." not in key}
+    document = _spread_file({**read_toml(path, name), **at_top}, name)
     for key, value in overrides.items():
-        document = override(document, key, value)
+        if key not in at_top:
+            document = override(document, key, value)
     wrong = [f"{name}: {line}" for line in checks.check_options(document)]
     try:
         table = check_table(LogTable, document, name)

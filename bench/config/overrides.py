@@ -78,7 +78,7 @@ class DatasheetChanges:
         document.update(self.keys)
 
 
-_PATHS = re.compile(r"jsbsim_root|trajectory|(imu|gnss|baro)\.file")
+_PATHS = re.compile(r"jsbsim_root|trajectory|((imu|gnss|baro|reference)\.)?file")
 _OF_DATASHEETS = re.compile(r"sensors\.(assumed\.)?gnss\.sky\.(almanac|navigation)")
 """Keys whose value is always a path, in a profile or a log and in a datasheet."""
 

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
 import bench
+from bench.baselines.experiments import open_experiment
 from bench.config.log import load_log
 from bench.errors import ConfigError
 from bench.exchange.log_records import read_records
@@ -96,6 +97,20 @@ def test_structures_in_structures_are_named_by_key(tmp_path, told):
     assert_allclose(found.imu.dtheta_b, plain.imu.dtheta_b, atol=1e-11)
     assert_allclose(found.imu.dvel_b, plain.imu.dvel_b, atol=1e-10)
     assert_allclose(found.fixes.lla, plain.fixes.lla, atol=1e-11)
+
+
+def test_a_log_with_one_file_at_its_top_is_changed_and_checked_like_another(tmp_path):
+    """Another file or name by --set, and a baseline of it by `bench check`."""
+    drives.write_log(tmp_path)
+    write_structures(tmp_path, "imu1", "imu2")
+    path = tmp_path / "log.toml"
+    path.write_text(f'file = "none.mat"\nimu = "imu1"\ngnss = "gnss1"\n{SHEETS}')
+    given = {"file": str(tmp_path / "all.mat"), "imu": "flight.imu2", "gnss.topic": "flight.gnss1"}
+    log = load_log(str(path), overrides=given)
+    assert {log.imu.path, log.gnss.path} == {tmp_path / "all.mat"}
+    assert (log.imu.topic, log.gnss.topic) == ("flight.imu2", "flight.gnss1")
+    path.write_text(path.read_text().replace("none.mat", "all.mat"))
+    assert open_experiment(str(path)).labels == ["loose-15"]
 
 
 def test_a_structure_that_is_not_there_or_not_alone_is_said_with_those_that_are(tmp_path):

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from bench import pipeline
 from bench.baselines import checking, experiments
-from bench.baselines.baseline_file import UNKNOWN, read_baseline
+from bench.baselines.baseline_file import read_baseline
 from bench.baselines.checking import check, record_baselines
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import Draw, EstimatorDraw
@@ -52,15 +52,12 @@ def measure(monkeypatch):
             draws, seed, truth_digest, prepare = None, 7, "truth", list
 
             def __init__(self, source):
-                self.source, self.name = source, Path(source).stem
+                self.source, self.name, self.labels = source, Path(source).stem, labels
 
             def measure(self, k):
                 measured.append((self.name, k))
                 row = EstimatorDraw(converged(k), reason, metrics_of(k), {"nees_mean": 9.0}, 500)
                 return Draw(sensors(k), dict.fromkeys(labels, row))
-
-            def give_up(self, why):
-                return Draw(UNKNOWN, dict.fromkeys(labels, EstimatorDraw(False, why, {}, {}, 0)))
 
         monkeypatch.setattr(checking, "open_experiment", lambda source, requested, allow_code: Made(source))
         measured.clear()
@@ -225,7 +222,7 @@ def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_p
         assert (row.reason == "failed: run() raised ValueError: unlucky") == (not row.converged)
         assert any(value is not None for value in row.metrics.values()) == row.converged
     monkeypatch.setattr(pipeline, "sense", lambda *_: 1 / 0)
-    assert flight.measure(0) == flight.give_up("ZeroDivisionError('division by zero')")
+    assert flight.measure(0) == experiments.lose_draw(flight, "ZeroDivisionError('division by zero')")
     whole = experiments.make_baseline(flight, [Draw("", {"x": row}) for row in rows], None).estimators["x"]
     assert whole.converged == tuple(not one for one in failed)
     assert whole.expected["nees_mean"] == 9.0
@@ -433,6 +430,7 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
     log = SimpleNamespace(
         spec=SimpleNamespace(evaluation_from=9.0),
         records=SimpleNamespace(imu=SimpleNamespace(t=np.array([109.0]))),
+        estimators={"x": None},
     )
     monkeypatch.setattr(experiments.log_pipeline, "read_log", lambda *a, **k: log)
     monkeypatch.setattr(experiments.log_pipeline, "navigate_log", lambda log: result)
