@@ -133,16 +133,17 @@ def limit_rate(t: FloatArray, most: float) -> float:
 def select_rows(series: Series) -> IntArray:
     """Return the rows of a series that a screen can show: thinned, or the extremes of parts of its time.
 
-    A spike of one epoch stays, and so do gaps.
+    A spike of one epoch of a long flight stays, and gaps stay always.
     """
-    rows = np.arange(len(series.t))[thin(series.t, series.most)]
-    if len(rows) <= MOST_POINTS:
-        return rows
     rows = np.arange(len(series.t))
+    broken = ~np.isfinite(series.values).all(axis=1)
+    gaps = np.flatnonzero(broken & ~np.roll(broken, 1))  # where they begin
+    thinned = rows[thin(series.t, series.most)]
+    if len(thinned) <= MOST_POINTS:
+        return np.union1d(thinned, gaps)
     parts = LONG_POINTS // (2 * series.values.shape[1])
     edges = np.linspace(0, len(rows), parts + 1).astype(np.int64)[:-1]
-    broken = ~np.isfinite(series.values).all(axis=1)
-    kept = [np.flatnonzero(broken & ~np.roll(broken, 1))]  # where a gap begins
+    kept = [gaps]
     for line in series.values.T:
         values = np.where(np.isfinite(line), line, np.nan)
         for worst, sign in ((np.inf, 1.0), (-np.inf, -1.0)):
@@ -204,11 +205,15 @@ def draw_dots(
 
 
 def find_gaps(t: FloatArray) -> IntArray:
-    """Return the rows (K,) of times (N,) before which much more than the usual interval has passed."""
-    if len(t) < 3:
-        return np.empty(0, np.int64)
+    """Return the rows (K,) of times (N,) before which much more than the usual interval has passed.
+
+    Rows of the same time, such as those of several satellites, have no interval.
+    """
     steps = np.diff(t)
-    return np.flatnonzero(steps > SILENT * np.median(steps)) + 1
+    forward = steps[steps > 0.0]
+    if len(forward) < 2:
+        return np.empty(0, np.int64)
+    return np.flatnonzero(steps > SILENT * np.median(forward)) + 1
 
 
 def break_at_gaps(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -360,6 +360,23 @@ def test_a_gap_stays_in_a_long_series():
     assert np.isnan(shown.values).any()
 
 
+def test_a_gap_stays_in_a_series_that_is_thinned():
+    """Ten answers a second, none for 40 s; two a second are drawn."""
+    t = np.append(np.arange(0.0, 20.0, 0.1), np.arange(60.3, 90.0, 0.1))
+    line = series.draw_three_sigma("x", t, t, 0.0 * t + 1.0, "x", (0, 0, 0), most=series.DRIFTING)
+    rows = series.select_rows(line)
+    assert len(rows) < 0.4 * len(t)
+    (lost,) = rows[np.isnan(line.values[rows]).all(axis=1)]
+    assert 20.0 < line.t[lost] < 60.0
+
+
+def test_several_values_of_one_instant_are_no_gap():
+    """Ranges to six satellites each second, and none from 20 to 40 s."""
+    t = np.repeat(np.append(np.arange(20.0), np.arange(40.0, 60.0)), 6)
+    assert series.find_gaps(t).tolist() == [6 * 20]
+    assert not len(series.find_gaps(np.repeat([1.0, 9.0], 6)))
+
+
 def test_verdicts_stand_beside_the_comparison(run):
     table = words.make_verdict_table(make_result(run)).splitlines()
     assert table[2] == f"| {MAIN} |  | 1.235 | - | 9.3 |"
