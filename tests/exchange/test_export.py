@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -189,6 +190,20 @@ def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
     assert "is that of t = " in (tmp_path / "out" / "README.md").read_text()
     with pytest.raises(ExportError, match="alignment = 'course' finds none: "):
         replace(whole, fixes=None).align()
+
+
+def test_what_is_not_known_of_a_start_is_nan_in_matlab(run, tmp_path):
+    """A file of the run says null."""
+    from scipy.io import loadmat
+
+    folder = shutil.copytree(run[0], tmp_path / "run")
+    store.write_json(folder / store.START, dict(unknown_start(gather(folder)).start))
+    (tmp_path / "out").mkdir()
+    write(tmp_path / "out", "mat", gather(folder), "circle")
+    read = loadmat(tmp_path / "out" / "run.mat", squeeze_me=True, struct_as_record=False)["start"].initial
+    assert_array_equal(read.q_nb, np.full(4, np.nan))
+    assert_array_equal(read.cov, np.where(np.eye(9), np.nan, 0.0))
+    assert read.lat_rad.size == 0
 
 
 def test_a_start_between_two_samples_is_exported_from_there_on(run):

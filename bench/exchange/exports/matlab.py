@@ -36,7 +36,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         f"`load('{FILE}')` gives a structure for each section below, with a field per column, and `start`: "
         "what an estimator gets besides the measurements, in SI and radians: `initial` (with `cov`, 9 x 9: "
         "position north, east, down, velocity, attitude), `antenna_b_m`, and `assumed`, the datasheets. "
-        f"Missing values are empty arrays.\n\n{columns_text}"
+        f"A missing value is an empty array, in an array it is NaN.\n\n{columns_text}"
     )
 
 
@@ -46,12 +46,11 @@ def _name_variable(name: str) -> str:
 
 
 def _to_matlab(value: Any) -> Any:
-    """Convert a JSON value for MATLAB; null becomes an empty array."""
+    """Convert a JSON value for MATLAB; null becomes an empty array, in an array of numbers NaN."""
     if value is None:
         return np.empty((0, 0))
     if isinstance(value, Mapping):
         return {key: _to_matlab(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        numbers = all(isinstance(inner, int | float) for inner in value)
-        return np.array(value, float) if numbers else np.array([_to_matlab(inner) for inner in value], float)
+        return np.array(value, float)
     return value
