@@ -122,6 +122,8 @@ def new_log(name: str, *, console: Console) -> None:
         written then.
     """
     path = Path(name)
+    if path.is_dir():
+        raise ConfigError(f"{path}: a folder; name the file in it with the IMU")
     log = path.with_suffix(".toml")
     if log.exists() or log.is_symlink():
         raise ConfigError(f"{log}: exists already and is not replaced")
@@ -240,7 +242,7 @@ def _read_antenna(beside: Path) -> list[float] | None:
         x, y, z = (float(value) for value in read_json(beside / START)["antenna_b_m"])
     except (ConfigError, KeyError, TypeError, ValueError):
         return None
-    return [x, y, z]
+    return [x, y, z] if np.isfinite([x, y, z]).all() else None
 
 
 def _write_log(title: str, found: Mapping[str, _Found], antenna: Sequence[float] | None) -> str:

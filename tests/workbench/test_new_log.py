@@ -65,6 +65,10 @@ def test_an_export_of_the_bench_is_found(tmp_path):
     assert_allclose(found.fixes.lla, data.fixes.lla, atol=1e-12)
     assert_array_equal(log.antenna_b, data.antenna_b)
     assert log.assumed.baro is not None
+    (tmp_path / "out" / "imu.toml").unlink()
+    (tmp_path / "out" / "start.json").write_text('{"antenna_b_m": [1.0, NaN, 2.0]}')
+    assert main(["new", "log", str(tmp_path / "out" / "imu.csv")]) == 0
+    assert "# where is its antenna" in (tmp_path / "out" / "imu.toml").read_text()
 
 
 def test_structures_of_a_matlab_file_are_found(tmp_path, capsys):
@@ -92,6 +96,9 @@ def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):
     drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(drives.sensed()["imu"]))
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
     assert "those of gnss, there or in a table beside it" in capsys.readouterr().err
+    for folder in (str(tmp_path), ".", ""):
+        assert main(["new", "log", folder]) == 2
+        assert "a folder; name the file in it with the IMU" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.toml"))
     (tmp_path / "imu.toml").write_text("mine")
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
