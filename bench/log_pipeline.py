@@ -100,7 +100,7 @@ def read_log(
             choice = choices[label]
             options = {REPORTED: "reported", **choice.options}
             built[label] = pipeline.build_estimator(replace(choice, options=options))
-        if weighing:
+        if weighing and records.fixes.valid.any():
             checks.append(_describe_accuracy(records))
     if tune_noise:
         standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
@@ -118,7 +118,7 @@ def _describe_accuracy(records: LogRecords) -> Check:
     """Return the line that says by what fixes are weighed."""
     fixes = records.fixes
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n[fixes.valid])[:, :2].mean(axis=1))
-    low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0]) if len(sd) else np.full(3, np.nan)
+    low, median, high = np.nanquantile(sd, [0.0, 0.5, 1.0])
     spread = f"{low:.3g} to {high:.3g} m horizontally, median {median:.3g} m"
     if high - low < 1e-3 * high:
         spread = f"{median:.3g} m horizontally, the same for all"

@@ -30,7 +30,7 @@ from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.fixes import judge
 from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.log_start import find_start
-from bench.log_pipeline import Session
+from bench.log_pipeline import Session, read_log
 from bench.navigation import estimator
 from bench.navigation.fusion import Loose
 from bench.recording import column
@@ -416,6 +416,9 @@ def test_quality_leaves_fixes_out(tmp_path):
     some = read_records(load_log(str(path))).fixes.valid
     assert every.all()
     assert_array_equal(some, columns["quality"] == 1.0)
+    assert "0.02 m horizontally, the same for all" in read_log(path).checks[-1].text
+    path.write_text(drives.LOG.replace("[gnss]", "[gnss]\nquality = [3]"))
+    assert "fix_accuracy_m" not in {check.name for check in read_log(path).checks}
 
 
 @pytest.mark.parametrize("kind", ["given", "course"])
