@@ -35,7 +35,7 @@ class Lost:
 
 
 class Pool(Protocol):
-    """Workers that apply functions; see `bench.campaigns.processes`."""
+    """Workers that apply functions; see `bench.campaigns.pools`."""
 
     @property
     def workers(self) -> int:
