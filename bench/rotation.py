@@ -163,9 +163,11 @@ def continuous(q_ab: ArrayLike) -> FloatArray:
 
 def skew(v: ArrayLike) -> FloatArray:
     """Return [v x] (..., 3, 3) of vectors (..., 3): ``skew(v) @ u = cross(v, u)``."""
-    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([np.stack(r, axis=-1) for r in ([o, -z, y], [z, o, -x], [-y, x, o])], axis=-2)
+    v = np.asarray(v, float)
+    cross = np.zeros((*v.shape, 3))
+    cross[..., [2, 0, 1], [1, 2, 0]] = v
+    cross[..., [1, 2, 0], [2, 0, 1]] = -v
+    return cross
 
 
 def to_scalar_last(q_ab: ArrayLike) -> FloatArray:

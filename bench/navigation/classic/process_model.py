@@ -107,29 +107,36 @@ def model(
 
     Phi = E + F T and G sqrt(T); the GNSS block is exact and its noise G_S holds T already.
     """
-    decay = gnss_decay(sig, math.hypot(nav.V[0], nav.V[1]), T)
-    Phi, G = np.eye(SIZE), np.zeros((SIZE, NOISES))
-    Phi[:15, :15] += dynamics_matrix(nav, a, earth) * T
-    Phi[16:, 16:] = np.diag(decay)
-    G[:15, :21] = _noise(nav, sig) * math.sqrt(T)
-    G[15, 21] = sig.xi * math.sqrt(T)
-    G[16:, 22:] = gnss_noise(sig, decay, *reduced(nav, earth), jump)
-    return Phi, G
+    return _first_order(nav, earth, dynamics_matrix(nav, a, earth), _noise(nav, sig), sig, T, jump=jump)
 
 
 def model_van_loan(
     nav: Nav, earth: Earth, a: ArrayLike, sig: Sigmas, T: float, *, jump: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Return Phi_p (22, 22) and Q_p = G_p G_p' (22, 22), the inertial block by van Loan (A-5.1.D)."""
-    Phi, G = model(nav, earth, a, sig, T, jump=jump)
-    Q = G @ G.T
     F, noise = dynamics_matrix(nav, a, earth), _noise(nav, sig)
+    Phi, G = _first_order(nav, earth, F, noise, sig, T, jump=jump)
+    Q = G @ G.T
     joint = np.zeros((30, 30))
     joint[:15, :15], joint[:15, 15:], joint[15:, 15:] = -F * T, noise @ noise.T * T, F.T * T
     joint = _exponential(joint)
     Phi[:15, :15] = joint[15:, 15:].T
     Q[:15, :15] = Phi[:15, :15] @ joint[:15, 15:]
     return Phi, Q
+
+
+def _first_order(
+    nav: Nav, earth: Earth, F: FloatArray, noise: FloatArray, sig: Sigmas, T: float, *, jump: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return Phi_p and G_p of F (15, 15) and the densities (15, 21) of its noise."""
+    decay = gnss_decay(sig, math.hypot(nav.V[0], nav.V[1]), T)
+    Phi, G = np.eye(SIZE), np.zeros((SIZE, NOISES))
+    Phi[:15, :15] += F * T
+    Phi[16:, 16:] = np.diag(decay)
+    G[:15, :21] = noise * math.sqrt(T)
+    G[15, 21] = sig.xi * math.sqrt(T)
+    G[16:, 22:] = gnss_noise(sig, decay, *reduced(nav, earth), jump)
+    return Phi, G
 
 
 def _exponential(A: FloatArray) -> FloatArray:
