@@ -160,12 +160,16 @@ def inner(function: _Function) -> _Function:
     return cast(_Function, Kernel(function, no_cpython_wrapper=True))
 
 
-def find_address(function: Callable[..., object], *arguments: Any) -> int:
-    """Return where the machine code of an inner kernel for such arguments lies, for `bench.call_at`."""
+def types_of(*arguments: Any) -> tuple[Any, ...]:
+    """Return the types of arguments as kernels are compiled for them."""
     import numba
 
+    return tuple(numba.typeof(one) for one in arguments)
+
+
+def find_address(function: Callable[..., object], kinds: tuple[Any, ...]) -> int:
+    """Return where the machine code of an inner kernel for arguments of such types lies (`bench.call_at`)."""
     dispatcher = cast(Kernel, function).dispatcher
-    kinds = tuple(numba.typeof(one) for one in arguments)
     dispatcher.compile(kinds)
     found = dispatcher.overloads[kinds]
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))

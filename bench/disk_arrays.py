@@ -33,6 +33,9 @@ ROWS = 1 << 16
 LONG = 4
 """A record of more than so many :data:`ROWS` is long: three quarters of an hour at 100 Hz."""
 
+SPARED = 128 << 20
+"""Arrays on disk of less than this together are not released [byte]: to read them in again costs more."""
+
 _mapped: WeakSet[mmap.mmap] = WeakSet()
 
 
@@ -137,8 +140,12 @@ def take(array: NDArray[Any], rows: NDArray[np.int64] | slice) -> NDArray[Any]:
 
 
 def release() -> None:
-    """Take the pages of all arrays on disk out of the memory of this process; their values stay."""
-    for memory in list(_mapped):
+    """Take the pages of all arrays on disk out of the memory of this process; their values stay.
+
+    Nothing is done where they are less than :data:`SPARED`.
+    """
+    mapped = list(_mapped)
+    for memory in mapped if sum(map(len, mapped)) >= SPARED else ():
         if hasattr(memory, "madvise"):
             memory.madvise(mmap.MADV_DONTNEED)
 

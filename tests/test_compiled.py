@@ -125,7 +125,7 @@ def test_a_kernel_is_compiled_by_itself_only_where_its_address_is_asked_for():
     total = np.zeros(1)
     assert contain_kernel(1.5, total) == 7
     assert bool(add_kernel.dispatcher.signatures) != compiled._takes_shortcuts()
-    at = compiled.find_address(add_kernel, 1.5, total)
+    at = compiled.find_address(add_kernel, compiled.types_of(1.5, total))
     assert len(add_kernel.dispatcher.signatures) == 1
     assert call_kernel(at, 1.5, total) == 7
     assert total[0] == 3.0

@@ -29,7 +29,9 @@ def test_what_is_released_leaves_memory_and_keeps_its_values(monkeypatch, tmp_pa
     array = disk_arrays.zeros((400_000, 10))
     before = resident()
     array[:] = np.arange(10)
-    assert resident() - before > 30e6
+    disk_arrays.release()
+    assert resident() - before > 30e6  # less than is worth it
+    monkeypatch.setattr(disk_arrays, "SPARED", 0)
     disk_arrays.release()
     assert resident() - before < 3e6
     assert_array_equal(array.sum(axis=0), 400_000 * np.arange(10))

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench import pipeline, store
 from bench.arrays import FloatArray
+from bench.campaigns.heap import keep_freed_memory
 from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.errors import BenchError
 from bench.evaluation.consistency import nis_by_sensor
@@ -56,6 +57,7 @@ class RunTask:
 
 def measure(task: RunTask) -> dict[str, Any]:
     """Run a task and return its row of the journal; a run that raises has only an ``error``."""
+    keep_freed_memory()
     row: dict[str, Any] = {"key": task.key}
     try:
         truth = get_truth(task.truth_key, task.profile)

@@ -9,14 +9,14 @@ driving? (KITTI, CVPR 2012). What does not fit into a run is absent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.evaluation.case import Case
-from bench.evaluation.poses import Poses, align, lengths
+from bench.evaluation.poses import align, lengths
 from bench.units import DEG
 
 TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
@@ -41,12 +41,9 @@ def ape_aligned(case: Case) -> float | None:
 
 
 def _relative(
-    poses: Poses,
-    steps: Iterable[tuple[FloatArray, float]],
-    measure: Callable[[IntArray, IntArray], FloatArray],
+    pairs: Sequence[tuple[IntArray, IntArray]], measure: Callable[[IntArray, IntArray], FloatArray]
 ) -> list[FloatArray]:
-    """Return what differs over the pieces of each step (along, length), one array each."""
-    pairs = [poses.pairs(along, step) for along, step in steps]
+    """Return what differs from the first to the last rows of each of the pairs."""
     first, last = (np.concatenate(rows) for rows in zip(*pairs, strict=True))
     return np.split(measure(first, last), np.cumsum([len(rows) for rows, _ in pairs])[:-1])
 
@@ -56,9 +53,10 @@ def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
     poses = case.poses
     if poses is None:
         return {}
-    steps = [(poses.t, step) for step in TIMES.values()]
-    steps += [(poses.travelled, step) for step in DISTANCES.values()]
-    errors = _relative(poses, steps, poses.distance if unit == "m" else poses.angle)
+    pairs = poses.pairs(poses.t, tuple(TIMES.values())) + poses.pairs(
+        poses.travelled, tuple(DISTANCES.values())
+    )
+    errors = _relative(pairs, poses.distance if unit == "m" else poses.angle)
     scale = 1.0 if unit == "m" else 1.0 / DEG
     return {
         name: scale * _rms(error)
@@ -72,7 +70,7 @@ def drift_percent(case: Case) -> Mapping[str, float | None]:
     if case.poses is None:
         return {}
     travelled, found = case.poses.travelled, {}
-    errors = _relative(case.poses, [(travelled, length) for length in SEGMENTS], case.poses.distance)
+    errors = _relative(case.poses.pairs(travelled, SEGMENTS.tolist()), case.poses.distance)
     rates = np.concatenate([error / length for error, length in zip(errors, SEGMENTS, strict=True)])
     if len(rates):
         found["segments"] = float(100.0 * rates.mean())

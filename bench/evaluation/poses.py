@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -50,12 +51,16 @@ class Poses:
         taken = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
         return Poses(**taken) if len(taken["t"]) >= 3 else None
 
-    def pairs(self, along: FloatArray, step: float) -> tuple[IntArray, IntArray]:
-        """Return the first rows, one a second, and the last rows of the pieces that are a step long."""
+    def pairs(self, along: FloatArray, steps: Sequence[float]) -> list[tuple[IntArray, IntArray]]:
+        """Return the first rows, one a second, and the last rows of the pieces of each length."""
         first = np.searchsorted(self.t, np.arange(self.t[0], self.t[-1], _PACE))
-        last = np.searchsorted(along, along[first] + step * (1.0 - 1e-9))
-        inside = last < len(along)
-        return first[inside], last[inside]
+        begun = along[first]
+        found = []
+        for step in steps:
+            last = np.searchsorted(along, begun + step * (1.0 - 1e-9))
+            inside = last < len(along)
+            found.append((first[inside], last[inside]))
+        return found
 
     def distance(self, first: IntArray, last: IntArray) -> FloatArray:
         """Return the error (K,) of the displacements from first to last rows, seen in b at the first [m]."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.compiled import find_address, inner
+from bench.compiled import find_address, inner, types_of
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.aiding import (
@@ -175,12 +175,12 @@ def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntA
 
     ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
     """
-    at = np.zeros(max(ROWS) + 1, np.int64)
+    at, types = np.zeros(max(ROWS) + 1, np.int64), types_of(0, 0, *arguments)
     for kind in kinds.tolist():
         if kind == SATELLITE_ROWS:
-            at[kind] = find_address(satellites_kernel, 0, 0, *arguments, sky)
+            at[kind] = find_address(satellites_kernel, types + types_of(sky))
         else:
-            at[kind] = find_address(ROWS[kind], 0, 0, *arguments)
+            at[kind] = find_address(ROWS[kind], types)
     return at
 
 

@@ -29,6 +29,7 @@ from rich.table import Table
 
 import bench
 from bench import config, earth, pipeline, rotation
+from bench.campaigns.heap import keep_freed_memory
 from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
@@ -200,6 +201,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
         propagate(start.lla, start.vel_n, start.q_nb, imu.dt, imu.dtheta_b, imu.dvel_b)
 
     def monte_carlo() -> None:
+        keep_freed_memory()  # as a worker of a campaign does
         drawn = pipeline.sense(matched, truth, 1)
         pipeline.judge(matched, truth, estimator.load("loose-22", slow).run(drawn.data, drawn.initial))
 
