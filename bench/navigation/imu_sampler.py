@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ from bench.data import ImuData
 from bench.navigation.waiting import columns, join_rows, take_rows
 
 
-class ImuSampler:
+class ImuSampler(ABC):
     """Makes measurements from an IMU; carries the samples that the next one may need.
 
     Parameters
@@ -48,16 +49,16 @@ class ImuSampler:
         self.left = take_rows(imu, slice(self.first_needed(imu, last), None))
         return imu.t[last[good]], values[good], variance
 
+    @abstractmethod
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Return which intervals count, (W,), their values (W, m) and variances (6,).
 
         They end with the samples ``last`` (W,).
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
         """Return the first sample that an interval after those that end with ``last`` needs."""
-        raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
         """Return what is carried from one piece to the next, by name."""

@@ -106,8 +106,8 @@ class PieceFilter:
         Raises
         ------
         EstimatorError
-            If the piece does not follow on those before, something comes later than ``look_back`` allows, or
-            the IMU was silent for longer than can be bridged. The filter is then as before the piece.
+            If the piece does not follow on those before, or something comes later than ``look_back`` allows.
+            The filter is then as before the piece.
         """
         if self.finished:
             raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")

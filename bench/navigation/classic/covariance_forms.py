@@ -7,6 +7,7 @@ to rounding. R is diagonal, so that roots take a row at a time (A-5.4.8R).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from copy import copy, deepcopy
 from typing import Any, Self
@@ -22,7 +23,7 @@ from bench.navigation.options import ClassicOptions
 from bench.navigation.square_root import Floats
 
 
-class Form:
+class Form(ABC):
     """What every form does; ``x`` is the estimate (n,), in the form's own precision."""
 
     carried: tuple[str, ...] = ("x",)  # from one step to the next
@@ -46,24 +47,24 @@ class Form:
             setattr(self, name, state[name])
 
     @property
+    @abstractmethod
     def covariance(self) -> FloatArray:
         """The covariance (n, n)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
         """Step x and P over T [s] (A-5.4.4)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add(self, E: FloatArray) -> None:
         """Add E E' to P, E (n, k)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
         """Use measurements Y (m,), rows H (m, n) and noise R (m, m) (A-5.4.5).
 
         ``rows`` are their numbers in (A-5.4.3), and ``nav`` is the navigator whose errors x are.
         """
-        raise NotImplementedError
 
 
 class Joseph(Form):

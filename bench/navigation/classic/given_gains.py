@@ -8,6 +8,7 @@ than the Kalman filter and know it. Measurements are tested against that P as we
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 
 import numpy as np
 
@@ -57,9 +58,9 @@ class GivenGain(Form):
         left = np.eye(len(K)) - K @ H
         self.x, self._P = self.x + K @ (Y - H @ self.x), left @ self._P @ left.T + K @ R @ K.T
 
+    @abstractmethod
     def find_gain(self, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> FloatArray:
         """Return K (22, m) for some rows of (A-5.4.3)."""
-        raise NotImplementedError
 
 
 class ConstantGain(GivenGain):

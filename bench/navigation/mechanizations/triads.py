@@ -9,6 +9,7 @@ position are carried on by the interval before.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -23,7 +24,7 @@ NED_OF_NHE = FRD_OF_FUR
 """North, up, east to north, east, down (equations 1.3)."""
 
 
-class Triad:
+class Triad(ABC):
     """A navigation frame with the motion of the IMU in it.
 
     Parameters
@@ -71,18 +72,18 @@ class Triad:
     def _curvature(self, s: float, h: float) -> tuple[float, float]:
         return self._radii(s, h, self.ellipsoid)
 
-    def _place(self, nav: FloatArray, C_nb: FloatArray) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _place(self, nav: FloatArray, C_nb: FloatArray) -> None: ...
 
-    def _carry(self, moved: Vector) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _carry(self, moved: Vector) -> None: ...
 
-    def _refresh(self, V: Vector, ahead: float) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _refresh(self, V: Vector, ahead: float) -> None: ...
 
+    @abstractmethod
     def read(self) -> tuple[Vector, Vector, FloatArray]:
         """Return lat, lon [rad], height [m], velocity [m/s], n, and the matrix (3, 3) from the frame to n."""
-        raise NotImplementedError
 
 
 class Geodetic(Triad):
