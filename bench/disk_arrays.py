@@ -135,7 +135,7 @@ def take(array: NDArray[Any], rows: NDArray[np.int64] | slice) -> NDArray[Any]:
     taken = empty((len(rows), *array.shape[1:]), array.dtype.type)
     for block in blocks(len(array)):
         first, stop = np.searchsorted(rows, [block.start, block.stop])
-        taken[first:stop] = array[rows[first:stop]]
+        taken[first:stop] = array.take(rows[first:stop], axis=0)
     return taken
 
 

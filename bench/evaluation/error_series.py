@@ -66,9 +66,10 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
             phi_n[rows] = rotation.to_rotvec(rotation.multiply(estimate, rotation.conjugate(q_nb)))
             difference = rotation.to_heading(estimate) - rotation.to_heading(q_nb)
             heading[rows] = np.pi - np.mod(np.pi - difference, 2 * np.pi)
-            claimed = cov if counted.all() else cov[:, counted][:, :, counted]
             error = np.hstack([pos_n[rows], vel_error_n[rows], phi_n[rows]])
-            nees[rows] = normalized_squares(error[:, counted], claimed)
+            if not counted.all():
+                error, cov = error[:, counted], cov[:, counted][:, :, counted]
+            nees[rows] = normalized_squares(error, cov)
     return ErrorSeries(
         t=solution.t,
         pos_n=pos_n,
@@ -132,7 +133,7 @@ def interpolate_truth(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, Flo
     after = np.minimum(np.searchsorted(truth.t, t), len(truth) - 1)
     before = np.maximum(after - 1, 0)
     row = np.where(t - truth.t[before] < truth.t[after] - t, before, after)
-    lla, vel_n, q_nb = truth.lla[row], truth.vel_n[row], truth.q_nb[row]
+    lla, vel_n, q_nb = (column.take(row, axis=0) for column in (truth.lla, truth.vel_n, truth.q_nb))
     between = np.flatnonzero(np.abs(truth.t[row] - t) > slack)
     if len(between):
         lla[between], vel_n[between], q_nb[between] = _interpolate_rows(truth, before[between], t[between])
