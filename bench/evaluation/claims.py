@@ -73,7 +73,7 @@ def _least_inside(samples: float) -> float | None:
 
 def claimed_error_h(case: Case) -> float:
     """Horizontal error that the covariance claims, root mean square [m]."""
-    return float(np.sqrt(np.mean(np.sum(case.sd[:, :2] ** 2, axis=1))))
+    return float(np.sqrt(np.mean(case.sd[:, 0] ** 2 + case.sd[:, 1] ** 2)))
 
 
 def error_over_sigma(case: Case) -> Mapping[str, float | None]:

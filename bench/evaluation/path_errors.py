@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.evaluation.case import Case
-from bench.evaluation.poses import align, lengths
+from bench.evaluation.poses import align, centroid, lengths
 from bench.units import DEG
 
 TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
@@ -86,8 +86,8 @@ def time_offset(case: Case) -> float | None:
     error, or the velocity hardly changes.
     """
     velocity = case.solution.vel_n - case.vel_n
-    velocity = velocity - velocity.mean(axis=0)
-    error = case.pos_n - case.pos_n.mean(axis=0)
+    velocity = velocity - centroid(velocity)
+    error = case.pos_n - centroid(case.pos_n)
     power, common = np.sum(velocity**2), np.sum(error * velocity)
     if power <= len(velocity) or common**2 < 0.1 * power * np.sum(error**2):  # 1 m/s on average
         return None
