@@ -16,6 +16,7 @@ from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import RAYLEIGH_95, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.ensemble import estimate_quantile
 from bench.specs import ImuSpec
+from bench.wording import format_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +86,8 @@ def format_drift_row(row: Mapping[str, Any]) -> tuple[str, ...]:
         str(row["places"]),
         _format_quantile(row, "median_h"),
         _format_quantile(row, "p95_h"),
-        _format_number(row["claimed_median_h_m"]),
-        f"{row['closed_form_median_h_m']:.3g}",
+        _format_length(row["claimed_median_h_m"]),
+        _format_length(row["closed_form_median_h_m"]),
     )
 
 
@@ -94,9 +95,8 @@ def _format_quantile(row: Mapping[str, Any], name: str) -> str:
     low, high = row[f"{name}_low_m"], row[f"{name}_high_m"]
     if not np.isfinite(row[f"{name}_m"]):
         return "-"
-    ends = " to ".join(map(_format_number, (low, high)))
-    return f"{row[f'{name}_m']:.3g} ({ends})"
+    return f"{_format_length(row[f'{name}_m'])} ({_format_length(low)} to {_format_length(high)})"
 
 
-def _format_number(value: float | None) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
+def _format_length(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else format_number(value, 3)

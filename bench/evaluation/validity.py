@@ -15,6 +15,7 @@ from bench.earth import gravity_n, matrix_en, to_ecef
 from bench.evaluation.motion_checks import GRAVITY_OFF, SHIFT_OFF, SIGMAS, check_motion, guess_force_unit
 from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.instruments import BaroData
+from bench.wording import format_number
 
 TILT_OFF = np.deg2rad(20.0)
 """Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""
@@ -76,7 +77,7 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     if len(long):
         k = int(long[np.argmax(steps[long])])
         gaps = "1 gap, of" if len(long) == 1 else f"{len(long)} gaps, the longest"
-        text = f"{name}: {gaps} {steps[k]:.3g} s before row {k + 2}, at {t[k]:.2f} s"
+        text = f"{name}: {gaps} {format_number(steps[k], 3)} s before row {k + 2}, at {t[k]:.2f} s"
         found.append(Check(f"{name}_gaps", float(len(long)), text, False))
     if len(bad):
         text = f"{name}: {len(bad)} rows are flagged or hold no finite number, the first is row {bad[0] + 1}"

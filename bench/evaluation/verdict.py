@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.evaluation.drift_laws import RAYLEIGH_95
 from bench.navigation.remedies import explain
+from bench.wording import format_number
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
 """Verdicts by the errors: larger than claimed, smaller, neither is shown by this run."""
@@ -85,7 +86,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
     if mean is None or states is None or low is None or high is None:
         return NO_CLAIM, f"{label} claims no accuracy that could be compared: {error}."
     shown = f"{mean:.0f}" if mean >= 100 else f"{mean:.3g}"
-    figures = f"NEES {shown}, {states:g} expected, {low:.3g} to {high:.3g} possible in this run"
+    between = f"{format_number(low, 3)} to {format_number(high, 3)}"
+    figures = f"NEES {shown}, {states:g} expected, {between} possible in this run"
     narrow = [values.get(f"coverage_3sigma_pos_{axis}") for axis in "ne"]
     inside = [value for value in narrow if value is not None]
     if inside and min(inside) < 0.99:
@@ -127,16 +129,16 @@ def _explain(values: Mapping[str, Any]) -> str:
     }
     largest = max(worst_m, key=lambda number: worst_m[number], default=None)
     if largest is not None and worst_m[largest] >= (1.0 - _ALIKE) * values.get("pos_max_h_m", np.inf):
-        return f" Why: its largest error, {worst_m[largest]:.3g} m, came in fault {largest}."
+        return f" Why: its largest error, {format_distance(worst_m[largest])}, came in fault {largest}."
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in BLOCKS}
     known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
     for block in sorted(known, key=lambda block: known[block], reverse=True):
         if known[block] > 1.0 and (why := explain(list(values.get("unmodelled") or ()), block)):
             return f" Why: {why}."
     worst = max(known, key=lambda block: known[block], default=None)
-    return (
-        f" Worst is the {BLOCKS[worst]}, in 3D: {known[worst]:.3g} sigma, root mean square." if worst else ""
-    )
+    if worst is None:
+        return ""
+    return f" Worst is the {BLOCKS[worst]}, in 3D: {format_number(known[worst], 3)} sigma, root mean square."
 
 
 def _describe_error(values: Mapping[str, Any]) -> str:

@@ -20,6 +20,7 @@ from bench.plots import series
 from bench.plots.series import Plot
 from bench.studies.study import Durations, Findings, Positive, StudyOptions, StudyTable, Work
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.wording import format_number
 
 _UG, _DEG_H = 1e-6 * STANDARD_GRAVITY, DEG / HOUR
 _STEP = 0.1  # of the simulation [s]
@@ -95,13 +96,13 @@ def _tell(error: float, t: FloatArray, allowed: FloatArray, off: FloatArray) -> 
     texts = []
     for T in at:
         accel, gyro = allowed[int(np.flatnonzero(t == T)[0])]
-        texts.append(f"{T:g} s without GNSS leave {accel:.4g} ug or {gyro:.4g} deg/h")
+        texts.append(f"{T:g} s without GNSS leave {format_number(accel)} ug or {format_number(gyro)} deg/h")
     told = [f"For {error:g} m, {'; '.join(texts)}: each alone, so an honest budget gives each a part."]
     half = np.pi / SCHULER
     least = error / accel_bias_drift(half) / _UG
     told.append(
-        f"The accelerometer is asked for most at half the Schuler period, {half:.0f} s: {least:.2g} ug. The "
-        "gyro is asked for more the longer it lasts."
+        f"The accelerometer is asked for most at half the Schuler period, {half:.0f} s: "
+        f"{format_number(least, 2)} ug. The gyro is asked for more the longer it lasts."
     )
     if len(off):
         told.append(

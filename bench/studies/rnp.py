@@ -53,6 +53,7 @@ from bench.plots import series
 from bench.plots.series import Plot
 from bench.specs import FlightSpec, Profile
 from bench.studies.study import Count, Findings, Positive, StudyOptions, StudyTable, Work
+from bench.wording import format_number
 
 _NM = 1852.0  # [m]
 _INTERVAL = 1.0  # between the instants of a run [s]
@@ -322,7 +323,7 @@ def _tell(
         word = {"yes": "is shown", "no": "is missed", "not shown": "is not shown by so few draws"}
         told.append(
             f"RNP {options.rnp_nm:g} ({options.rnp_nm * _NM:.0f} m) {word[within['held']]}: across track the "
-            f"total error is below {total:.3g} m for 95 % of the time on tracks."
+            f"total error is below {format_number(total, 3)} m for 95 % of the time on tracks."
         )
         hours = hours_flown(errors["TSE"], _INTERVAL)
         needed = -np.log(1.0 - CONFIDENCE) / OUTSIDE_PER_HOUR
@@ -332,12 +333,14 @@ def _tell(
         )
     for plane, watched in zip(_PLANES, planes, strict=True):
         level = watched.level[np.isfinite(watched.level)]
-        typical = f"median {np.median(level):.3g} m" if len(level) else "never stated"
+        typical = f"median {format_number(np.median(level), 3)} m" if len(level) else "never stated"
         misled = int(watched.misleading.any(axis=1).sum())
         hazard = int(watched.hazardous.any(axis=1).sum())
+        limit = format_number(watched.limit)
         told.append(
-            f"{plane.capitalize()} protection level: {typical}, alert limit {watched.limit:.4g} m; the error "
-            f"was larger than the level in {misled} of {options.draws} runs, hazardously in {hazard}."
+            f"{plane.capitalize()} protection level: {typical}, alert limit {limit} m; "
+            f"the error was larger than the level in {misled} of {options.draws} runs, "
+            f"hazardously in {hazard}."
         )
     if options.estimator != "tight":
         told.append(

@@ -66,6 +66,17 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
             "Why: its largest error, 50.5 m, came in fault 4.",
         ),
         (
+            {"fault_4_max_h_m": 1e4, "pos_max_h_m": 1e4},
+            "overconfident",
+            "Why: its largest error, 10 km, came in fault 4.",
+        ),
+        (
+            {"unmodelled": [], "error_over_sigma_pos": 1234.0, "nees_mean": 4e4, "nees_high": 2345.0},
+            "overconfident",
+            "Worst is the position, in 3D: 1230 sigma, root mean square.",
+        ),
+        ({"nees_mean": 4e4, "nees_high": 2345.0}, "overconfident", "1 to 2340 possible in this run"),
+        (
             {"fault_4_max_h_m": 50.5, "pos_max_h_m": 80.0},
             "overconfident",
             "Why: the GNSS error wanders",

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
+from bench.studies import requirements
 
 PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m
     10: (10197, 631),
@@ -43,3 +44,9 @@ def test_16_the_strapdown_with_one_bias_agrees_within_2_percent(columns):
     near = (columns["outage_s"] >= 60) & (columns["outage_s"] <= 600)
     for name in ("accel_{}ug", "gyro_{}deg_h"):
         assert_allclose(columns[name.format("simulated_")][near], columns[name.format("")][near], rtol=0.02)
+
+
+def test_the_answer_has_no_power_of_ten():
+    first, second = requirements._tell(2e4, np.array([10.0]), np.array([[10197.0, 631.0]]), np.empty(0))
+    assert "10 s without GNSS leave 10200 ug or 631 deg/h" in first
+    assert "2532 s: 1600 ug" in second

@@ -80,6 +80,13 @@ def test_levels_of_a_filter_that_trusts_its_fixes_do_not_allow_for_the_fault(fli
     assert np.isfinite(one.level).all()
 
 
+def test_levels_and_limits_of_kilometres_have_no_power_of_ten():
+    none = np.zeros((2, 3), bool)
+    watched = SimpleNamespace(level=np.array([2345.0]), limit=18520.0, misleading=none, hazardous=none)
+    told = rnp._tell({}, [watched] * 2, SimpleNamespace(draws=2, estimator="tight"), [])
+    assert "median 2340 m, alert limit 18520 m; the error was larger than the level in 0 of 2 runs" in told[1]
+
+
 def test_without_satellites_tight_is_refused(tmp_path):
     path = tmp_path / "fixes.toml"
     path.write_text(

@@ -232,6 +232,7 @@ YAWED = rotation.matrix(rotation.from_euler(0.0, 0.0, 0.6))
         ),
         (("t", lambda v: v + 0.07), "imu_shift_s", "time_offset_s"),
         (("t", lambda v: v + 0.5 * (v > 60.0)), "imu_gaps", "1 gap, of 0.51 s"),
+        (("t", lambda v: v + 2e3 * (v > 60.0)), "imu_gaps", "1 gap, of 2000 s"),
         (("t", lambda v: v - 0.5 * ((v > 60.0) & (v < 60.205))), "imu_unordered_rows", "go back"),
     ],
 )
