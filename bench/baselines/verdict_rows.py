@@ -69,11 +69,14 @@ class Verdict:
         """Return the change with its interval as text; above 0 is worse."""
         if self.change is None:
             return ""
-        if self.relative:
-            return f"{self.change:+.1%}" + (
-                "" if self.low is None else f" ({self.low:+.1%} to {self.high:+.1%})"
-            )
-        return f"{self.change:+.3g}" + ("" if self.low is None else f" ({self.low:+.3g} to {self.high:+.3g})")
+        parts = [self.change] if self.low is None or self.high is None else [self.change, self.low, self.high]
+        change, *ends = (_format_percent(part) if self.relative else f"{part:+.3g}" for part in parts)
+        return f"{change} ({' to '.join(ends)})" if ends else change
+
+
+def _format_percent(part: float) -> str:
+    """Return a part as percent; the interval of a few draws may end at a number with many digits."""
+    return f"{part:+.1%}" if part < 1e3 else f"{100.0 * part:+.2g}%"
 
 
 @dataclass(frozen=True, slots=True)

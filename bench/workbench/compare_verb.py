@@ -71,8 +71,9 @@ def _make_table(title: str, one: Compared, rows: Sequence[Verdict]) -> Table:
     for name in (one.first, one.other):
         table.add_column(Text(name), justify="right", overflow="fold")
     single = all(row.note == ONE_DRAW for row in rows)
-    for name in () if single else ("verdict", "change, + is worse"):
-        table.add_column(name)
+    if not single:
+        table.add_column("verdict", no_wrap=True, min_width=9)
+        table.add_column("change, + is worse", overflow="fold")
     for row in rows:
         numbers = (format_number(value) for value in (row.old, row.new))
         words = () if single else (Text(row.word, STYLES[row.word]), row.format_change() or row.note)

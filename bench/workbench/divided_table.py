@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ _GAP = 2  # between columns
 
 
 class Column(NamedTuple):
-    """A column of texts."""
+    """A column of texts, of one line or several."""
 
     cells: Sequence[str]
     words: bool = False  # text, not numbers
@@ -58,23 +59,23 @@ def print_table(
 
 
 def _measure(texts: Sequence[str]) -> int:
-    return max(map(len, texts), default=0)
+    return max((len(line) for text in texts for line in text.split("\n")), default=0)
 
 
 def _narrow(column: _Shown) -> _Shown:
-    """Return a column with its head on several lines, broken after underscores; text wraps at spaces."""
-    pieces = column.head.replace("_", "_ ").split()
+    """Return a column with its head on several lines, broken after underscores and spaces; so is text."""
+    pieces = re.findall(r"[^_ ]*[_ ]*", column.head)
     widest = _measure(column.cells)
     if column.words:
         word = _measure([word for cell in column.cells for word in cell.split()])
         widest = min(widest, max(word, _WIDEST_TEXT))
-    width = max(widest, _measure(pieces))
+    width = max(widest, _measure([piece.rstrip() for piece in pieces]))
     lines = [""]
     for piece in pieces:
-        if len(lines[-1]) + len(piece) > width:
+        if len((lines[-1] + piece).rstrip()) > width:
             lines.append("")
         lines[-1] += piece
-    return column._replace(head="\n".join(lines), width=width)
+    return column._replace(head="\n".join(line.rstrip() for line in lines), width=width)
 
 
 def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> Iterator[list[str]]:

@@ -18,6 +18,7 @@ from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_
 from bench.specs import TriadSpec
 from bench.wording import one_line
 from bench.workbench import result_table
+from bench.workbench.divided_table import Column, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
 
 
@@ -57,14 +58,21 @@ def navigate_log(
     console.print(f"{title}: {judge}, figures from {log.spec.evaluation_from:g} s on", soft_wrap=True)
     result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
-        table = Table(*DRIFT_COLUMNS, title="Horizontal drift without GNSS [m]", title_justify="left")
-        for row in result.more["outages"]:
-            table.add_row(*format_drift_row(row))
-        console.print(table)
-        console.print(DRIFT_MEANING, soft_wrap=True)
+        _print_drifts(console, result.more["outages"])
     api.save(result, folder, recording=recording, report=report, force=force, say=console.print)
     print_end(console, folder, begun)
     return {"metrics": result.metrics, **result.more}
+
+
+def _print_drifts(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the drift in each outage, intervals below their values."""
+    texts, keys = zip(*map(format_drift_row, rows), strict=True), DRIFT_COLUMNS[:2]
+    columns = {
+        head: Column([text.replace(" (", "\n(") for text in cells], words=head in keys)
+        for head, cells in zip(DRIFT_COLUMNS, texts, strict=True)
+    }
+    print_table(console, columns, keys, "Horizontal drift without GNSS [m]")
+    console.print(DRIFT_MEANING, soft_wrap=True)
 
 
 def write_recording(folder: Path, out: Path | None, *, console: Console) -> None:

@@ -23,6 +23,7 @@ from bench.evaluation.key_figures import (
 from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.wording import format_number, one_line
+from bench.workbench.divided_table import Column, print_table
 
 _STYLES = {
     verdict.OVERCONFIDENT: "bold red",
@@ -67,18 +68,15 @@ def print_bound(console: Console, measured: Measured) -> None:
     held = {label: values["bound"] for label, values in measured.items() if values.get("bound")}
     if not held:
         return
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("rms over that of the best linear estimator", max_width=30)
     cells: dict[str, dict[str, str]] = {}
     for label, rows in held.items():
-        table.add_column(label.replace("-", "-\n"), justify="right", no_wrap=True)
         for row in rows:
             low, high = (_format_end(row[end]) for end in ("low", "high"))
             text = f"{format_number(row['ratio'])}\n{low}-{high}"
             cells.setdefault(f"{row['quantity']} {row['phase']}", {})[label] = text
-    for key, texts in cells.items():
-        table.add_row(key, *(texts.get(label, "") for label in held))
-    console.print(table)
+    head = "rms over that of the best linear estimator"
+    columns = {label: Column([texts.get(label, "") for texts in cells.values()]) for label in held}
+    print_table(console, {head: Column(list(cells), words=True), **columns}, [head])
     meaning = "Below each ratio its 99.9 % interval, by the correlation in time of this one run."
     console.print(meaning, style="dim")
 

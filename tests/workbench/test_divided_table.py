@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from bench.baselines.comparing import Compared
+from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import Estimate
+from bench.workbench import compare_verb, record_verbs
 from bench.workbench.campaign_verb import print_campaign
+from bench.workbench.divided_table import Column, print_table
+from bench.workbench.result_table import print_bound
 
 METRICS = ("pos_rmse_h_m", "heading_rmse_deg", "cep95_m")
 ALL = Estimate(1.0, 0.7, 1.0)
@@ -24,6 +30,65 @@ def print_outcomes(outcomes) -> str:
     )
     print_campaign(Console(file=file, width=80), campaign)
     return file.getvalue()
+
+
+def print_at(width, show) -> str:
+    """What is printed on a terminal of some width, of which no line is longer, and nothing is cut."""
+    file = io.StringIO()
+    show(Console(file=file, width=width))
+    assert max(map(len, file.getvalue().splitlines())) <= width
+    assert "…" not in file.getvalue()
+    return file.getvalue()
+
+
+def test_the_bound_of_many_estimators_is_divided_and_each_part_names_its_rows():
+    names = [f"an-estimator-{k}" for k in range(7)]
+    quantities = ("horizontal position", "heading")
+    rows = [
+        {"quantity": name, "phase": "without GNSS", "ratio": 1234.0, "low": 1016.0, "high": 1457.0}
+        for name in quantities
+    ]
+    for width in (60, 80, 200):
+        words = print_at(
+            width, lambda console: print_bound(console, {name: {"bound": rows} for name in names})
+        )
+        parts = words.count("─ ")
+        assert all(words.count(name) == 1 for name in names)
+        assert words.count("1016-1457") == len(names) * len(rows)
+        assert " ".join(words.split()).count("without GNSS") == parts * len(rows)
+        assert (parts > 1) == (width < 200)
+
+
+def test_drifts_in_outages_are_not_cut(monkeypatch):
+    monkeypatch.setattr(record_verbs, "DRIFT_MEANING", "")
+    ends = {f"{name}_{end}m": 1016.4 for name in ("median_h", "p95_h") for end in ("low_", "", "high_")}
+    row = {"duration_s": 5.0, "estimator": "an-estimator", "places": 10, **ends}
+    row |= {"claimed_median_h_m": 1016.4, "closed_form_median_h_m": 1016.4}
+    words = print_at(60, lambda console: record_verbs._print_drifts(console, [row, row]))
+    assert words.count("an-estimator") == 2 * words.count("─ ") > 2
+    assert words.count("(1020 to 1020)") == 4
+
+
+def test_a_head_is_broken_after_spaces_and_underscores():
+    columns = {
+        "unit": Column(["long " * 9] * 2, words=True),
+        "ANEES / n of_it_m": Column(["1.00 (0.9 to 1)"] * 2),
+    }
+    lines = print_at(40, lambda console: print_table(console, columns, ["unit"])).splitlines()
+    assert [line.split("  ")[-1].strip() for line in lines[1:3]] == ["ANEES / n of_", "it_m"]
+
+
+def test_changes_of_a_comparison_are_not_cut():
+    """Two draws: the interval ends nowhere."""
+    numbers = 6.8, 4.8, -0.29, -1.0, 9.5e140
+    row = Verdict(
+        "flight", "mine", "coverage_3sigma_pos_n", "m", "undecided", *numbers, True, 2, paired=False, note=""
+    )
+    assert row.format_change() == "-29.0% (-100.0% to +9.5e+142%)"
+    assert replace(row, low=-0.3, high=12.5).format_change() == "-29.0% (-30.0% to +1250.0%)"
+    one = Compared("the-first", "the-other", (), (row,), ())
+    words = print_at(60, lambda console: console.print(compare_verb._make_table("flight", one, [row])))
+    assert "undecided" in words
 
 
 @pytest.mark.parametrize("several", [False, True], ids=["ten estimators", "conditions"])
