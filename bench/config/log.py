@@ -326,7 +326,7 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If a sensor has a name and the document no file.
+        If a sensor has a name and the document no file, or a file and no sensor in it.
     """
     top = {key: document[key] for key in ("file", "format") if key in document}
     spread: dict[str, Any] = {}
@@ -339,8 +339,10 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
             spread[kind] = {**top, "topic": value}
         elif isinstance(value, dict) and "file" in top and "file" not in value:
             spread[kind] = {**top, **value}
-    rest = {key: value for key, value in document.items() if not spread or key not in top}
-    return {**rest, **spread}
+    if top and not spread:
+        text = "is for the sensors in that file, and none is there; name one: imu = ..."
+        raise ConfigError(f"{shown}: {next(iter(top))} at the top {text}")
+    return {**{key: value for key, value in document.items() if key not in top}, **spread}
 
 
 def _find_source(

@@ -127,3 +127,7 @@ def test_a_structure_that_is_not_there_or_not_alone_is_said_with_those_that_are(
     path.write_text(f'imu = "imu1"\ngnss = "gnss1"\n{SHEETS}')
     with pytest.raises(ConfigError, match="imu = 'imu1' is a name in a file; say file = "):
         load_log(str(path))
+    for tables in ("", '[imu]\nfile = "imu.csv"\n'):
+        path.write_text(f'file = "all.mat"\n{tables}{SHEETS}')
+        with pytest.raises(ConfigError, match="file at the top is for the sensors in that file, and none"):
+            load_log(str(path))
