@@ -152,7 +152,7 @@ def make_profile(unit: str, phase: str, longest: float, gnss: str, estimator: st
 
 
 def measure_growth(task: _Task) -> FloatArray:
-    """Return (D, 5) of one run: growth north, east, down [m]; horizontal error squared, as claimed [m^2]."""
+    """Return (D, 5) of a run: growth north, east, down [m]; horizontal error squared and its claim [m^2]."""
     truth = get_truth(task.truth_key, task.profile)
     result = pipeline.run(task.profile, task.run, truth=truth)
     (label,) = result.metrics

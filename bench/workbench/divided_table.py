@@ -44,18 +44,20 @@ def print_table(
     keys : sequence of str
         Columns that name a row; each part has them.
     title : str
-        Above the first part.
+        Above the first part, as wide as the console.
     """
     plain = [
         _Shown(name, one.cells, one.words, _measure([name, *one.cells])) for name, one in columns.items()
     ]
-    whole = _make_table(title, plain)
+    if title:
+        console.print(title, style="table.title")
+    whole = _make_table(plain)
     if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
         console.print(whole)
         return
     narrow = {name: _narrow(one) for name, one in zip(columns, plain, strict=True)}
-    for k, part in enumerate(_divide(narrow, keys, console.width)):
-        console.print(_make_table("" if k else title, [narrow[name] for name in part]))
+    for part in _divide(narrow, keys, console.width):
+        console.print(_make_table([narrow[name] for name in part]))
 
 
 def _measure(texts: Sequence[str]) -> int:
@@ -63,7 +65,7 @@ def _measure(texts: Sequence[str]) -> int:
 
 
 def _narrow(column: _Shown) -> _Shown:
-    """Return a column with its head on several lines, broken after underscores and spaces; so is text."""
+    """Return a column whose head is broken after underscores and spaces; text is wrapped at spaces."""
     pieces = re.findall(r"[^_ ]*[_ ]*", column.head)
     widest = _measure(column.cells)
     if column.words:
@@ -92,10 +94,8 @@ def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> It
     yield part
 
 
-def _make_table(title: str, columns: Sequence[_Shown]) -> Table:
-    shown = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
-    )
+def _make_table(columns: Sequence[_Shown]) -> Table:
+    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for one in columns:
         kind: JustifyMethod = "left" if one.words else "right"
         shown.add_column(one.head, justify=kind, overflow="fold", max_width=one.width)

@@ -78,6 +78,12 @@ def test_a_head_is_broken_after_spaces_and_underscores():
     assert [line.split("  ")[-1].strip() for line in lines[1:3]] == ["ANEES / n of_", "it_m"]
 
 
+def test_a_title_may_be_wider_than_its_table():
+    title = "Words above a table of one narrow column"
+    said = print_at(60, lambda console: print_table(console, {"unit": Column(["m"])}, ["unit"], title))
+    assert said.splitlines()[0].rstrip() == title
+
+
 def test_changes_of_a_comparison_are_not_cut():
     """Two draws: the interval ends nowhere."""
     numbers = 6.8, 4.8, -0.29, -1.0, 9.5e140
