@@ -20,7 +20,7 @@ from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, make_choices
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors
-from bench.config.toml_file import read_toml
+from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.specs import AssumedSpecs, EstimatorChoice
 from bench.wording import as_toml
@@ -234,9 +234,11 @@ def load_log(
         One message for each problem in the file and the files it names.
     """
     path = Path(name)
+    document = read_toml(path, name)
+    check_kind(document, "a log", name)
     overrides, changes = split_overrides(overrides or {}, path.parent)
     at_top = {key: value for key, value in overrides.items() if "." not in key}
-    document = _spread_file({**read_toml(path, name), **at_top}, name)
+    document = _spread_file({**document, **at_top}, name)
     for key, value in overrides.items():
         if key not in at_top:
             document = override(document, key, value)

@@ -33,7 +33,7 @@ from bench.config.profile_tables import (
 )
 from bench.config.sheet import convert_figures
 from bench.config.tables import check_table, collect_errors
-from bench.config.toml_file import read_toml
+from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE
@@ -90,6 +90,7 @@ def load_profile(
     """
     path, shown = find_profile(str(name))
     document = read_toml(path, shown)
+    check_kind(document, "a profile", shown)
     overrides = dict(overrides or {})
     if seed is not None:
         used_seed = overrides.pop("seed", seed)  # an override wins

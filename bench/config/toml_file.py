@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,21 @@ _DEEPEST = 50  # tables and arrays within each other, and names in a dotted key
 _NAME = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
 _LONG_CHAIN = re.compile(rf"(?<![\w.-]){_NAME}(?:[ \t]*+\.[ \t]*+{_NAME}){{{_DEEPEST}}}")
 """A dotted key that is too long: the parser would need a time that grows with the square of its length."""
+
+
+_KINDS = {
+    "a profile": (("aircraft", "script", "trajectory"), "bench run takes it"),
+    "a log": (("imu",), "bench navigate takes it, and bench tune with --log"),
+    "a campaign": (("profiles",), "bench campaign takes it"),
+}
+"""Kind of a file -> keys of which only such a file has one, and what takes it."""
+
+
+def check_kind(document: Mapping[str, Any], wanted: str, shown: str) -> None:
+    """Raise ConfigError if a document is one of another kind than ``wanted``, a key of `_KINDS`."""
+    found = [kind for kind, (keys, _) in _KINDS.items() if not document.keys().isdisjoint(keys)]
+    if found and wanted not in found:
+        raise ConfigError(f"{shown}: {found[0]}, not {wanted}; {_KINDS[found[0]][1]}")
 
 
 def read_toml(path: Path, shown: str) -> dict[str, Any]:

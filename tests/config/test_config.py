@@ -18,6 +18,7 @@ import pytest
 
 from bench import config
 from bench.config.datasheets import read_imu
+from bench.config.log import load_log
 from bench.config.overrides import split_overrides
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
@@ -77,6 +78,21 @@ def errors(name: str, **keywords) -> list[str]:
     with pytest.raises(ConfigError) as caught:
         config.load_profile(name, **keywords)
     return [message.replace(f"{Path(name).parent}/", "") for message in caught.value.messages]
+
+
+def test_a_file_of_another_kind_says_what_takes_it(tmp_path):
+    log, campaign = '[imu]\nfile = "imu.csv"\n', 'profiles = ["static"]\n'
+    takes = "bench navigate takes it, and bench tune with --log"
+    assert errors(write(tmp_path, log)) == [f"own.toml: a log, not a profile; {takes}"]
+    assert errors(write(tmp_path, campaign)) == [
+        "own.toml: a campaign, not a profile; bench campaign takes it"
+    ]
+    for text, said in (
+        (PROFILE, "a profile, not a log; bench run"),
+        (campaign, "a campaign, not a log; bench campaign"),
+    ):
+        with pytest.raises(ConfigError, match=f"own.toml: {said} takes it"):
+            load_log(write(tmp_path, text))
 
 
 # --- from human units to SI ---------------------------------------------------------------------------
