@@ -1,4 +1,4 @@
-"""What is told to the user: a wrong value as it is written in TOML, and no control characters."""
+"""What is told to the user: numbers, a wrong value as it is written in TOML, and no control characters."""
 
 from __future__ import annotations
 
