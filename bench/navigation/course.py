@@ -28,6 +28,10 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
         raise EstimatorError("alignment course needs GNSS fixes; the record has none")
     gnss = assumed(specs, "gnss")
     rows, span, _ = timeline.imu_rows(sensors.imu, initial.t, specs.imu)
+    if not len(rows):
+        raise EstimatorError(
+            f"alignment course needs IMU samples; the record has no sound one after {initial.t:.6g} s"
+        )
     t = np.concatenate([[initial.t], sensors.imu.t[rows]])
     usable, arrival, _ = timeline.fix_rows(fixes, t[1:], initial.t)
     inside = fixes.t[usable] > initial.t - timeline.TIME_TOLERANCE

@@ -120,7 +120,7 @@ def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
 
 def join_solutions(parts: list[NavSolution]) -> NavSolution:
     """Return solutions that follow on each other, of the same states and sensors, as one."""
-    parts = [one for one in parts if one.extra_names] or parts[:1]  # others know nothing yet
+    parts = [one for one in parts if len(one) or one.extra_names] or parts[:1]  # others know nothing yet
     if len(parts) == 1:
         return parts[0]
     columns = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}

@@ -31,7 +31,9 @@ class LearntBiases:
         return replace(piece, imu=less, specs=specs)
 
     def given_back(self, solution: NavSolution) -> NavSolution:
-        """Return a solution of a piece less the biases with them."""
+        """Return a solution of a piece less the biases with them; one without further states as it is."""
+        if not solution.extra_names:
+            return solution
         extra = solution.extra.copy()
         extra[:, :6] += np.concatenate([self.gyro, self.accel])
         return replace(

@@ -7,17 +7,11 @@ from scipy.stats import chi2
 
 from bench.data import Innovations, no_innovations
 from bench.evaluation.consistency import (
-    SensorNis,
     chi2_quantile,
     mean_band,
     mean_nis,
     nis_by_sensor,
 )
-
-
-def sensor_nis(nis, dof):
-    nis = np.asarray(nis, float)
-    return SensorNis(np.arange(len(nis)) * 1.0, nis, np.full(len(nis), dof), np.ones(len(nis), bool))
 
 
 @pytest.mark.parametrize("dof", [1, 3, 9, 450, 40_000])

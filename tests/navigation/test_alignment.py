@@ -24,7 +24,7 @@ from bench.navigation.blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.fusion import Loose
 from bench.specs import AxisFigures, ImuSpec, TriadSpec
-from tests.builders import at_rest, band
+from tests.builders import at_rest, band, put
 from tests.weaving import DEG, IMU, units, weaving
 
 FINE = ImuSpec(
@@ -474,6 +474,14 @@ def test_a_record_that_does_not_allow_it_is_refused_in_one_line(spec, motion, me
         load("loose-15", {}).run(sensed.data, sensed.initial)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_imu_without_a_sound_sample_is_named():
+    """The fixes are sound."""
+    sensed = sensors.sense(straight(15.0), course(), 1, 0)
+    broken = replace(sensed.data, imu=put(sensed.data.imu, slice(None), valid=False))
+    with pytest.raises(EstimatorError, match="needs IMU samples; the record has no sound one after 0 s"):
+        alignment.complete(broken, sensed.initial)
 
 
 def test_fixes_that_do_not_belong_to_the_record_are_refused():
