@@ -100,7 +100,9 @@ def write_cell(row: Row | None) -> str:
     """Return mean, half of the interval and a mark, as a cell; of few draws their number instead."""
     if row is None or not row.draws:
         return ""
-    mean, half = (f"{x:.0f}" if row.mean >= 100 else f"{x:.1f}" for x in (row.mean, row.half))
+    million = row.mean >= 1e5
+    scale, digits = (1e-6, 1) if million else (1.0, 0 if row.mean >= 100 else 1)
+    mean, half = (f"{scale * x:.{digits}f}{'e6' if million else ''}" for x in (row.mean, row.half))
     lost = f", {row.lost} lost" if row.lost else ""
     if row.draws < FEWEST:
         return f"{mean} of {row.draws}{lost}"

@@ -32,6 +32,14 @@ def test_the_word_follows_from_the_interval(mean, word):
     assert row(mean, 1).word == "undecided"
 
 
+@pytest.mark.parametrize(
+    ("mean", "half", "cell"),
+    [(9.04, 0.52, "9.0 ± 0.5 ="), (274.4, 75.2, "274 ± 75 !"), (2580638.0, 1748037.0, "2.6e6 ± 1.7e6 !")],
+)
+def test_a_cell_is_short(mean, half, cell):
+    assert nees_table.write_cell(nees_table.Row("survey", "loose-15", 9, 50, 0, mean, half)) == cell
+
+
 def test_the_interval_holds_the_mean_as_often_as_it_says():
     """2000 intervals of 99 %: 0.982 to 0.998 of them, 99.9 %."""
     inside = [abs(one.mean - 9.0) < one.half for one in (row(9.0, 8) for _ in range(2000))]
