@@ -28,8 +28,8 @@ CAMPAIGN_FILES = Path(__file__).parent / "campaign_files"
 TABLES = (
     ("loose-15", "loose-22", "loose-full"),
     ("smoother", "gnss-only", "ukf"),
-    ("loose-mems", "baro-inertial", "free-inertial"),
-    ("tight",),
+    ("loose-mems", "baro-inertial"),
+    ("free-inertial", "tight"),
     ("invariant-ekf", "graph-smoother"),
     ("fixed-gain", "complementary", "least-squares"),
 )
@@ -100,9 +100,9 @@ def write_cell(row: Row | None) -> str:
     """Return mean, half of the interval and a mark, as a cell; of few draws their number instead."""
     if row is None or not row.draws:
         return ""
-    million = row.mean >= 1e5
-    scale, digits = (1e-6, 1) if million else (1.0, 0 if row.mean >= 100 else 1)
-    mean, half = (f"{scale * x:.{digits}f}{'e6' if million else ''}" for x in (row.mean, row.half))
+    scale, ending = (1e-6, "e6") if row.mean >= 1e6 else (1.0, "")
+    digits = 0 if row.mean >= 100 else 1
+    mean, half = (f"{scale * x:.{digits}f}{ending}" for x in (row.mean, row.half))
     lost = f", {row.lost} lost" if row.lost else ""
     if row.draws < FEWEST:
         return f"{mean} of {row.draws}{lost}"
