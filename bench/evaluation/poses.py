@@ -90,7 +90,7 @@ def lengths(vectors: FloatArray) -> FloatArray:
 
 
 def centroid(vectors: FloatArray) -> FloatArray:
-    """Return the mean (3,) of vectors (M, 3): the bits of ``vectors.mean(axis=0)`` in a fifth of its time.
+    """Return the mean (3,) of vectors (M, 3), in a fifth of the time of ``vectors.mean(axis=0)``.
 
     Examples
     --------

@@ -140,7 +140,10 @@ def _first_order(
 
 
 def _exponential(A: FloatArray) -> FloatArray:
-    """Return exp(A) by its series: over a step F T is all but nilpotent, and a dozen terms are exact."""
+    """Return exp(A) by its series: over a step F T is all but nilpotent, and a dozen terms are exact.
+
+    Terms after those that are needed change no bit, so their end is looked for at every fourth.
+    """
     term, total = np.eye(len(A)), np.eye(len(A))
     for k in range(1, 40):
         term = term @ A
