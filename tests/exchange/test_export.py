@@ -400,6 +400,21 @@ def test_tum_poses_are_east_north_up_and_forward_left_up(run, export):
     assert ERROR["pos_n"] == [3.0, -2.0, 1.0]
 
 
+@pytest.mark.parametrize(("kind", "ending"), [("kf-gins", "nav"), ("tum", "tum")])
+def test_instants_without_a_pose_are_left_out_of_texts_of_numbers(run, tmp_path, kind, ending):
+    """A filter that aligns itself knows nothing before."""
+    whole = gather(run[0], ["solution:made"])
+    (track,) = whole.tracks.values()
+    lla = np.where(np.arange(202)[:, None] < 5, np.nan, track.lla)
+    out = replace(whole, tracks={"late": replace(track, lla=lla)})
+    write(tmp_path, kind, out, "circle")
+    assert len(text_rows(tmp_path / f"late.{ending}")) == 197
+    assert "5 instants without" in " ".join((tmp_path / "README.md").read_text().split())
+    nothing = replace(whole, tracks={"none": replace(track, lla=np.full((202, 3), np.nan))})
+    with pytest.raises(ExportError, match=f"none has no position with .*, which {kind} needs"):
+        write(tmp_path, kind, nothing, "circle")
+
+
 def test_local_axes():
     """East, north, up of a pose that looks north, wings level: forward is y, left is minus x, up is z."""
     origin = np.array([0.5, 1.0, 100.0])

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench import rotation
+from bench.errors import ExportError
 from bench.exchange.exports.outgoing import ExportData
 from bench.specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
@@ -33,14 +34,21 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     place = np.rad2deg(fixes.lla[:, :2])
     columns = [fixes.t + calendar.second, place, fixes.lla[:, 2], sd]
     parquet.write_text(folder / GNSS, np.column_stack(columns))
+    navs = ""
     for name, track in out.tracks.items():
         angles = np.rad2deg(np.column_stack(rotation.to_euler(track.q_nb)))
         week = np.full(len(track.t), float(calendar.week))
         place = np.rad2deg(track.lla[:, :2])
         columns = [week, track.t + calendar.second, place, track.lla[:, 2], track.vel_n, angles]
-        parquet.write_text(folder / f"{name}.nav", np.column_stack(columns))
+        rows = np.column_stack(columns)
+        known = np.isfinite(rows).all(axis=1)
+        if not known.any():
+            raise ExportError(f"{name} has no position with velocity and attitude, which kf-gins needs")
+        parquet.write_text(folder / f"{name}.nav", rows[known])
+        lost = len(rows) - np.count_nonzero(known)
+        remark = f"; {lost} instants without them are left out" if lost else ""
+        navs += f"- `{name}.nav`: GNSS week, {_NAV}{remark}.\n"
     (folder / CONFIGURATION).write_text(_make_configuration(out), encoding="utf-8")
-    navs = "".join(f"- `{name}.nav`: GNSS week, {_NAV}.\n" for name in out.tracks)
     return f"""For KF-GINS and OB_GINS: text, columns separated by a space, times in GPS seconds of week.
 
 - `{IMU}`, {len(imu)} rows at {out.rate:g} Hz: second of week [s]; increments of angle forward, right, down
