@@ -377,6 +377,14 @@ def test_several_values_of_one_instant_are_no_gap():
     assert not len(series.find_gaps(np.repeat([1.0, 9.0], 6)))
 
 
+def test_a_stretch_of_slower_rows_is_no_row_of_gaps():
+    """100 Hz, then 2 Hz for half a minute, where 12 s are missing, then 100 Hz; a gap at each end, too."""
+    slow = np.append(np.arange(21.0, 35.0, 0.5), np.arange(46.5, 50.0, 0.5))
+    t = np.concatenate([[0.0], np.arange(5.0, 20.0, 0.01), slow, np.arange(50.0, 60.0, 0.01), [65.0]])
+    gaps = series.find_gaps(t)
+    assert t[gaps - 1].tolist() == [0.0, 34.5, pytest.approx(59.99)]
+
+
 def test_verdicts_stand_beside_the_comparison(run):
     table = words.make_verdict_table(make_result(run)).splitlines()
     assert table[2] == f"| {MAIN} |  | 1.235 | - | 9.3 |"
