@@ -207,8 +207,8 @@ def draw_dots(
 def find_gaps(t: FloatArray) -> IntArray:
     """Return the rows (K,) of times (N,) before which much more than the usual interval has passed.
 
-    Usual in the whole record and among its neighbours: a stretch of slower rows is no row of gaps. Rows of the
-    same time, such as those of several satellites, have no interval.
+    Usual in the whole record and among its neighbours: a stretch of slower rows is no row of gaps. Rows of
+    the same time, such as those of several satellites, have no interval.
     """
     rows = np.flatnonzero(np.diff(t) > 0.0) + 1
     steps = t[rows] - t[rows - 1]
@@ -218,7 +218,8 @@ def find_gaps(t: FloatArray) -> IntArray:
     last = len(steps) - 1
     near = last - np.abs(last - np.abs(long[:, None] + np.arange(-2, 3)))  # mirrored at both ends
     usual = np.median(steps[np.clip(near, 0, last)], axis=1)
-    return rows[long[steps[long] > SILENT * usual]]
+    gaps: IntArray = rows[long[steps[long] > SILENT * usual]]
+    return gaps
 
 
 def break_at_gaps(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -190,12 +191,12 @@ def measure_allan(
     picture = out or Path(f"allan-{source}.png")
     measured = api.measure_allan(unit, log=log, seed=seed, picture=picture)
     for curve in measured.curves:
-        console.print(_make_allan_table(curve))
+        _print_allan_table(curve, console)
         if log is not None:
             console.print(_describe_fit(curve), soft_wrap=True)
     console.print(f"picture: {picture}")
     if measured.simulated:
-        console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band.")
+        console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band (!).")
     return measured.held
 
 
@@ -237,21 +238,23 @@ def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
-def _make_allan_table(curve: AllanCurve) -> Table:
+def _print_allan_table(curve: AllanCurve, console: Console) -> None:
+    """Print a curve; ``!`` marks a ratio outside its band."""
     unit, factor = SHOWN_UNITS[curve.triad]
-    table = Table(title=f"{curve.triad}, Allan deviation in {unit}", title_justify="left")
-    known = bool(curve.terms)
-    comparison = ["datasheet", "ratio", "99.9 % band"] if known else []
-    for name in ["tau [s]", "measured", *comparison, "degrees of freedom"]:
-        table.add_column(name, justify="right", no_wrap=True)
-    for k, tau in enumerate(curve.tau):
-        row = [f"{tau:g}", f"{factor * curve.measured[k]:.4g}"]
-        if known:
-            low, ratio, high = (x[k] / curve.expected[k] for x in (curve.low, curve.measured, curve.high))
-            row += [f"{factor * curve.expected[k]:.4g}", f"{ratio:.3f}", f"{low:.3f} to {high:.3f}"]
-        inside = not known or curve.low[k] <= curve.measured[k] <= curve.high[k]
-        table.add_row(*row, f"{curve.edf[k]:.0f}", style=None if inside else "bold red")
-    return table
+    columns = {
+        "tau [s]": Column([f"{tau:g}" for tau in curve.tau]),
+        "measured": Column([f"{factor * value:.4g}" for value in curve.measured]),
+    }
+    if curve.terms:
+        low, ratio, high = (x / curve.expected for x in (curve.low, curve.measured, curve.high))
+        marks = np.where((low <= ratio) & (ratio <= high), "  ", " !")
+        columns |= {
+            "datasheet": Column([f"{factor * value:.4g}" for value in curve.expected]),
+            "ratio": Column([f"{value:.3f}{mark}" for value, mark in zip(ratio, marks, strict=True)]),
+            "99.9 % band": Column([f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)]),
+        }
+    columns["degrees of freedom"] = Column([f"{value:.0f}" for value in curve.edf])
+    print_table(console, columns, ["tau [s]"], f"{curve.triad}, Allan deviation in {unit}")
 
 
 def _describe_fit(curve: AllanCurve) -> str:

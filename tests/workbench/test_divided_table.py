@@ -6,6 +6,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -14,6 +15,7 @@ from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import Estimate
+from bench.evaluation.noise_curves import AllanCurve
 from bench.workbench import compare_verb, record_verbs
 from bench.workbench.campaign_verb import print_campaign
 from bench.workbench.divided_table import Column, print_table
@@ -67,6 +69,19 @@ def test_drifts_in_outages_are_not_cut(monkeypatch):
     words = print_at(60, lambda console: record_verbs._print_drifts(console, [row, row]))
     assert words.count("an-estimator") == 2 * words.count("─ ") > 2
     assert words.count("(1020 to 1020)") == 4
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_an_allan_table_is_not_cut_and_marks_what_is_outside(width):
+    tau, expected = np.array([0.005, 4096.0]), np.array([1e-3, 2e-3])
+    bands = {"low": 0.9 * expected, "high": 1.1 * expected, "expected": expected, "terms": {"N": expected}}
+    curve = AllanCurve("gyro", tau, expected * [1.0, 1.234], np.array([119999.0, 48.0]), **bands)
+    words = print_at(width, lambda console: record_verbs._print_allan_table(curve, console)).split()
+    assert words.count("4096") == (2 if width == 60 else 1)
+    assert words.count("0.900") == words.count("1.100") == 2
+    assert words[words.index("!") - 1] == "1.234"
+    assert words.count("!") == 1
+    assert "119999" in words
 
 
 def test_a_head_is_broken_after_spaces_and_underscores():
