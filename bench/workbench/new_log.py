@@ -17,6 +17,7 @@ from bench.errors import ConfigError
 from bench.exchange.exports.column_files import START
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.log_records import read_records
+from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.rows import MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
 from bench.files import read_json
@@ -133,7 +134,7 @@ def new_log(name: str, *, console: Console) -> None:
         found = {kind: _Found(path, {}, ()) for kind in ("imu", "gnss")}
     else:
         found = _find_tables(path)
-    text = _write_log(path.stem, found, _read_antenna(path.parent))
+    text = _write_log(path.stem, found, _read_antenna(found["gnss"]))
     try:
         log.write_text(text, encoding="utf-8")
         last = float(read_records(load_log(str(log))).imu.t.max())
@@ -236,16 +237,24 @@ def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mappin
     return min(fitting, key=len, default=None)
 
 
-def _read_antenna(beside: Path) -> list[float] | None:
-    """Return where the antenna is [m], b, if a folder is an export of the bench, which says so."""
+def _read_antenna(fixes: _Found) -> tuple[list[float], str] | None:
+    """Return where the antenna is [m], b, and what says so: an export of the bench, or a file of NaveGo."""
+    path, says = fixes.path, START
     try:
-        x, y, z = (float(value) for value in read_json(beside / START)["antenna_b_m"])
+        if path.suffix.lower() == ".mat":
+            structures = list_structures(read_mat(path))
+            exported = "start" in structures
+            holder, field = ("start", "antenna_b_m") if exported else (fixes.structure, "larm")
+            says, place = f"{holder}.{field}", structures[holder][field]
+        else:
+            place = read_json(path.parent / START)["antenna_b_m"]
+        x, y, z = (float(value) for value in place)
     except (ConfigError, KeyError, TypeError, ValueError):
         return None
-    return [x, y, z] if np.isfinite([x, y, z]).all() else None
+    return ([x, y, z], says) if np.isfinite([x, y, z]).all() else None
 
 
-def _write_log(title: str, found: Mapping[str, _Found], antenna: Sequence[float] | None) -> str:
+def _write_log(title: str, found: Mapping[str, _Found], antenna: tuple[list[float], str] | None) -> str:
     """Return the text of the log; what a file cannot say is a comment that asks."""
     lines = [f"title = {json.dumps(title)}"]
     asked = {
@@ -257,7 +266,8 @@ def _write_log(title: str, found: Mapping[str, _Found], antenna: Sequence[float]
         "baro": [],
     }
     if antenna is not None:
-        asked["gnss"] = [f"position_m = {json.dumps(list(antenna))}  # by {START}"]
+        place, says = antenna
+        asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {says}"]
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
         if one.structure:

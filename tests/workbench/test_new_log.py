@@ -71,6 +71,20 @@ def test_an_export_of_the_bench_is_found(tmp_path):
     assert "# where is its antenna" in (tmp_path / "out" / "imu.toml").read_text()
 
 
+@pytest.mark.parametrize(
+    ("kind", "name", "says"), [("mat", "run", "start.antenna_b_m"), ("navego", "navego", "gnss.larm")]
+)
+def test_a_matlab_file_says_where_the_antenna_is(tmp_path, kind, name, says):
+    _, sensed = make_run(tmp_path / "run")
+    bench.export_run(tmp_path / "run", kind, out=tmp_path / "out")
+    path = tmp_path / "out" / f"{name}.mat"
+    assert main(["new", "log", str(path)]) == 0
+    assert f"  # by {says}" in path.with_suffix(".toml").read_text()
+    log = load_log(str(path.with_suffix(".toml")))
+    assert_array_equal(log.antenna_b, sensed.data.antenna_b)
+    assert_allclose(read_records(log).fixes.lla[0], sensed.data.fixes.lla[0], atol=1e-12)
+
+
 def test_structures_of_a_matlab_file_are_found(tmp_path, capsys):
     """NaveGo's by their fields, the first of two; a table's in the structure with its columns."""
     made = write_structures(tmp_path, "imu1", "imu2")
