@@ -168,7 +168,7 @@ def new(kind: str, name: str | None) -> int:
       .github/workflows/accuracy.yml   a CI job that runs bench check
 
     \b
-    log FILE looks at a recorded table, ULog, bag or MCAP, and writes beside it:
+    log FILE looks at a table, KF-GINS text, ULog, bag or MCAP, and writes beside it:
       FILE.toml                        a log for bench navigate; it asks what FILE cannot say
 
     \b

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,18 +14,23 @@ from rich.console import Console
 from bench.arrays import FloatArray
 from bench.config.log import load_log
 from bench.errors import ConfigError
+from bench.exchange import imports
 from bench.exchange.exports.column_files import START
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.log_records import read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.rows import MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
-from bench.files import read_json
+from bench.files import check_file, read_json
 from bench.units import split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
+_TEXT = ".txt"  # of numbers without names: increments and fixes of KF-GINS
+_CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _SEVERAL = (".ulg", ".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
 _DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
+_FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
+_MOST_CONFIGURATION = 1_000_000  # [byte]
 _SHARE = 0.25  # of a short record that passes before it is judged
 
 
@@ -105,6 +110,7 @@ class _Found(NamedTuple):
     guessed: tuple[str, ...]  # what the values, not the names, say of units
     structure: str = ""  # of a MATLAB file
     others: tuple[str, ...] = ()  # structures alike
+    form: str = ""  # where the ending does not tell the format
 
 
 def new_log(name: str, *, console: Console) -> None:
@@ -113,8 +119,9 @@ def new_log(name: str, *, console: Console) -> None:
     Parameters
     ----------
     name : str
-        A table with the columns of an IMU, whose fixes are in it or in a table beside it; or a ULog, a bag or
-        an MCAP file. The log, ``FILE.toml``, is written beside it.
+        A table with the columns of an IMU, whose fixes are in it or in a table beside it; the increments of
+        KF-GINS, with its fixes beside them; or a ULog, a bag or an MCAP file. The log, ``FILE.toml``, is
+        written beside it.
 
     Raises
     ------
@@ -132,6 +139,8 @@ def new_log(name: str, *, console: Console) -> None:
         raise ConfigError(f"{path}: no such file")
     if path.suffix.lower() in _SEVERAL:
         found = {kind: _Found(path, {}, ()) for kind in ("imu", "gnss")}
+    elif path.suffix.lower() == _TEXT:
+        found = _find_texts(path)
     else:
         found = _find_tables(path)
     text = _write_log(path.stem, found, _read_antenna(found["gnss"]))
@@ -176,6 +185,36 @@ def _find_tables(path: Path) -> dict[str, _Found]:
             "name them in a log of your own: bench guide own-log"
         )
     return found
+
+
+def _find_texts(path: Path) -> dict[str, _Found]:
+    """Return the files of increments and fixes of KF-GINS; numbers without names are told by their values."""
+    imu = imports.read("kf-gins", path, "imu", None)
+    force = np.linalg.norm(imu.values["dvel"][1:], axis=1) / np.diff(imu.t)
+    if not _FORCES[0] < np.median(force) < _FORCES[1]:
+        raise ConfigError(
+            f"{path.name}: no increments of an IMU as KF-GINS has them: second of week, angles [rad] and "
+            "velocities [m/s] forward, right, down"
+        )
+    for place in sorted(path.parent.glob(f"*{_TEXT}")):
+        if place != path and _has_fixes(place, imu.t):
+            files = {"imu": path, "gnss": place}
+            return {kind: _Found(file, {}, (), form="kf-gins") for kind, file in files.items()}
+    raise ConfigError(
+        f"{path.name}: no fixes beside it, as KF-GINS has them: a {_TEXT} with second of week, latitude, "
+        "longitude [deg], height and three standard deviations [m]"
+    )
+
+
+def _has_fixes(path: Path, imu_t: FloatArray) -> bool:
+    """Tell whether a text holds fixes of the time of an IMU; where increments are negative, no sd is."""
+    try:
+        fixes = imports.read("kf-gins", path, "gnss", None)
+    except ConfigError:
+        return False
+    lat, lon, _ = np.abs(fixes.values["lla"]).max(axis=0)
+    together = fixes.t[0] <= imu_t[-1] and imu_t[0] <= fixes.t[-1]
+    return bool(together and lat <= 0.5 * np.pi and lon <= 2 * np.pi and (fixes.values["sd_pos"] >= 0).all())
 
 
 def _find_sensor(path: Path, kind: str) -> _Found | None:
@@ -246,12 +285,23 @@ def _read_antenna(fixes: _Found) -> tuple[list[float], str] | None:
             exported = "start" in structures
             holder, field = ("start", "antenna_b_m") if exported else (fixes.structure, "larm")
             says, place = f"{holder}.{field}", structures[holder][field]
+        elif fixes.form:
+            says, place = next(_list_levers(path.parent))
         else:
             place = read_json(path.parent / START)["antenna_b_m"]
         x, y, z = (float(value) for value in place)
-    except (ConfigError, KeyError, TypeError, ValueError):
+    except (ConfigError, KeyError, StopIteration, TypeError, ValueError):
         return None
     return ([x, y, z], says) if np.isfinite([x, y, z]).all() else None
+
+
+def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
+    """Yield the configurations of KF-GINS in a folder, and where they say the antenna is."""
+    for path in sorted(folder.glob(_CONFIGURATIONS)):
+        check_file(path, path.name, _MOST_CONFIGURATION)
+        line = re.search(r"^antlever:\s*\[(.*?)\]", path.read_text(encoding="utf-8"), re.MULTILINE)
+        if line is not None:
+            yield path.name, line[1].split(",")
 
 
 def _write_log(title: str, found: Mapping[str, _Found], antenna: tuple[list[float], str] | None) -> str:
@@ -270,6 +320,8 @@ def _write_log(title: str, found: Mapping[str, _Found], antenna: tuple[list[floa
         asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {says}"]
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
+        if one.form:
+            lines.append(f"format = {json.dumps(one.form)}")
         if one.structure:
             lines.append(f"topic = {json.dumps(one.structure)}")
         lines += [f"# or topic = {json.dumps(other)}?" for other in one.others]

@@ -85,6 +85,35 @@ def test_a_matlab_file_says_where_the_antenna_is(tmp_path, kind, name, says):
     assert_allclose(read_records(log).fixes.lla[0], sensed.data.fixes.lla[0], atol=1e-12)
 
 
+def test_texts_of_kf_gins_are_found_by_their_values(tmp_path, capsys):
+    """Beside the increments of another IMU and a solution; the antenna is that of the configuration."""
+    _, sensed = make_run(tmp_path / "run")
+    out = tmp_path / "out"
+    bench.export_run(tmp_path / "run", "kf-gins", out=out, include=["truth"])
+    (out / "another.txt").write_bytes((out / "imu.txt").read_bytes())
+    assert main(["new", "log", str(out / "imu.txt")]) == 0
+    text = (out / "imu.toml").read_text()
+    assert "  # by kf-gins.yaml" in text
+    log = load_log(str(out / "imu.toml"))
+    found, data = read_records(log), sensed.data
+    assert_allclose(log.antenna_b, data.antenna_b, rtol=1e-11)
+    assert_array_equal(found.imu.dvel_b, data.imu.dvel_b)
+    assert_allclose(found.fixes.lla, data.fixes.lla[data.fixes.valid], atol=1e-12)
+    (out / "imu.toml").unlink()
+    (out / "kf-gins.yaml").write_text("antlever: [ here ]")
+    assert main(["new", "log", str(out / "imu.txt")]) == 0
+    assert "# where is its antenna" in (out / "imu.toml").read_text()
+    capsys.readouterr()
+    (out / "gnss.txt").rename(out / "gnss.dat")
+    (out / "imu.toml").unlink()
+    assert main(["new", "log", str(out / "imu.txt")]) == 2
+    assert "imu.txt: no fixes beside it, as KF-GINS has them: a .txt with" in capsys.readouterr().err
+    np.savetxt(out / "imu.txt", np.loadtxt(out / "imu.txt") * [1, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01])
+    assert main(["new", "log", str(out / "imu.txt")]) == 2
+    assert "imu.txt: no increments of an IMU as KF-GINS has them" in capsys.readouterr().err
+    assert not list(out.glob("*.toml"))
+
+
 def test_structures_of_a_matlab_file_are_found(tmp_path, capsys):
     """NaveGo's by their fields, the first of two; a table's in the structure with its columns."""
     made = write_structures(tmp_path, "imu1", "imu2")
