@@ -366,8 +366,9 @@ def cache(empty: bool, limit: float | None) -> int:
 
     A flight is flown once and its truth is kept for later runs. After each new flight
     the least recently used ones are removed until the cache is within its limit: 2 GB,
-    or the number in the environment variable BENCH_CACHE_GB. A flight that a process
-    reads stays. The cache is in BENCH_CACHE, else in ~/.cache/bench.
+    or the number in the environment variable BENCH_CACHE_GB; so are those that nobody
+    used for 30 days. A flight that a process reads stays. The cache is in BENCH_CACHE,
+    else in bench below XDG_CACHE_HOME or ~/.cache.
     """
     from bench.workbench.flight_verbs import look_after_cache
 
