@@ -229,7 +229,7 @@ def measure_allan(
     unit : str or None
         Catalog name or path of a datasheet. Its model is measured or, with a log, compared with the log.
     log : str, Path or None
-        CSV of an IMU at rest, as `bench.exchange.resting_log.read_resting_log` reads it.
+        Table of an IMU at rest, as `bench.exchange.resting_log.read_resting_log` reads it.
     seed : int
         Seed of the noise of the model.
     picture : str, Path or None

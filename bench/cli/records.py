@@ -155,8 +155,9 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
     18 h at 1 Hz. Each value is compared with the analytic curve of all its terms.
     With --log a log is measured and, if UNIT is given, compared with it.
 
-    FILE is CSV with a header: t_s, gyro_x_rad_s (or deg_s), gyro_y_..., gyro_z_...,
-    accel_x_m_s2 (or g), ...: rates of an IMU at rest, one row per sample.
+    FILE is a table, .csv, .parquet or .mat: t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_...,
+    gyro_z_..., accel_x_m_s2 (or g, mg), ...: rates of an IMU at rest, one row per sample; one
+    of the two triads may be missing.
 
     \b
     Examples:
