@@ -6,6 +6,8 @@ Every exemption says why it is there, and fails when it is no longer needed.
 from __future__ import annotations
 
 import ast
+import re
+import tomllib
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -91,3 +93,13 @@ def test_the_tests_that_begin_first_are_there():
     sources = [path.read_text(encoding="utf-8") for path in Path(__file__).parent.rglob("test_*.py")]
     missing = [name for name in SLOWEST if not any(f"def {name}(" in source for source in sources)]
     assert missing == [], "take them out of SLOWEST"
+
+
+def test_what_pip_is_to_install_is_this_project_and_an_extra_of_it():
+    root = PACKAGE.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = {f"{project['name']}[{extra}]" for extra in project["optional-dependencies"]}
+    texts = [path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.[pm][yd]")]
+    named = [name for text in texts for name in re.findall(r"pip install '([^']+)'", text)]
+    assert named
+    assert set(named) <= extras

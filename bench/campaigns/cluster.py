@@ -45,7 +45,7 @@ class ClusterPool:
         try:
             import distributed
         except ImportError:
-            raise ConfigError("--scheduler needs dask: pip install 'bench[cluster]'") from None
+            raise ConfigError("--scheduler needs dask: pip install 'ins-gnss-bench[cluster]'") from None
         self.lost: tuple[type[BaseException], ...] = (distributed.KilledWorker, CancelledError)
         try:
             self._client: Any = distributed.Client(address, timeout=_CONNECT, set_as_default=False)

@@ -21,7 +21,7 @@ from bench.campaigns.pools import SerialExecutor
 from bench.errors import ConfigError
 from tests.campaigns.test_campaign import PROFILE
 
-distributed = pytest.importorskip("distributed", reason="pip install 'bench[cluster]'")
+distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 OWN = "from bench.navigation.fusion import Loose as Own\n"
