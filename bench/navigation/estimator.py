@@ -145,7 +145,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         "the generic filter of the errors of two systems, the INS never corrected, slow",
         "bench.navigation.classic.error_ekf:ErrorEkfEstimator",
         "ClassicOptions",
-        {**_NO_FORM, "feedback": False},
+        {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
     ),
     "fixed-gain": BuiltIn(
         "classic-22 with the gain of a settled filter throughout, slow",

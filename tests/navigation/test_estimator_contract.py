@@ -388,6 +388,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
             "unknown option 'gate'\n  known options: adaptive_noise, airspeed, alpha_deg",
         ),
         ("free-inertial", {"gnss": True}, "option 'gnss' is fixed to false; leave it out"),
+        ("error-ekf", {"admissible_deg": 2.0}, "option 'admissible_deg' is fixed to 1; leave it out"),
         (
             "free-inertial",
             {"gate": 1},
