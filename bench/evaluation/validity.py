@@ -80,7 +80,8 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
         text = f"{name}: {gaps} {format_number(steps[k], 3)} s before row {k + 2}, at {t[k]:.2f} s"
         found.append(Check(f"{name}_gaps", float(len(long)), text, False))
     if len(bad):
-        text = f"{name}: {len(bad)} rows are flagged or hold no finite number, the first is row {bad[0] + 1}"
+        what = "are flagged, lie at latitude 0, longitude 0" if name == "gnss" else "are flagged"
+        text = f"{name}: {len(bad)} rows {what} or hold no finite number, the first is row {bad[0] + 1}"
         found.append(Check(f"{name}_invalid_rows", float(len(bad)), text, False))
     return found
 

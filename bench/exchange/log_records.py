@@ -22,6 +22,7 @@ from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.imports.navego_structures import list_sensors
+from bench.exchange.row_selection import drop_others, drop_repeated, drop_unreported
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
 from bench.instruments import BaroData
@@ -31,8 +32,6 @@ from bench.units import SAME_INSTANT
 
 MOST_INSTANTS = 400_000
 """Most instants of a solution, each of some kB: 11 hours at 10 Hz."""
-HELD = 0.05
-"""Fixes in steps shorter than this may be repetitions [s]: few receivers have more than 20 a second."""
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
 
@@ -99,8 +98,10 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         raise ConfigError(f"{shown}: row {k + 1}: its time is not a finite number")
     if kind == "imu" and len(rows.t) < 2:
         raise ConfigError(f"{shown}: one row; an IMU record needs at least two")
+    if kind == "imu":
+        rows = drop_others(rows, shown)
     if kind == "gnss":
-        rows = _drop_repeated(rows, shown)
+        rows = drop_unreported(drop_repeated(rows, shown), shown)
     values = dict(rows.values)
     if "arrival" in values:
         values["arrival"] = _add(values["arrival"], source.time_offset)
@@ -117,29 +118,6 @@ def _is_navego(source: SourceSpec, kind: str) -> bool:
         return False
     name = source.topic or kind
     return any(one == name or one.endswith(f".{name}") for one in list_sensors(source.path, kind))
-
-
-def _drop_repeated(rows: LogRows, shown: str) -> LogRows:
-    """Return the rows where a fix is new, if a table repeats each until the next, at the rate of an IMU."""
-    steps = np.diff(rows.t)
-    if not len(steps) or float(np.median(steps)) > HELD:
-        return rows
-    fix = [rows.values[name] for name in ("lla", "vel_n") if name in rows.values]
-
-    def differ(block: slice) -> BoolArray:
-        first = max(block.start - 1, 0)
-        near = np.column_stack([column[first : block.stop] for column in fix])
-        same = (near[1:] == near[:-1]) | (np.isnan(near[1:]) & np.isnan(near[:-1]))
-        other = ~same.all(axis=1)
-        return other if block.start else np.concatenate([[True], other])
-
-    new = np.flatnonzero(disk_arrays.fill(len(rows.t), differ, np.bool_))
-    if 2 * len(new) > len(rows.t):
-        return rows
-    used = f"the {len(new)} of {len(rows.t)} that are new are used"
-    note = f"{shown}: most rows repeat the fix before them; {used}"
-    values = {name: disk_arrays.take(value, new) for name, value in rows.values.items()}
-    return LogRows(disk_arrays.take(rows.t, new), values, (*rows.notes, note))
 
 
 def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
@@ -174,7 +152,8 @@ def _make_imu(rows: LogRows, spec: LogSpec, origin: float) -> ImuData:
     q_bs = multiply(from_euler(*spec.misalignment), from_euler(*spec.mounting))
 
     def turn(of: FloatArray, block: slice) -> FloatArray:
-        return rotate(q_bs, integrate(of, block))
+        with np.errstate(invalid="ignore"):  # infinite values; such rows are not valid
+            return rotate(q_bs, integrate(of, block))
 
     dtheta_b, dvel_b = (disk_arrays.fill((len(t), 3), partial(turn, of)) for of in (gyro, accel))
     good = disk_arrays.fill(len(t), find_finite, np.bool_) & _find_flagged(rows)
@@ -219,7 +198,7 @@ def _make_fixes(rows: LogRows, spec: LogSpec, origin: float) -> GnssFixes:
             raise ConfigError(f"{shown}: row {k + 1}: {text}")
     t = rows.t - origin
     vel_n = _shift_velocities(t, values.get("vel_n"), spec.velocity_offset, shown)
-    valid = np.asarray(np.isfinite(lla).all(axis=1)) & _find_flagged(rows)
+    valid = np.asarray(np.isfinite(lla).all(axis=1)) & lla[:, :2].any(axis=1) & _find_flagged(rows)
     if spec.quality:
         if "quality" not in values:
             raise ConfigError(f"{shown}: [gnss] quality is set, but the file has no column quality")
@@ -293,12 +272,16 @@ def _weigh_by_report(
 
 
 def _make_covariance(values: Mapping[str, FloatArray], block: str, otherwise: FloatArray) -> FloatArray:
-    """Return covariances (N, 3, 3): reported as such, or of reported or else other sd (N, 3)."""
+    """Return covariances (N, 3, 3) as reported; of other sd (N, 3) along an axis where none above 0 is."""
     if f"cov_{block}" in values:
-        return values[f"cov_{block}"].reshape(-1, 3, 3)
-    sd = values.get(f"sd_{block}", otherwise)
-    cov = np.zeros((len(sd), 3, 3))
-    cov[:, range(3), range(3)] = sd**2
+        cov = values[f"cov_{block}"].reshape(-1, 3, 3).copy()
+        variance = np.einsum("mii->mi", cov).copy()
+    else:
+        sd = values.get(f"sd_{block}", otherwise)
+        cov, variance = np.zeros((len(sd), 3, 3)), np.where(sd > 0, sd, np.nan) ** 2
+    known = np.isfinite(variance) & (variance > 0)
+    cov[~(known[:, :, None] & known[:, None, :] & np.isfinite(cov))] = 0.0
+    cov[:, range(3), range(3)] = np.where(known, variance, otherwise**2)
     return cov
 
 

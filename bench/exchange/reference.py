@@ -78,7 +78,7 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         if "quality" not in values:
             raise ConfigError(f"{shown}: [reference] quality is set, but the file has no column quality")
         good &= np.isin(values["quality"], spec.quality)
-    good &= np.isfinite(lla).all(axis=1) & np.isfinite(t)
+    good &= np.isfinite(lla).all(axis=1) & lla[:, :2].any(axis=1) & np.isfinite(t)
     for block in (vel_n, q_nb):
         known = np.asarray(np.isfinite(block).all(axis=1))
         if 2 * known.sum() > len(known):
@@ -127,9 +127,9 @@ def _make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n
         if f"cov_{block}" in values:
             cov[:, part, part] = values[f"cov_{block}"].reshape(-1, 3, 3)
         elif f"sd_{block}" in values:
-            cov[:, part, part] = np.square(values[f"sd_{block}"])[:, :, None] * np.eye(3)
+            cov[:, part, part] = np.square(np.maximum(values[f"sd_{block}"], 0.0))[:, :, None] * np.eye(3)
     if sd_phi is not None:
-        cov[:, 6:, 6:] = np.square(sd_phi)[:, :, None] * np.eye(3)
+        cov[:, 6:, 6:] = np.square(np.maximum(sd_phi, 0.0))[:, :, None] * np.eye(3)
     return np.nan_to_num(cov)
 
 

@@ -10,7 +10,7 @@ import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +26,7 @@ MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
 _MOST_HEADER = 1_000_000  # longest line, the header included [byte]
 _BLOCK = 1 << 20  # read at a time [byte]
+_COMMENTS = ("#", "%")  # how lines above the header begin
 
 UNITS = {
     "time": ("s",),
@@ -113,7 +114,8 @@ def read_table(
     Parameters
     ----------
     path : Path
-        ``.csv`` with a header, ``.parquet``, or ``.mat`` (up to version 7) with a vector per column.
+        ``.csv`` with a header (`_read_header`), ``.parquet``, or ``.mat`` (to version 7) with a vector per
+        column.
     kinds : mapping
         Kind -> alternative groups of columns; the first complete one is used.
     optional : sequence of str
@@ -140,6 +142,8 @@ def read_table(
         names, batches = _open(path, most_rows, structure)
         chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
+        if twice := [name for name in wanted if names.count(name) > 1]:
+            raise ConfigError(f"{shown}: more than one column is named {twice[0]!r}; rename those not meant")
         columns = {kind: disk_arrays.Gathered(len(one)) for kind, one in chosen.items()}
         count = 0
         for batch in batches(wanted):
@@ -188,7 +192,9 @@ def read_columns(path: Path, names: Sequence[str], most_rows: int) -> dict[str, 
             if sum(len(part[names[0]]) for part in parts) >= most_rows:
                 break
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise ConfigError(f"{path.name}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+        row = _find_bad_row(path, names) if isinstance(error, pa.ArrowException) else ""
+        reason = f"cannot be read: {' '.join(str(error).split())[:200]}"
+        raise ConfigError(f"{path.name}: {row or reason}") from None
     if not parts:
         raise ConfigError(f"{path.name}: no rows")
     return {name: np.concatenate([part[name] for part in parts])[:most_rows] for name in names}
@@ -206,21 +212,55 @@ def _open_table(path: Path, most_rows: int = 1) -> tuple[list[str], Batches]:
 Batches = Callable[[Sequence[str]], Iterator[Mapping[str, FloatArray]]]
 
 
+class _Header(NamedTuple):
+    names: list[str]
+    lines: int  # of the file to its end
+    separator: str
+
+
+def _read_header(path: Path) -> _Header:
+    """Return the header of a CSV file, whose columns a comma, a semicolon or a tab separates.
+
+    Empty lines and comments (#, %) above it do not count; the last comment is the header if numbers follow.
+    """
+    lines, comment = 0, ""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            while line := file.readline(_MOST_HEADER):
+                if line.strip() and not line.lstrip().startswith(_COMMENTS):
+                    break
+                lines, comment = lines + 1, line.strip() or comment
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path.name}: not a text file in UTF-8") from None
+    above, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
+    cells, named = _split(line, separator), _split(above, _find_separator(above))
+    if comment and len(cells) == len(named) and all(map(_is_number, cells)):
+        return _Header(named, lines, separator)
+    return _Header(cells, lines + 1, separator)
+
+
+def _find_separator(line: str) -> str:
+    return next((mark for mark in (",", ";", "\t") if mark in line), ",")
+
+
+def _split(line: str, separator: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+
+
 def _open_csv(path: Path, most_rows: int) -> tuple[list[str], Batches]:
     """Return the names in the header, and a function that yields wanted columns block by block."""
     import pyarrow as pa
     from pyarrow import csv as pa_csv
 
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        first = file.readline(_MOST_HEADER)
-    names = [name.strip() for name in next(csv.reader([first]), [])]
+    names, lines, separator = _read_header(path)
 
     def batches(wanted: Sequence[str]) -> Iterator[Mapping[str, FloatArray]]:
         reader = pa_csv.open_csv(
             path,
             read_options=pa_csv.ReadOptions(
-                use_threads=False, block_size=_BLOCK, skip_rows=1, column_names=names
+                use_threads=False, block_size=_BLOCK, skip_rows=lines, column_names=names
             ),
+            parse_options=pa_csv.ParseOptions(delimiter=separator),
             convert_options=pa_csv.ConvertOptions(
                 include_columns=list(wanted), column_types=dict.fromkeys(wanted, pa.float64())
             ),
@@ -236,12 +276,17 @@ def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
     """Return a message on the first row of a CSV file with a wanted column that is not a number, or ""."""
     if path.suffix.lower() in (".parquet", ".mat"):
         return ""
+    from pyarrow import csv as pa_csv
+
+    names, lines, separator = _read_header(path)
+    empty = set(pa_csv.ConvertOptions().null_values)
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        names = [name.strip() for name in next(csv.reader([file.readline(_MOST_HEADER)]), [])]
+        for _ in range(lines):
+            file.readline(_MOST_HEADER)
         row = 0
         while line := file.readline(_MOST_HEADER):
             try:
-                cells = next(csv.reader([line.replace("\0", "?")]), [])
+                cells = next(csv.reader([line.replace("\0", "?")], delimiter=separator), [])
             except csv.Error as error:
                 return f"row {row + 1}: {error}"
             if not cells:
@@ -250,7 +295,7 @@ def _find_bad_row(path: Path, wanted: Sequence[str]) -> str:
             if len(cells) != len(names):
                 return f"row {row}: {len(cells)} columns, the header has {len(names)}"
             for name, cell in zip(names, cells, strict=True):
-                if name in wanted and not _is_number(cell):
+                if name in wanted and cell not in empty and not _is_number(cell):
                     return f"row {row}: {name} = {cell[:40]!r} is not a number"
     return ""
 
@@ -260,7 +305,7 @@ def _is_number(cell: str) -> bool:
         float(cell or "nan")
     except ValueError:
         return False
-    return True
+    return cell.isascii() and "_" not in cell  # unlike for Python
 
 
 def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
@@ -288,10 +333,11 @@ def _open_parquet(path: Path, most_rows: int) -> tuple[list[str], Batches]:
 
 
 def _to_floats(batch: Any, wanted: Sequence[str]) -> dict[str, FloatArray]:
+    """Return columns of a block; nanoseconds since 1970 are rounded to 256 ns."""
     import pyarrow as pa
 
     return {
-        name: np.asarray(batch.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False))
+        name: np.asarray(batch.column(name).cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
         for name in wanted
     }
 

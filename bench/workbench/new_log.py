@@ -22,21 +22,40 @@ from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.rows import MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
 from bench.files import check_file, read_json
-from bench.units import split_unit
+from bench.units import ENDINGS, split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
 _TEXT = ".txt"  # of numbers without names: increments and fixes of KF-GINS
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
+_BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
 _SEVERAL = (".ulg", ".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
 _DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
 _FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
+_UNKNOWN = -1.0  # that receivers write for a standard deviation they do not know
+_FASTEST = 10.0  # median angular rate of no vehicle [rad/s]
+_IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
+_REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
+_WRITTEN = {unit.symbol.replace("^", "").lower(): ending for ending, unit in ENDINGS.items()}
+"""Unit in brackets behind a name -> ending."""
+_FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|km/?h|kph|kno?ts?|kn|mph|min|h|hours?")
+"""Units that no column of a log has."""
+_SPELLINGS = {
+    "°": "deg",
+    "degrees": "deg",
+    "dps": "deg/s",
+    "µ": "u",
+    "μ": "u",
+    "²": "2",
+    "/s1": "/s",
+    "sec": "s",
+}
 _MOST_CONFIGURATION = 1_000_000  # [byte]
 _SHARE = 0.25  # of a short record that passes before it is judged
 
 
-def _guess_time(t: FloatArray) -> str:
-    step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) if len(t) > 1 else 1.0
-    return next((unit for most, unit in ((2.0, "s"), (2e3, "ms"), (2e6, "us")) if step < most), "ns")
+def _guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
+    step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) / longest if len(t) > 1 else 0.0
+    return next((unit for most, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us")) if step < most), "ns")
 
 
 def _guess_rate(rate: FloatArray) -> str:
@@ -49,7 +68,7 @@ def _guess_turn(dtheta: FloatArray) -> str:
 
 def _guess_force(force: FloatArray) -> str:
     size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
-    return "g" if size < 3.0 else "m_s2" if size < 100.0 else "mg"
+    return "" if size < 0.3 else "g" if size < 3.0 else "m_s2" if size < 100.0 else "mg"
 
 
 def _guess_angle(angle: FloatArray) -> str:
@@ -70,28 +89,31 @@ def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Qu
     return _Quantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
 
 
-_TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|tow|sec(onds?)?",), _guess_time)
+_TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), _guess_time)
 _INCREMENTS = (
     _TIME,
     _name_axes("dtheta", "d(elta_?)?theta", _guess_turn),
     _name_axes("dvel", "d(elta_?)?v(el|elocity)?", lambda _: "m_s"),
 )
 _VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
+
+
+def _name_velocity(third: str, word: str) -> _Quantity:
+    patterns = tuple(_VELOCITY.format(words) for words in ("n|north", "e|east", f"{third}|{word}"))
+    return _Quantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
+
+
 _RATES = (
     _TIME,
-    _name_axes("gyro", r"gyro?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
+    _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
     _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
 )
 _FIX = (
     _TIME,
     _Quantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
     _Quantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
-    _Quantity(
-        ("vel_n", "vel_e", "vel_d"),
-        tuple(_VELOCITY.format(word) for word in ("n|north", "e|east", "d|down")),
-        lambda _: "mps",
-        needed=False,
-    ),
+    _name_velocity("d", "down"),
+    _name_velocity("u", "up"),
 )
 _HEIGHT = (_TIME, _Quantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
 _KINDS: Mapping[str, tuple[tuple[_Quantity, ...], ...]] = {
@@ -111,6 +133,7 @@ class _Found(NamedTuple):
     structure: str = ""  # of a MATLAB file
     others: tuple[str, ...] = ()  # structures alike
     form: str = ""  # where the ending does not tell the format
+    turns: bool = False  # it has an attitude too, as no receiver measures it
 
 
 def new_log(name: str, *, console: Console) -> None:
@@ -130,14 +153,14 @@ def new_log(name: str, *, console: Console) -> None:
         written then.
     """
     path = Path(name)
-    if path.is_dir():
+    if path.is_dir() and not any(path.glob(_BAG)):
         raise ConfigError(f"{path}: a folder; name the file in it with the IMU")
     log = path.with_suffix(".toml")
     if log.exists() or log.is_symlink():
         raise ConfigError(f"{log}: exists already and is not replaced")
     if not path.exists():
         raise ConfigError(f"{path}: no such file")
-    if path.suffix.lower() in _SEVERAL:
+    if path.is_dir() or path.suffix.lower() in _SEVERAL:
         found = {kind: _Found(path, {}, ()) for kind in ("imu", "gnss")}
     elif path.suffix.lower() == _TEXT:
         found = _find_texts(path)
@@ -166,23 +189,33 @@ def _find_tables(path: Path) -> dict[str, _Found]:
     """Return the table of each sensor: the file itself if it has the columns, else one beside it."""
     beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in _TABLES and p != path)
     found: dict[str, _Found] = {}
+    wrong: list[ConfigError] = []
     for kind in _KINDS:
+        matches: list[_Found] = []
         for place in (path, *beside) if kind != "imu" else (path,):
             try:
-                match = _find_sensor(place, kind)
-            except ConfigError:
+                match = _find_sensor(place, kind, _IMU_STEP if place == path else _OTHER_STEP)
+            except ConfigError as error:
                 if place == path:
                     raise
-                continue  # another file that is not a table
+                wrong.append(error)  # or another file that is not a table
+                continue
             if match is not None:
-                found[kind] = match
-                break
+                matches.append(match)
+                if not match.turns:
+                    break
+        if matches:
+            found[kind] = min(matches, key=lambda match: match.turns)
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
         there = ", ".join(list_columns(path)[:30])[:300]
-        where = ", there or in a table beside it" if missing[0] == "gnss" else ""
+        where = ""
+        if missing[0] == "gnss":
+            named = ", ".join(place.name for place in beside[:10])
+            where = f", there or in a table beside it ({named or 'there is none'})"
+        because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide own-log"
         raise ConfigError(
-            f"{path.name}: no columns that look like those of {missing[0]}{where}; it has {there or 'none'}; "
-            "name them in a log of your own: bench guide own-log"
+            f"{path.name}: no columns that look like those of {missing[0]}{where}; it has {there or 'none'}"
+            f"{because}"
         )
     return found
 
@@ -190,59 +223,78 @@ def _find_tables(path: Path) -> dict[str, _Found]:
 def _find_texts(path: Path) -> dict[str, _Found]:
     """Return the files of increments and fixes of KF-GINS; numbers without names are told by their values."""
     imu = imports.read("kf-gins", path, "imu", None)
-    force = np.linalg.norm(imu.values["dvel"][1:], axis=1) / np.diff(imu.t)
-    if not _FORCES[0] < np.median(force) < _FORCES[1]:
+    steps = np.diff(imu.t, prepend=np.nan)
+    forward = steps > 0
+    rate, force = (
+        float(np.nanmedian(np.linalg.norm(imu.values[name][forward], axis=1) / steps[forward]))
+        if forward.any()
+        else np.nan
+        for name in ("dtheta", "dvel")
+    )
+    if not (_FORCES[0] < force < _FORCES[1] and rate < _FASTEST):
         raise ConfigError(
             f"{path.name}: no increments of an IMU as KF-GINS has them: second of week, angles [rad] and "
             "velocities [m/s] forward, right, down"
         )
-    for place in sorted(path.parent.glob(f"*{_TEXT}")):
-        if place != path and _has_fixes(place, imu.t):
+    faults = []
+    for place in sorted(one for one in path.parent.iterdir() if one.suffix.lower() == _TEXT and one != path):
+        if not (fault := _find_fault(place, imu.t)):
             files = {"imu": path, "gnss": place}
             return {kind: _Found(file, {}, (), form="kf-gins") for kind, file in files.items()}
+        faults.append(fault)
     raise ConfigError(
         f"{path.name}: no fixes beside it, as KF-GINS has them: a {_TEXT} with second of week, latitude, "
-        "longitude [deg], height and three standard deviations [m]"
+        f"longitude [deg], height, three standard deviations [m]; {'; '.join(faults[:3]) or 'there is none'}"
     )
 
 
-def _has_fixes(path: Path, imu_t: FloatArray) -> bool:
-    """Tell whether a text holds fixes of the time of an IMU; where increments are negative, no sd is."""
+def _find_fault(path: Path, imu_t: FloatArray) -> str:
+    """Return why a text does not hold the fixes beside an IMU; empty if it does."""
     try:
         fixes = imports.read("kf-gins", path, "gnss", None)
-    except ConfigError:
-        return False
-    lat, lon, _ = np.abs(fixes.values["lla"]).max(axis=0)
-    together = fixes.t[0] <= imu_t[-1] and imu_t[0] <= fixes.t[-1]
-    return bool(together and lat <= 0.5 * np.pi and lon <= 2 * np.pi and (fixes.values["sd_pos"] >= 0).all())
+    except ConfigError as error:
+        return str(error)
+    first, last = fixes.t.min(), fixes.t.max()
+    if not (first <= imu_t.max() and imu_t.min() <= last):
+        return f"{path.name}: its times, {first:.9g} to {last:.9g} s, do not overlap those of the IMU"
+    lat, lon, _ = np.abs(fixes.values["lla"]).T
+    sd = fixes.values["sd_pos"]
+    wrong = (
+        (lat > 0.5 * np.pi) | (lon > 2 * np.pi) | ((sd < 0) & (sd != _UNKNOWN)).any(axis=1)
+    )  # an increment is
+    if wrong.any():
+        return f"{path.name}: row {int(np.argmax(wrong)) + 1} holds no fix"
+    return ""
 
 
-def _find_sensor(path: Path, kind: str) -> _Found | None:
-    """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none."""
+def _find_sensor(path: Path, kind: str, longest: float) -> _Found | None:
+    """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none.
+
+    ``longest``: step of the times of the table [s].
+    """
     names, structures = list_columns(path), [""]
     if path.suffix.lower() == ".mat":
         if whole := list_sensors(path, kind):
             return _Found(path, {}, (), whole[0], tuple(whole[1:]))
         dots = {name[: dot.start() + 1] for name in names for dot in re.finditer(r"\.", name)}
+        longest = _IMU_STEP if kind == "imu" else _OTHER_STEP  # a structure has times of its own
         structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
-    matches = [
-        next((way for q in _KINDS[kind] if (way := _match_columns(path, names, prefix, q)) is not None), None)
-        for prefix in structures
-    ]
-    found = [match for match in matches if match is not None]
+    found: list[_Found] = []
+    for prefix in structures:
+        ways = (_match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
+        found += [way for way in ways if way is not None][:1]
     if not found:
         return None
+    found.sort(key=lambda match: match.turns)
     return found[0]._replace(others=tuple(one.structure for one in found[1:] if one.structure))
 
 
 def _match_columns(
-    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_Quantity, ...]
+    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_Quantity, ...], longest: float
 ) -> _Found | None:
     """Return the columns of a sensor among the names with a prefix; None if one that it needs is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
-    plain = {
-        name: split_unit(re.sub(r"[\[(].*", "", name).strip().lower().replace(" ", "_")) for name in inside
-    }
+    plain = {name: _split_name(name) for name in inside}
     columns: dict[str, str] = {}
     guessed: list[str] = []
     for quantity in quantities:
@@ -252,18 +304,42 @@ def _match_columns(
             if quantity.needed:
                 return None
             continue
-        units = {plain[name][1] for name in known}
-        if "" in units:
+        endings = [plain[name][1] for name in known]
+        if foreign := next((name for name in known if _FOREIGN.fullmatch(plain[name][1])), None):
+            text = f"{foreign!r} is in a unit that no column of a log has; convert it: bench guide own-log"
+            raise ConfigError(f"{path.name}: {text}")
+        if "" in endings:
             whole = [f"{prefix}{name}" for name in known]
-            unit = quantity.guess(np.column_stack(list(read_columns(path, whole, MOST_ROWS).values())))
+            values = np.column_stack(list(read_columns(path, whole, MOST_ROWS).values()))
+            unit = _guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
+            if not unit:
+                text = (
+                    "too small for m/s^2, g or mg with gravity; increments are dtheta_x_rad, dvel_x_mps ..."
+                )
+                raise ConfigError(f"{path.name}: {', '.join(known)}: {text}: bench guide own-log")
             guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
-            columns |= {f"{stem}_{unit}": name for stem, name in zip(quantity.stems, known, strict=True)}
-        else:
-            for stem, name in zip(quantity.stems, known, strict=True):
-                lowered = name.lower()
-                ending = lowered[len(plain[name][0]) :]
-                columns[f"{stem}{ending}"] = name
-    return _Found(path, columns, tuple(guessed), prefix.removesuffix("."))
+            endings = [f"_{unit}"] * len(known)
+        columns |= {
+            f"{stem}{ending}": name for stem, ending, name in zip(quantity.stems, endings, known, strict=True)
+        }
+    turns = any(re.fullmatch(r"(.*_)?(pitch|q(_nb|_eb)?_?w)", stem) for stem, _ in plain.values())
+    return _Found(path, columns, tuple(guessed), prefix.removesuffix("."), turns=turns)
+
+
+def _split_name(name: str) -> tuple[str, str]:
+    """Return the words of a name, and the ending of its unit, which may stand in brackets behind them.
+
+    A unit that no column of a log has is returned as it is; empty if there is none.
+    """
+    words, _, bracket = re.sub(r"[\])].*", "", name.lower().replace("[", "(")).partition("(")
+    words = words.strip().lstrip("#").strip().replace(" ", "_")
+    stem = split_unit(words)[0]
+    if stem != words:
+        return stem, words[len(stem) :]
+    written = re.sub(r"[\s^]", "", re.sub(r"[ *·]+s\^?-", "/s", bracket.strip()))
+    for theirs, ours in _SPELLINGS.items():
+        written = written.replace(theirs, ours)
+    return stem, written if _FOREIGN.fullmatch(written) else _WRITTEN.get(written, "")
 
 
 def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
@@ -318,6 +394,9 @@ def _write_log(title: str, found: Mapping[str, _Found], antenna: tuple[list[floa
     if antenna is not None:
         place, says = antenna
         asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {says}"]
+    if found["imu"].path.suffix.lower() in _REP_103:
+        text = "# its axes are those of REP 103, forward, left, up?          mounting_deg = [180.0, 0.0, 0.0]"
+        asked["imu"][0] = text
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
         if one.form:

@@ -356,6 +356,23 @@ def test_a_solution_of_rtklib(tmp_path, made, week):
     assert set(found.fixes.satellites) == {14}
 
 
+@pytest.mark.parametrize(("system", "late"), [("GPST", 0), ("UTC", 18), ("JST", 18 - 9 * 3600)])
+def test_times_of_rtklib_become_gps_times(tmp_path, made, system, late):
+    """By their header; a comma or semicolon may separate, and heights above the geoid are told."""
+    path = rtklib(tmp_path / "r.pos", made)
+    text = path.read_text().replace("%  GPST ", f"%  {system} ").replace(" ", ",;"[late > 0])
+    path.write_text("\ufeff% (lat/lon/height=WGS84/geodetic,Q=1:fix)\n" + text, encoding="utf-8")
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(made["imu"]))
+    found = log(tmp_path, "imu.csv", "r.pos", imu_more=f"time_offset_s = {SINCE_1980 + late}")
+    assert_allclose(found.fixes.t, made["gnss"]["t"] - made["imu"]["t"][0], atol=2e-6)
+    assert_allclose(found.fixes.vel_n, made["gnss"]["vel_n"], atol=2e-6)
+    told = [note.partition(" its heights")[0] for note in found.notes]
+    assert told == [
+        "r.pos:",
+        *([f"r.pos: {late:+d} s from {system}, which its header names, to GPS time"] * (late != 0)),
+    ]
+
+
 # --- what a file cannot be ----------------------------------------------------------------------------
 
 

@@ -53,7 +53,54 @@ def test_fixes_repeated_at_the_rate_of_the_imu_are_thinned_and_that_is_said(tmp_
     found = read_records(load_log(str(path)))
     assert_allclose(found.fixes.t, whole.fixes.t, atol=1e-9)
     assert_allclose(found.fixes.lla, whole.fixes.lla)
-    assert [note for note in found.notes if "most rows repeat the fix before them" in note]
+    assert [note for note in found.notes if "most rows repeat a fix or have none" in note]
+
+
+@pytest.mark.parametrize("nothing", [np.nan, 0.0, None])
+def test_rows_without_a_fix_between_those_with_one_are_left_out(tmp_path, nothing):
+    """Empty or zeros at the rate of the IMU, with velocities at each row; None: the position is held."""
+    path = drives.write_log(tmp_path)
+    made = drives.sensed()
+    t, columns = made["imu"]["t"], drives.gnss_columns(made["gnss"])
+    held = np.searchsorted(columns["t_s"], t + 1e-9, "right") - 1
+    new = (np.diff(held, prepend=-1) != 0) & (held >= 0)
+    rows = {name: values[np.maximum(held, 0)] for name, values in columns.items()}
+    for name in ("lat_deg", "lon_deg", "alt_m"):
+        rows[name] = np.where(new if nothing is not None else held >= 0, rows[name], nothing or 0.0)
+    for name in ("vel_n_mps", "vel_e_mps", "vel_d_mps"):
+        rows[name] = np.interp(t, columns["t_s"], columns[name])
+    whole = read_records(load_log(str(path)))
+    drives.write_csv(tmp_path / "gnss.csv", rows | {"t_s": t})
+    found = read_records(load_log(str(path)))
+    assert_allclose(found.fixes.t, whole.fixes.t, atol=1e-9)
+    assert_allclose(found.fixes.lla, whole.fixes.lla)
+    assert found.fixes.valid.all()
+    assert [f"the {len(whole.fixes)} of {len(t)} that are new" in note for note in found.notes] == [True]
+
+
+def test_rows_of_a_receiver_among_those_of_the_imu_take_no_time_from_it(tmp_path):
+    """A table of both, in the order of time; a row that the IMU missed stays one."""
+    path = drives.write_log(tmp_path)
+    imu, gnss = (make(drives.sensed()[kind]) for kind, make in MAKERS.items())
+    for name in list(imu)[1:]:
+        imu[name][7005] = np.nan
+    gnss["t_s"] = gnss["t_s"] + 0.003
+    t = np.concatenate([imu.pop("t_s"), gnss.pop("t_s")])
+    order = np.argsort(t)
+    both = {name: np.append(values, np.full(len(t) - len(values), np.nan)) for name, values in imu.items()}
+    both |= {name: np.append(np.full(len(t) - len(values), np.nan), values) for name, values in gnss.items()}
+    whole = read_records(load_log(str(path)))
+    drives.write_csv(tmp_path / "all.csv", {name: rows[order] for name, rows in ({"t_s": t} | both).items()})
+    path.write_text(path.read_text().replace("imu.csv", "all.csv").replace("gnss.csv", "all.csv"))
+    found = read_records(load_log(str(path)))
+    assert_allclose(found.imu.t, whole.imu.t)
+    assert_allclose(found.imu.dt, whole.imu.dt)
+    assert_array_equal(np.flatnonzero(~found.imu.valid), [7005])
+    assert_allclose(found.fixes.lla, whole.fixes.lla)
+    assert ["750 rows among those of the IMU" in note for note in found.notes].count(True) == 1
+
+
+MAKERS = {"imu": drives.imu_columns, "gnss": drives.gnss_columns}
 
 
 def write_structures(folder, *units):

@@ -594,7 +594,7 @@ ROW = b"0.%d,0,0,0,0,0,-9.8\n"
         ("imu.csv", HEADER + ROW % 1 + ROW % 1, "its times never increase"),
         ("imu.csv", HEADER + ROW % 1 + b"nan,0,0,0,0,0,-9.8\n", "row 2: its time is not a finite number"),
         ("imu.csv", HEADER.replace(b"gyro_x_rad_s", b"gyro_x_m") + ROW % 1, "must end in its unit"),
-        ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: cannot be read"),
+        ("imu.csv", b"\xff\xfe" + bytes(range(256)) * 10, "imu.csv: not a text file in UTF-8"),
         ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600\n2,91,11,600\n", "row 2: latitude 91 deg"),
         ("gnss.csv", b"t_s,lat_rad,lon_rad,alt_m\n1,47,11,600\n", "row 1: latitude"),
         ("gnss.csv", b"t_s,lat_deg,lon_deg,alt_m\n1,47,11,600000\n", "row 1: height"),

@@ -147,3 +147,129 @@ def test_what_cannot_be_found_is_said_and_nothing_is_written(tmp_path, capsys):
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == 2
     assert (tmp_path / "imu.toml").read_text() == "mine"
     assert main(["new", "log"]) == 2
+
+
+def write_theirs(folder, imu_names, gnss_names, *, rate=1.0, force=1.0, t=1.0, height=1.0, speed=1.0):
+    """Write the drive under other names, its values times factors; return the file of the IMU."""
+    made = drives.sensed()
+    imu, gnss = (list(make(made[kind]).values()) for kind, make in MAKERS.items())
+    factors = [t, *[rate] * 3, *[force] * 3]
+    theirs = {name: f * column for name, f, column in zip(imu_names, factors, imu, strict=True)}
+    drives.write_csv(folder / "imu.csv", theirs)
+    factors = [t, 1.0, 1.0, height, *speed * np.ones(3)]
+    theirs = {name: f * column for name, f, column in zip(gnss_names, factors, gnss[:7], strict=True)}
+    drives.write_csv(folder / "gnss.csv", theirs)
+    return folder / "imu.csv"
+
+
+MAKERS = {"imu": drives.imu_columns, "gnss": drives.gnss_columns}
+IMU = ["t_s", *[f"gyro_{a}_rad_s" for a in "xyz"], *[f"accel_{a}_m_s2" for a in "xyz"]]
+GNSS = ["t_s", "lat", "lon", "alt", "vn", "ve", "vd"]
+
+
+def test_a_unit_in_brackets_is_not_guessed(tmp_path, capsys):
+    """As where the motion is so gentle that deg/s look like rad/s, and an hour like a minute."""
+    gyro, accel = (f"Gyroscope {{}} {unit}" for unit in ("(°/s)", "[dps]")), ("Acc {} [m s^-2]", "Acc {} (g)")
+    for k, (turn, force, time) in enumerate(zip(gyro, accel, ("Time (ms)", "Time [µs]"), strict=True)):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        names = [time, *[turn.format(a) for a in "XYZ"], *[force.format(a) for a in "XYZ"]]
+        path = write_theirs(folder, names, [time, *GNSS[1:]], rate=3.0, t=0.1)
+        assert main(["new", "log", str(path)]) == 0
+        columns = load_log(str(path.with_suffix(".toml"))).imu.columns
+        assert list(columns) == [("t_ms", "t_us")[k], *[f"gyro_{a}_deg_s" for a in "xyz"]] + [
+            f"accel_{a}_{('m_s2', 'g')[k]}" for a in "xyz"
+        ]
+    assert "Gyroscope X" not in "".join(
+        line for line in capsys.readouterr().out.splitlines() if "taken" in line
+    )
+
+
+@pytest.mark.parametrize("unit", ["(ft)", "[feet]"])
+def test_a_unit_that_no_column_has_is_refused(tmp_path, unit, capsys):
+    path = write_theirs(tmp_path, IMU, [*GNSS[:3], f"altitude {unit}", *GNSS[4:]], height=3.28084)
+    assert main(["new", "log", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert f"gnss.csv: 'altitude {unit}' is in a unit that no column of a log has; convert it" in said
+    assert not path.with_suffix(".toml").exists()
+
+
+@pytest.mark.parametrize(("t", "unit"), [(1e3, "ms"), (1e6, "us"), (1.0, "s"), (1e9, "ns")])
+@pytest.mark.parametrize("rate", [1000.0, 10.0])
+def test_the_unit_of_the_time_of_an_imu_is_guessed_from_10_to_1000_hz(tmp_path, t, unit, rate):
+    """1000 Hz in ms step by 1 as a slow receiver does in s."""
+    made = drives.sensed()
+    imu, gnss = drives.imu_columns(made["imu"]), drives.gnss_columns(made["gnss"])
+    count = 3000 if rate > 100 else 300
+    imu = {name: values[:count] for name, values in imu.items() if name != "t_s"}
+    times = np.arange(1, count + 1) / rate
+    drives.write_csv(tmp_path / "imu.csv", {"time": t * times} | imu)
+    drives.write_csv(
+        tmp_path / "gnss.csv", {"time": t * gnss.pop("t_s")[:20]} | {k: v[:20] for k, v in gnss.items()}
+    )
+    assert main(["new", "log", str(tmp_path / "imu.csv")]) == 0
+    log = load_log(str(tmp_path / "imu.toml"))
+    assert f"t_{unit}" in log.imu.columns
+    assert_allclose(read_records(log).imu.dt, 1.0 / rate, rtol=1e-6)
+
+
+def test_velocity_up_is_found(tmp_path):
+    path = write_theirs(tmp_path, IMU, [*GNSS[:6], "vel_up"])
+    assert main(["new", "log", str(path)]) == 0
+    found = read_records(load_log(str(path.with_suffix(".toml"))))
+    assert_allclose(found.fixes.vel_n, drives.sensed()["gnss"]["vel_n"] * [1.0, 1.0, -1.0], atol=1e-6)
+
+
+def test_a_solution_is_not_taken_for_fixes(tmp_path, capsys):
+    """A truth in a table or a structure, whose name comes first, is no receiver: it has an attitude."""
+    _, sensed = make_run(tmp_path / "run")
+    bench.export_run(tmp_path / "run", "navego", out=tmp_path / "mat", include=["truth"])
+    bench.export_run(tmp_path / "run", "python-ins", out=tmp_path / "out", include=["truth"])
+    bench.export_run(tmp_path / "run", "csv", out=tmp_path / "csv")
+    (tmp_path / "csv" / "gnss.csv").unlink()
+    (tmp_path / "csv" / "truth.parquet").write_bytes((tmp_path / "out" / "truth.parquet").read_bytes())
+    (tmp_path / "csv" / "ublox.parquet").write_bytes((tmp_path / "out" / "position.parquet").read_bytes())
+    for path in (tmp_path / "mat" / "navego.mat", tmp_path / "csv" / "imu.csv"):
+        assert main(["new", "log", str(path)]) == 0
+        found = read_records(load_log(str(path.with_suffix(".toml"))))
+        assert_allclose(found.fixes.lla, sensed.data.fixes.lla[sensed.data.fixes.valid], atol=1e-9)
+    capsys.readouterr()
+    assert main(["new", "log", str(tmp_path / "out" / "imu.parquet")]) == 2
+    assert "imu.parquet: accel_x, accel_y, accel_z: too small for m/s^2, g or mg" in capsys.readouterr().err
+
+
+def test_fixes_of_kf_gins_are_not_taken_for_increments(tmp_path, capsys):
+    """Standard deviations of 6 m each second are 10 m/s^2, but 47 deg of latitude no turn."""
+    fixes = np.column_stack([np.arange(20.0), *np.outer([47.0, 11.0, 600.0, 6.0, 6.0, 6.0], np.ones(20))])
+    np.savetxt(tmp_path / "gnss.txt", fixes)
+    assert main(["new", "log", str(tmp_path / "gnss.txt")]) == 2
+    assert "gnss.txt: no increments of an IMU as KF-GINS has them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "above", "end"),
+    [("txt", "\ufeff", "\r\n"), ("TXT", "# second, angles\n\n", "\n"), ("txt", "% x\n", "\n\n")],
+)
+def test_texts_of_kf_gins_have_rows_without_values_and_comments(tmp_path, name, above, end, capsys):
+    """A row of NaN in each, an unknown sd of -1, times that repeat; each fault beside it is said."""
+    made = drives.sensed()
+    imu, gnss = made["imu"], made["gnss"]
+    increments = np.column_stack([imu["t"], 0.01 * imu["gyro"], 0.01 * imu["accel"]])[:3000]
+    place = np.column_stack([np.rad2deg(gnss["lla"][:, :2]), gnss["lla"][:, 2]])
+    fixes = np.column_stack([gnss["t"], place, np.full((len(place), 3), 0.1)])[:150]
+    increments[7, 1:], fixes[7, 1:], fixes[8, 4:], increments[9, 0] = np.nan, np.nan, -1.0, increments[8, 0]
+    for file, rows in (("imu", increments), ("gnss", fixes)):
+        text = "".join(" ".join(f"{x:.12g}" for x in row) + end for row in rows)
+        (tmp_path / f"{file}.{name}").write_text(above + text, encoding="utf-8", newline="")
+    assert main(["new", "log", str(tmp_path / f"imu.{name}")]) == 0
+    found = read_records(load_log(str(tmp_path / "imu.toml")))
+    assert_array_equal(np.flatnonzero(~found.imu.valid), [7])
+    assert_array_equal(np.flatnonzero(~found.fixes.valid), [7])
+    assert_allclose(found.fixes.lla[-1], gnss["lla"][149], atol=1e-9)
+    (tmp_path / "imu.toml").unlink()
+    (tmp_path / f"gnss.{name}").write_text("1e5 47 11 600 1 1 1\n")
+    assert main(["new", "log", str(tmp_path / f"imu.{name}")]) == 2
+    assert f"gnss.{name}: its times, 100000 to 100000 s, do not overlap" in capsys.readouterr().err
+    (tmp_path / f"gnss.{name}").write_text("1 47 11 600 -0.5 1 1\n")
+    assert main(["new", "log", str(tmp_path / f"imu.{name}")]) == 2
+    assert f"gnss.{name}: row 1 holds no fix" in capsys.readouterr().err

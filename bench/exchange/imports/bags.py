@@ -175,7 +175,7 @@ def _make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
     lla = np.column_stack([np.deg2rad(numbers[:, 1:3]), numbers[:, 3]])
     lla[numbers[:, 7] < 0] = np.nan  # STATUS_NO_FIX
     values = {"lla": lla, "quality": numbers[:, 7]}
-    if np.isfinite(numbers[:, 4:7]).all():
+    if (numbers[:, 4:7] > 0).any():
         values["sd_pos"] = numbers[:, 4:7]
     if len(twist):
         order = np.argsort(twist[:, 0], kind="stable")
@@ -184,8 +184,7 @@ def _make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
         same = np.abs(twist[at, 0] - t) <= _SAME_STAMP
         values["vel_n"] = np.where(same[:, None], twist[at][:, [2, 1, 3]] * [1.0, 1.0, -1.0], np.nan)
         variance = twist[at][:, [5, 4, 6]]
-        if (variance[same] > 0).all() and same.any():
-            values["sd_vel"] = np.sqrt(variance)
+        values["sd_vel"] = np.sqrt(np.where(same[:, None] & (variance > 0), variance, np.nan))
     return LogRows(t, values)
 
 

@@ -20,12 +20,16 @@ _FIELDS = {"imu": {"t", "wb", "fb"}, "gnss": {"t", "lat", "lon", "h"}}
 
 
 def list_sensors(path: Path, kind: str) -> list[str]:
-    """Return the structures of a MATLAB file that hold an "imu" or "gnss" of NaveGo, shortest name first."""
+    """Return the structures of a MATLAB file that hold an "imu" or "gnss" of NaveGo, shortest name first.
+
+    One with an attitude, such as ``ref``, is the last choice.
+    """
     needed = _FIELDS.get(kind)
     if needed is None:
         return []
-    found = [name for name, fields in list_structures(read_mat(path)).items() if needed <= fields.keys()]
-    return sorted(found, key=lambda name: (len(name), name))
+    structures = list_structures(read_mat(path))
+    found = [name for name, fields in structures.items() if needed <= fields.keys()]
+    return sorted(found, key=lambda name: ("roll" in structures[name], len(name), name))
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:

@@ -11,9 +11,10 @@ RTKLIB: the ``.pos`` of RTKPOST and RNX2RTKP, whose last comment line names the 
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Callable, Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,17 @@ import numpy as np
 from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
+from bench.exchange.rinex.lines import leap_seconds
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES, TableColumns
 from bench.files import check_file
-from bench.signals.orbits import WEEK
+from bench.signals.orbits import DAY, WEEK
 
 _LINE = 4096  # longest line [characters]
 _EPOCH = datetime(1980, 1, 6)
+_SEPARATORS = re.compile("[,;]")  # that RTKLIB is asked for, if not white space
+_AHEAD_OF_UTC = {"UTC": 0, "JST": 32400}  # time systems of RTKLIB other than GPS time [s]
+_GEOID = "height=WGS84/geodetic"  # RTKLIB's word for heights above the geoid
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
@@ -38,7 +43,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         return _read_rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
-    numbers = _read_numbers(path, _read_lines(path), _parse_row, "a row of numbers")
+    numbers = _read_rows(path)
     columns = numbers.shape[1]
     if kind == "imu":
         if columns < 7:
@@ -67,7 +72,7 @@ def read_kf_gins_solution(path: Path) -> TableColumns:
     ConfigError
         If a file is not of these columns, or the two have other rows.
     """
-    rows = _read_numbers(path, _read_lines(path), _parse_row, "a row of numbers")
+    rows = _read_rows(path)
     if rows.shape[1] != 11:
         raise ConfigError(f"{path.name}: a solution of KF-GINS has 11 columns; this has {rows.shape[1]}")
     columns = {
@@ -78,7 +83,7 @@ def read_kf_gins_solution(path: Path) -> TableColumns:
     }
     beside = path.with_name(path.name.replace("Navresult.nav", "STD.txt"))
     if beside != path and beside.exists():
-        spread = _read_numbers(beside, _read_lines(beside), _parse_row, "a row of numbers")
+        spread = _read_rows(beside)
         if spread.shape[1] < 10 or not np.array_equal(spread[:, 0], rows[:, 1]):
             raise ConfigError(
                 f"{beside.name}: must have a time, 9 columns or more, and the times of {path.name}"
@@ -99,6 +104,7 @@ def read_kf_gins_solution(path: Path) -> TableColumns:
 
 def _read_rtklib(path: Path) -> LogRows:
     names: list[str] = []
+    notes: list[str] = []
 
     def rows() -> Iterator[str]:
         nonlocal names
@@ -106,7 +112,9 @@ def _read_rtklib(path: Path) -> LogRows:
             if not line.startswith("%"):
                 yield line
             elif "lat" in line or "x-ecef" in line:
-                names = line[1:].split()
+                names = _SEPARATORS.sub(" ", line[1:]).split()
+            if _GEOID in line and not notes:
+                notes.append(f"{path.name}: its heights are above the geoid, and are used as ellipsoidal")
 
     numbers = _read_numbers(path, rows(), _parse_solution, "a time and numbers")
     known = [name.partition("(")[0] for name in names[1:]]  # the first is the time system, of two columns
@@ -137,7 +145,21 @@ def _read_rtklib(path: Path) -> LogRows:
     else:
         raise ConfigError(f"{path.name}: no columns latitude, longitude, height or x-ecef, y-ecef, z-ecef")
     values |= {"quality": column.get("Q"), "satellites": column.get("ns")}
-    return LogRows(numbers[:, 0], {name: value for name, value in values.items() if value is not None})
+    t = numbers[:, 0]
+    if names[0] in _AHEAD_OF_UTC:
+        days = float(np.clip(np.nan_to_num(t[0]) / DAY, 0.0, 36500.0))  # a century; the week may be garbage
+        day = _EPOCH.date() + timedelta(days=days)
+        ahead = leap_seconds(day) - _AHEAD_OF_UTC[names[0]]
+        t = t + ahead
+        notes.append(f"{path.name}: {ahead:+d} s from {names[0]}, which its header names, to GPS time")
+    found = {name: value for name, value in values.items() if value is not None}
+    return LogRows(t, found, tuple(notes))
+
+
+def _read_rows(path: Path) -> FloatArray:
+    """Return the numbers of a text of KF-GINS; comments (#, %) do not count."""
+    lines = (line for line in _read_lines(path) if not line.lstrip().startswith(("#", "%")))
+    return _read_numbers(path, lines, _parse_row, "a row of numbers")
 
 
 def _parse_row(line: str) -> list[float]:
@@ -146,7 +168,7 @@ def _parse_row(line: str) -> list[float]:
 
 def _parse_solution(line: str) -> list[float]:
     """Return the GPS seconds since 1980-01-06 of date and time, or of week and second, and the numbers."""
-    day, clock, *rest = line.replace(",", " ").split()
+    day, clock, *rest = _SEPARATORS.sub(" ", line).split()
     if "/" in day:
         date = datetime.strptime(day, "%Y/%m/%d")
         hours, minutes, seconds = (float(part) for part in clock.split(":"))
@@ -160,7 +182,7 @@ def _read_lines(path: Path) -> Iterator[str]:
     """Yield the lines of a file that are not blank."""
     check_file(path, path.name, MOST_BYTES)
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             number = 0
             while line := file.readline(_LINE):
                 number += 1

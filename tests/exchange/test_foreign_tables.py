@@ -1,0 +1,75 @@
+"""Tables as other programs write them: separators, comments, header in a comment, integers, names twice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from bench.errors import ConfigError
+from bench.exchange.table_files import group, list_columns, read_columns, read_table
+
+ROWS = ["0,47.5,11", "0.5,47.25,12"]
+KINDS = {"time": (group("clock", "t"),), "place": (group("angle", "lat", "lon"),)}
+
+
+def read(path):
+    return read_table(path, KINDS, (), 1000)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n\n"])
+@pytest.mark.parametrize(
+    "above",
+    ["", "\ufeff", "\n", "# of the car, on the roof\n", "% a\n\n% b, c, d\n"],
+)
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_the_header_is_found(tmp_path, separator, end, above, mark):
+    """Below comments, or in the last of them."""
+    lines = [f"{mark}t_s,lat_deg,lon_deg", *ROWS]
+    text = above.replace("\n", end) + "".join(f"{line.replace(',', separator)}{end}" for line in lines)
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode())
+    assert list_columns(path) == ["t_s", "lat_deg", "lon_deg"]
+    table = read(path)
+    np.testing.assert_array_equal(table.columns["time"][:, 0], [0.0, 0.5])
+    np.testing.assert_allclose(np.rad2deg(table.columns["place"]), [[47.5, 11.0], [47.25, 12.0]])
+    path.write_bytes(text.replace("47.25", "1_0").encode())
+    for failing in (read, lambda path: read_columns(path, ["lat_deg"], 1000)):
+        with pytest.raises(ConfigError, match=r"^a.csv: row 2: lat_deg = '1_0' is not a number$"):
+            failing(path)
+
+
+def test_the_row_that_is_wrong_is_named_not_one_without_a_value(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t_s,lat_deg,lon_deg\n0,N/A,11\n1,,11\n2,-,11\n")
+    with pytest.raises(ConfigError, match="row 3: lat_deg = '-' is not a number"):
+        read(path)
+
+
+def test_a_name_of_two_columns_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t_s,Lat,Lat,Lon\n0,47.5,48.5,11\n")
+    with pytest.raises(ConfigError, match=r"^a.csv: more than one column is named 'Lat'"):
+        read_table(path, KINDS, (), 1000, {"lat_deg": "Lat", "lon_deg": "Lon"})
+    path.write_text("t_s,x,x,lat_deg,lon_deg\n0,1,2,47.5,11\n")
+    assert len(read(path).columns["time"]) == 1
+
+
+def test_a_text_in_another_encoding_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("t_s,lat [°],lon\n0,47,11\n".encode("latin-1"))
+    for failing in (read, list_columns):
+        with pytest.raises(ConfigError, match=r"^a.csv: not a text file in UTF-8$"):
+            failing(path)
+
+
+def test_nanoseconds_since_1970_are_read(tmp_path):
+    """They are beyond the integers that a float holds exactly."""
+    t = np.array([1_700_000_000_000_000_001, 1_700_000_000_010_000_001])
+    parquet.write_table(
+        pa.table({"t_ns": t, "lat_deg": [47, 48], "lon_deg": [11, 12]}), tmp_path / "a.parquet"
+    )
+    found = read(tmp_path / "a.parquet").columns["time"][:, 0]
+    np.testing.assert_allclose(found - 1.7e9, [0.0, 0.01], atol=1e-6)
