@@ -90,6 +90,7 @@ def test_texts_of_kf_gins_are_found_by_their_values(tmp_path, capsys):
     _, sensed = make_run(tmp_path / "run")
     out = tmp_path / "out"
     bench.export_run(tmp_path / "run", "kf-gins", out=out, include=["truth"])
+    (out / "a-folder.yaml").mkdir()
     (out / "another.txt").write_bytes((out / "imu.txt").read_bytes())
     assert main(["new", "log", str(out / "imu.txt")]) == 0
     text = (out / "imu.toml").read_text()
