@@ -29,7 +29,7 @@ for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"): 
     os.environ.pop(_name, None)
 
 SLOWEST = (
-    "test_where_the_heading_is_hardly_known_it_beats_the_linear_filter",
+    "test_a_heading_that_is_hardly_known_is_found",
     "test_the_metric_is_in_the_result",
     "test_the_smoother_knows_its_errors",
     "test_the_matched_filter_knows_its_errors",

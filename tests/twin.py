@@ -12,8 +12,9 @@ rules, and the order of Phi (``transition``).
     C'   = C [w_ib_b x] - [(w_ie_n + w_en_n) x] C                                     (A-5.1.3)
     v'   = C f_b + g_n - (2 w_ie_n + w_en_n) x v                                      (A-5.1.4)
 
-Errors are estimate minus truth: metres and m/s along n, phi with C_est = exp([phi x]) C_true, biases, baro
-bias. The twin takes records without faulty rows only.
+Errors are estimate minus truth: metres and m/s along n, a turn about the vertical and then a tilt,
+C_est = exp([tilt x]) exp([heading x]) C_true, biases, baro bias. The twin takes records without faulty rows
+only.
 """
 
 from __future__ import annotations
@@ -277,7 +278,25 @@ def satellite(lla, vel, C, bias, lever, w_b, sat_pos, sat_vel, n, mask):
 
 def correct(lla, vel, C, bias, x):
     """State less an estimated error."""
-    return lla - x[:3] / metres(lla), vel - x[3:6], rotation_matrix(-x[6:9]) @ C, bias - x[9:]
+    level = rotation_matrix(vector(-x[6], -x[7], 0.0)) @ C
+    return (
+        lla - x[:3] / metres(lla),
+        vel - x[3:6],
+        rotation_matrix(vector(0.0, 0.0, -x[8])) @ level,
+        bias - x[9:],
+    )
+
+
+def feed_back(kf, lla, vel, C, bias):
+    """State less the error of a filter, which becomes zero; its tilts are those of the turned unit.
+
+    A tilt is an error about an axis that is fixed in the unit, however the unit is turned about the vertical.
+    """
+    x = kf.x[:, 0]
+    turn = np.eye(len(x))
+    turn[6:9, 6:9] = rotation_matrix(vector(0.0, 0.0, -x[8]))
+    kf.P, kf.x = turn @ kf.P @ turn.T, np.zeros((len(x), 1))
+    return correct(lla, vel, C, bias, x)
 
 
 def transition(F, T, decay):
@@ -432,21 +451,18 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
             if np.isfinite(z).all():
                 accepted |= aiding.use("velocity", z[3:], H[3:], fix_R[3:, 3:], drifted)
             used = now if accepted else used
-            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
-            kf.x = np.zeros((n, 1))
+            lla, vel, C, bias = feed_back(kf, lla, vel, C, bias)
         if k in epochs_at:
             epoch = epochs_at[k]
             for row in range(o.epoch_start[epoch], o.epoch_start[epoch + 1]):
                 use_satellite(aiding, o, row, (lla, vel, C, bias), sensors.antenna_b, dtheta / dt, sky)
-            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
-            kf.x = np.zeros((n, 1))
+            lla, vel, C, bias = feed_back(kf, lla, vel, C, bias)
         if k in baro_at:
             H = np.zeros((1, 16))
             H[0, 2], H[0, 15] = -1.0, 1.0
             z = lla[2] + bias[6] - sensors.baro.alt_baro[baro_at[k]]
             aiding.use("baro", [z], H, np.array([[specs.baro.white_sd**2]]))
-            lla, vel, C, bias = correct(lla, vel, C, bias, kf.x[:, 0])
-            kf.x = np.zeros((n, 1))
+            lla, vel, C, bias = feed_back(kf, lla, vel, C, bias)
         if asked:
             out.append((lla, vel, C, bias, kf.P.copy()))
     columns = [np.array(column) for column in zip(*out, strict=True)]

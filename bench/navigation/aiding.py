@@ -14,7 +14,8 @@ Every z is predicted minus measured, z = H dx + noise:
 
 with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
 estimated, u the direction of the airspeed and w in its row the wind. A fix without velocity has the rows of
-its position only.
+its position only. What has a column for the gyro bias has one for each state that adds to it
+(`bench.navigation.corrections`).
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
-from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
+from bench.earth import EARTH_RATE, radii_kernel
 from bench.navigation.blocks import Index
 from bench.navigation.constraints import along_kernel
+from bench.navigation.corrections import drive_rows_kernel, motion_factors_kernel, motion_kernel
 from bench.navigation.cycle import FilterState, MeasureWork, Pending
 from bench.navigation.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.mechanization import matrix_kernel
@@ -51,6 +53,20 @@ SENSORS = (
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
 RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
 ABSENT = -1
+
+OPENS = {
+    POSITION: ("pos",),
+    VELOCITY: ("vel",),
+    BARO: ("baro_bias",),
+    AIRSPEED: ("wind_north", "wind_east"),
+    RADAR: ("radar_bias",),
+    ODOMETER: ("odometer_scale",),
+    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
+}
+"""The states, one after the other, that may have made a step where a sensor is believed again after refusals.
+
+A sensor whose states a filter does not have stays out until it agrees with the rest.
+"""
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
@@ -141,12 +157,37 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def place_kernel(now: FilterState, antenna_b: FloatArray, index: Index, work: MeasureWork) -> None:
-    """Fill ``work.lever`` with the lever arm, estimated if the layout has it, and ``work.C`` with C_nb."""
-    at = index.antenna_b
+def antenna_rows_kernel(
+    now: FilterState,
+    antenna_b: FloatArray,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    index: Index,
+    H: FloatArray,
+    z: FloatArray,
+    work: MeasureWork,
+) -> None:
+    """Fill z (6,) and H (6, n) as :func:`antenna_kernel` does, with all states that the antenna depends on.
+
+    The lever arm is the estimated one if the layout has it.
+    """
+    at, last = index.antenna_b, work.last
     for i in range(3):
         work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
     matrix_kernel(now.state, work.C)
+    antenna_kernel(now.state, work.C, work.lever, last[0], lla, vel_n, H, z)
+    motion_factors_kernel(last, work.drives, work.known, work.factor)
+    drive_rows_kernel(H[3:], work.drives, work.factor)
+    if at >= 0:
+        lever_kernel(work.C, last[0], at, H)
+
+
+@inner
+def _sense_kernel(now: FilterState, values: FloatArray, work: MeasureWork) -> None:
+    """Fill ``work.motion`` and its factors from a measured mean rate and force (6,)."""
+    for i in range(3):
+        work.motion[0, i], work.motion[1, i] = values[i], values[3 + i]
+    motion_kernel(now.state, work.motion, work.drives, work.known, work.slope, work.factor)
 
 
 @inner
@@ -160,14 +201,11 @@ def _fix_kernel(
     work: MeasureWork,
 ) -> int:
     state, values = now.state, data.values[row]
-    place_kernel(now, values[6:], index, work)
     for i in range(6):
         code = i // 3
         _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
-    antenna_kernel(state, work.C, work.lever, work.w_ib_b, values[:3], values[3:6], H, z)
-    if index.antenna_b >= 0:
-        lever_kernel(work.C, work.w_ib_b, index.antenna_b, H)
+    antenna_rows_kernel(now, values[6:], values[:3], values[3:6], index, H, z, work)
     if index.gnss_pos >= 0:
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
@@ -292,8 +330,9 @@ def _odometer_kernel(
     _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     for i in range(3):
-        work.lever[i] = work.w_ib_b[i] + now.state[GYRO + 1 + i]
-    forward = along_kernel(0, work.lever, 0.0, 0.0, now, index, H, work)  # the force of one sample is shaking
+        work.motion[0, i], work.motion[1, i] = work.last[0, i], work.last[1, i]
+    motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
+    forward = along_kernel(0, 0.0, 0.0, now, index, H, work)  # the force of one sample is shaking
     scale = 1.0
     if at >= 0:
         scale += now.state[at + 1]
@@ -316,10 +355,11 @@ def _vehicle_kernel(
 ) -> int:
     values = data.values[row]
     code = COORDINATED if index.gust_n >= 0 else NONHOLONOMIC
+    _sense_kernel(now, values, work)
     for i in range(2):
         k = first + i
         _row_kernel(pending, k, code, code, i, 2, data.variance[row, i])
-        pending.z[k] = along_kernel(1 + i, values[:3], values[3], values[4], now, index, pending.H[k], work)
+        pending.z[k] = along_kernel(1 + i, values[6], values[7], now, index, pending.H[k], work)
     return 2
 
 
@@ -334,11 +374,10 @@ def _standstill_kernel(
     work: MeasureWork,
 ) -> int:
     """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
-    state, C, at = now.state, work.C, index.g_sensitivity_x
+    state, C = now.state, work.C
     matrix_kernel(state, C)
-    s, c = np.sin(state[0]), np.cos(state[0])
-    _, g_d = gravity_kernel(s, c, state[2])
-    n, d = EARTH_RATE * c, -EARTH_RATE * s
+    _sense_kernel(now, data.values[row], work)
+    n, d = EARTH_RATE * np.cos(state[0]), -EARTH_RATE * np.sin(state[0])
     for i in range(3):
         _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, data.variance[row, i])
         pending.H[first + i, VEL + i] = 1.0
@@ -346,16 +385,12 @@ def _standstill_kernel(
     for j in range(3):
         k = first + 3 + j
         _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, data.variance[row, 3 + j])
-        pending.z[k] = data.values[row, j] - state[GYRO + 1 + j] - (C[0, j] * n + C[2, j] * d)
+        pending.z[k] = work.motion[0, j] - (C[0, j] * n + C[2, j] * d)
         pending.H[k, GYRO + j] = -1.0
         pending.H[k, PHI] = -C[1, j] * d  # -C' [w_ie x]
         pending.H[k, PHI + 1] = -(C[2, j] * n - C[0, j] * d)
         pending.H[k, PHI + 2] = C[1, j] * n
-        if at >= 0:
-            for i in range(3):
-                force = -C[2, i] * g_d
-                pending.z[k] -= state[at + 1 + 3 * j + i] * force
-                pending.H[k, at + 3 * j + i] = -force
+    drive_rows_kernel(pending.H[first + 3 : first + 6], work.drives, work.factor)
     return 6
 
 

@@ -20,7 +20,7 @@ from bench.data import InitialState
 from bench.navigation.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.imu_blocks import EVERY_ERROR, MEMS, core_states, thermal_figures
 from bench.navigation.options import FusionOptions
-from bench.navigation.states import SQUARE, STEADY, WARMTH, Block, States
+from bench.navigation.states import ABSOLUTE, SQUARE, STEADY, WARMTH, Block, States
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs
 
@@ -35,7 +35,6 @@ class Index(NamedTuple):
 
     baro_bias: int
     gnss_pos: int  # gnss_vel follows
-    g_sensitivity_x: int  # the first of 9, row by row
     clock_offset: int  # clock_drift and glonass_offset follow
     antenna_b: int
     wind_north: int  # wind_east follows
@@ -53,7 +52,7 @@ class Process(NamedTuple):
     decay_time: FloatArray  # (n,)
     decay_distance: FloatArray  # (n,)
     stationary: FloatArray  # (n,)
-    drives: IntArray  # (D, 3) a state, the bias it acts like, and the rate, force or factor it multiplies
+    drives: IntArray  # (D, 3) a state, the bias it acts like, and what it multiplies, in order of correction
     thermal: (
         FloatArray  # (4,) IMU above reference at the start [K]; in the end at height 0 [K], per m [K/m]; s
     )
@@ -107,13 +106,25 @@ def state_model(
         drives += [(at.start + own, GYRO + error, rate) for own, error, rate in states.drives]
     P[:9, :9] = initial.cov
     P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
-    table = np.array(drives, np.int64).reshape(-1, 3)
+    table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
     thermal = thermal_figures(initial, specs.imu)
     if gyro_sd is not None:
         _know_gyro_biases(P, table, gyro_sd, float(thermal[0]), initial)
     full = np.array([specs.imu.gyro.range, specs.imu.accel.range])
     process = Process(q, decay_time, decay_distance, stationary, table, thermal, full)
     return StateModel(layout, P, values, process, index_of(layout))
+
+
+def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
+    """Return by what rows of drives are sorted, so that each factor is a motion without larger errors.
+
+    Forces come before rates, for rates are corrected by forces; of each, what does not depend on the motion
+    comes first, then what goes by the force on a gyro, by the axis itself, and by the axes across.
+    """
+    _, error, by = drive
+    own, axis = error - GYRO, by if by < STEADY else (by - ABSOLUTE) % 6
+    kind = 0 if by in (STEADY, WARMTH) else 1 if own < 3 <= axis else 2 if axis == own else 3
+    return int(own < 3), kind, *drive
 
 
 def _know_gyro_biases(

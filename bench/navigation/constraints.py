@@ -41,8 +41,8 @@ AIR_SD = 0.3  # of the velocity through the air, sideways and along the third ax
 class VehicleSampler(ImuSampler):
     """Samples the motion of a vehicle at the ends of intervals of `INTERVAL` or `AIR_INTERVAL`.
 
-    Values are, as measured, the mean rate over `RATE_SPAN` [rad/s], b, and of the mean force over `LEAN` the
-    push [m/s^2] and the side [1].
+    Values are, as measured, the mean rate [rad/s] and force [m/s^2], b, over `RATE_SPAN`, and of the mean
+    force over `LEAN` the push [m/s^2] and the side [1].
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class VehicleSampler(ImuSampler):
         self.flying = flying
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return that all samples count, their values (W, 5) and variances (6,)."""
+        """Return that all samples count, their values (W, 8) and variances (6,)."""
 
         def mean(increment: FloatArray, span: float) -> FloatArray:
             first = np.searchsorted(imu.t, imu.t[last] - span + 1e-6)
@@ -68,7 +68,7 @@ class VehicleSampler(ImuSampler):
         push = force[:, 2] + STANDARD_GRAVITY if self.flying else force[:, 0]
         side = np.zeros(len(last)) if self.flying else force[:, 1] / SLIP_FORCE
         white = AIR_SD if self.flying else SHAKING_SD
-        motion_b = np.column_stack([mean(imu.dtheta_b, RATE_SPAN), push, side])
+        motion_b = np.column_stack([mean(imu.dtheta_b, RATE_SPAN), mean(imu.dvel_b, RATE_SPAN), push, side])
         return np.ones(len(last), np.bool_), motion_b, np.full(6, white**2)
 
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
@@ -79,7 +79,6 @@ class VehicleSampler(ImuSampler):
 @inner
 def along_kernel(
     component: int,
-    w_ib_b: FloatArray,
     push: float,
     side: float,
     now: FilterState,
@@ -89,11 +88,11 @@ def along_kernel(
 ) -> float:
     """Return a component of the velocity along the vehicle [m/s], and fill its row H (n,).
 
-    A layout without a vehicle has its axle at the IMU and its axes in b. ``w_ib_b`` is the measured rate. The
-    rotation of the Earth is neglected: 1e-4 m/s.
+    A layout without a vehicle has its axle at the IMU and its axes in b. The rate is that of ``work.motion``,
+    less the rotation of the Earth, which is neglected: 1e-4 m/s.
     """
     state, at, axle, gust, C = now.state, index.axis_yaw, index.axle_b, index.gust_n, work.C
-    u, c, lever, w, v = work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3], work.vectors[4]
+    u, c, lever, v, w = work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3], work.motion[0]
     matrix_kernel(state, C)
     yaw, pitch, slipping = 0.0, 0.0, 1.0 + abs(side)
     for i in range(3):
@@ -103,7 +102,6 @@ def along_kernel(
             v[i] -= state[gust + 1 + i]
             if i < 2:
                 v[i] -= state[index.wind_north + 1 + i]
-        w[i] = w_ib_b[i] - state[GYRO + 1 + i]
     if at >= 0:
         yaw = state[at + 1] + state[at + 3] * slipping
         pitch = state[at + 2] + state[at + 4] + state[at + 5] * push
@@ -139,4 +137,6 @@ def along_kernel(
     if at >= 0:
         H[at], H[at + 2] = by_yaw, by_yaw * slipping
         H[at + 1], H[at + 3], H[at + 4] = by_pitch, by_pitch, by_pitch * push
+    for d in range(work.drives.shape[0]):
+        H[work.drives[d, 0]] += H[work.drives[d, 1]] * work.factor[d]
     return float(along)

@@ -13,8 +13,8 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
 from bench.navigation.blocks import Index, Process
+from bench.navigation.corrections import factor_kernel, increments_kernel
 from bench.navigation.error_state import (
-    GYRO,
     PHI,
     VEL,
     CovarianceWork,
@@ -28,7 +28,6 @@ from bench.navigation.error_state import (
 )
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 from bench.navigation.rough_heading import stand_kernel
-from bench.navigation.states import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 from bench.wide_rows import wide, widened
 
 _RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
@@ -69,10 +68,15 @@ class Pending(NamedTuple):
 class MeasureWork(NamedTuple):
     """Memory of what fills the rows of a measurement, shared with the steps before it."""
 
-    w_ib_b: FloatArray  # (3,) rate of the last step [rad/s]
+    last: FloatArray  # (2, 3) rate [rad/s] and specific force [m/s^2] of the last step, b, corrected
     vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
     C: FloatArray  # (3, 3)
     lever: FloatArray  # (3,)
+    motion: FloatArray  # (2, 3) the same of the instants that the measurement is of
+    known: FloatArray  # (3,) `Carried.known`
+    drives: IntArray  # (D, 3) `Process.drives`
+    factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
+    slope: FloatArray  # (6,) of gyros and accelerometers along their axes
 
 
 class UpdateWork(NamedTuple):
@@ -88,8 +92,8 @@ class UpdateWork(NamedTuple):
 class Carried(NamedTuple):
     """What the next step needs of the steps before; also the first two of `MeasureWork`."""
 
-    whole: FloatArray  # (59,) memory of all of it
-    kept: FloatArray  # (59,) a copy, while a filter goes ahead for an answer
+    whole: FloatArray  # (62,) memory of all of it
+    kept: FloatArray  # (62,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
@@ -108,7 +112,6 @@ class StepWork(NamedTuple):
     decay: FloatArray  # (n,)
     noise: FloatArray  # (n,)
     factor: FloatArray  # (D,)
-    slope: FloatArray  # (6,) of gyros and accelerometers along their axes
 
 
 class Work(NamedTuple):
@@ -122,22 +125,31 @@ class Work(NamedTuple):
     ahead: FilterState  # of a filter that goes ahead for an answer
 
 
-def work_for(n: int, drives: int) -> Work:
-    """Return the memory for n states."""
-    shapes = (7,), (3,), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
+def work_for(n: int, drives: IntArray) -> Work:
+    """Return the memory for n states and their drives (D, 3)."""
+    shapes = (7,), (2, 3), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     whole = np.zeros(ends[-1])
-    before, w_ib_b, vectors, *others = (
+    before, last, vectors, *others = (
         part.reshape(shape) for part, shape in zip(np.split(whole, ends[:-1]), shapes, strict=True)
     )
     F, G, back = np.zeros((3, 9, 15))
+    carried, D = Carried(whole, np.zeros(ends[-1]), before, *others), len(drives)
     return Work(
-        carried=Carried(whole, np.zeros(ends[-1]), before, *others),
-        step=StepWork(
-            F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), np.zeros(drives), np.ones(6)
-        ),
+        carried=carried,
+        step=StepWork(F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), np.zeros(D)),
         covariance=covariance_work(n),
-        measure=MeasureWork(w_ib_b, vectors, np.zeros((3, 3)), np.zeros(3)),
+        measure=MeasureWork(
+            last,
+            vectors,
+            np.zeros((3, 3)),
+            np.zeros(3),
+            np.zeros((2, 3)),
+            carried.known,
+            drives,
+            np.zeros(D),
+            np.ones(6),
+        ),
         update=UpdateWork(np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6)),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )
@@ -170,77 +182,11 @@ def grown(pending: Pending, slots: int, width: int) -> Pending:
 
 
 @inner
-def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: FloatArray) -> float:
-    """Return the integral over dt of what a drive multiplies its state by (`bench.navigation.blocks`).
-
-    ``known`` is the temperature above reference [K] and the range of gyros and accelerometers.
-    """
-    value: float = dt
-    if by < 3:
-        value = dth[by]
-    elif by < STEADY:
-        value = dv[by - 3]
-    elif by == WARMTH:
-        value = known[0] * dt
-    elif by != STEADY:
-        axis = (by - ABSOLUTE) % 6
-        x = dth[axis] if axis < 3 else dv[axis - 3]
-        if by < SQUARE:
-            value = abs(x)
-        elif by < CUBE:
-            value = x * x / dt
-        else:
-            u = x / (known[1 if axis < 3 else 2] * dt)
-            value = x * (4.0 * u * u - 3.0)
-    return value
-
-
-@inner
 def warmth_kernel(T: float, thermal: FloatArray, height: float, known: FloatArray) -> None:
     """Carry the temperature of the IMU over an interval T at a height [m], in air of constant lapse rate."""
     end = thermal[1] + thermal[2] * height
     lag = np.exp(-T / thermal[3]) if thermal[3] > 0.0 else 0.0
     known[0] = end + lag * (known[0] - end)
-
-
-@inner
-def increments_kernel(
-    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
-    slope: FloatArray,
-) -> None:  # fmt: skip
-    """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
-
-    What an axis measures of a small rate or force along itself is its slope, scale factor and nonlinearity
-    together. All other errors are in the measured units, too, so the slope divides them: states that tell the
-    same in steady motion then stay exchangeable whatever the slope, as the covariance takes them to be.
-    """
-    for i in range(3):
-        dth[i] -= state[GYRO + 1 + i] * dt
-        dv[i] -= state[GYRO + 4 + i] * dt
-    if drives.shape[0] == 0:
-        return
-    for i in range(6):
-        slope[i] = 1.0
-    for d in range(drives.shape[0]):
-        error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if by == error:
-            slope[error] += state[drives[d, 0] + 1]
-        elif by == CUBE + error:
-            slope[error] -= 3.0 * state[drives[d, 0] + 1]
-    for i in range(3):
-        dth[i] /= slope[i]
-        dv[i] /= slope[3 + i]
-    for d in range(drives.shape[0]):
-        error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if error != by:
-            part = factor_kernel(by, dt, dth, dv, known)
-            if by == CUBE + error:
-                part += 3.0 * factor_kernel(error, dt, dth, dv, known)
-            part *= state[drives[d, 0] + 1] / slope[error]
-            if error < 3:
-                dth[error] -= part
-            else:
-                dv[error - 3] -= part
 
 
 @inner
@@ -336,11 +282,11 @@ def advance_kernel(
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
     C, C_mean, reference, F, G = measure.C, carried.C_mean, carried.reference, step.F, step.G
     Phi, decay, noise, factor = step.Phi, step.decay, step.noise, step.factor
-    before, w_ib_b, vectors, lost = carried.before, measure.w_ib_b, measure.vectors, carried.lost
+    before, vectors, lost = carried.before, measure.vectors, carried.lost
     dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum = (
         vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6], vectors[7],
     )  # fmt: skip
-    known, slope = carried.known, step.slope
+    known, slope, last = carried.known, measure.slope, measure.last
     driven = drives.shape[0]
     n = P.shape[0]
     waiting = False
@@ -368,7 +314,7 @@ def advance_kernel(
                 dv[i] = dvel_b[row, i] * share
             increments_kernel(state, dt, drives, known, dth, dv, slope)
             for i in range(3):
-                w_ib_b[i] = dth[i] / dt
+                last[0, i], last[1, i] = dth[i] / dt, dv[i] / dt
             if driven > 0:
                 for i in range(3):
                     w_sum[i] += dth[i]

@@ -1,9 +1,17 @@
 """The error state: its layout, its linear dynamics F, the transition over a step, and the feedback.
 
-Errors are estimate minus truth: position in metres along n, velocity in n, and phi_n with
-``C_nb_est = exp([phi_n x]) C_nb_true``. F is the Jacobian of `bench.navigation.mechanization`: A-5.1.10 in
-north, east, down and metres (equations 1.3: alpha_NED = -phi_n), with the radii of the ellipsoid and their
-change with latitude.
+Errors are estimate minus truth: position in metres along n, velocity in n, and the attitude
+
+    C_nb_est = exp([tilt x]) exp([heading x]) C_nb_true,   phi_n = (tilt_N, tilt_E, heading)
+
+a turn about the vertical, then a tilt about a horizontal axis. F is the Jacobian of
+`bench.navigation.mechanization`: A-5.1.10 in north, east, down and metres (equations 1.3: alpha_NED =
+-phi_n), with the radii of the ellipsoid and their change with latitude.
+
+To first order phi_n is a rotation vector; the order of the two turns counts where a heading is corrected. The
+axes of the unit turn with the correction, and so does a tilt that is left: by all of the angle, not by half
+of it as that of a rotation vector would. Tilts and biases of accelerometers are told apart by turns, so that
+a covariance which stays along n takes each correction for a turn that was flown (:func:`reset_kernel`).
 """
 
 from __future__ import annotations
@@ -18,7 +26,7 @@ from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray, as_float
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
-from bench.navigation.mechanization import turn_between_kernel, turn_kernel
+from bench.navigation.mechanization import tilt_between_kernel, turn_kernel
 from bench.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
@@ -335,11 +343,31 @@ def feedback_kernel(state: FloatArray, dx: FloatArray) -> None:
     state[2] += dx[2]
     for i in range(3):
         state[3 + i] -= dx[3 + i]
-    turn_kernel(state, -dx[6], -dx[7], -dx[8], True)
+    turn_kernel(state, -dx[6], -dx[7], 0.0, True)
+    turn_kernel(state, 0.0, 0.0, -dx[8], True)
     for i in range(GYRO, dx.shape[0]):
         state[i + 1] -= dx[i]
     for i in range(dx.shape[0]):
         dx[i] = 0.0
+
+
+@kernel
+def reset_kernel(P: FloatArray, heading: float) -> None:
+    """Turn the tilts of P (n, n) as the feedback of a heading error [rad] turns the axes of the unit.
+
+    This is the Jacobian of what is left of an error after :func:`feedback_kernel`; all else stays.
+    """
+    s, c = np.sin(heading), np.cos(heading)
+    for i in range(P.shape[0]):
+        P[6, i], P[7, i] = c * P[6, i] + s * P[7, i], c * P[7, i] - s * P[6, i]
+    turn_rows_kernel(P, s, c)
+
+
+@inner
+def turn_rows_kernel(H: FloatArray, s: float, c: float) -> None:
+    """Turn the columns of the tilts of rows H (m, n) by an angle of sine ``s`` and cosine ``c``."""
+    for a in range(H.shape[0]):
+        H[a, 6], H[a, 7] = c * H[a, 6] + s * H[a, 7], c * H[a, 7] - s * H[a, 6]
 
 
 @kernel
@@ -348,7 +376,7 @@ def difference_kernel(state: FloatArray, other: FloatArray, d: FloatArray) -> No
     earth.difference_kernel(state, other, d)
     for i in range(VEL, PHI):
         d[i] = state[i] - other[i]
-    turn_between_kernel(state, other, d[PHI:GYRO])
+    tilt_between_kernel(state, other, d[PHI:GYRO])
     for i in range(GYRO, d.shape[0]):
         d[i] = state[i + 1] - other[i + 1]
 
@@ -372,22 +400,32 @@ def dynamics(nav: ArrayLike, C_nb: ArrayLike, f_n: ArrayLike) -> FloatArray:
     return F
 
 
-def state_difference(state: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the error state (..., n) by which filter states (..., n + 1) differ from another (n + 1,)."""
-    d = np.empty((*state.shape[:-1], state.shape[-1] - 1))
-    d[..., POS:VEL] = earth.difference_n(state[..., :3], other[..., :3])
-    d[..., VEL:PHI] = state[..., 3:6] - other[..., 3:6]
-    turn = rotation.multiply(state[..., 6:10], rotation.conjugate(other[..., 6:10]))
-    d[..., PHI:GYRO] = rotation.to_rotvec(turn)
-    d[..., GYRO:] = state[..., 10:] - other[..., 10:]
+def state_errors(state: FloatArray, truths: FloatArray) -> FloatArray:
+    """Return the errors (..., n) of a filter state (n + 1,) if each of other states (..., n + 1) is true."""
+    d = np.empty((*truths.shape[:-1], truths.shape[-1] - 1))
+    d[..., POS:VEL] = -earth.difference_n(truths[..., :3], state[:3])
+    d[..., VEL:PHI] = state[3:6] - truths[..., 3:6]
+    turn = rotation.multiply(state[6:10], rotation.conjugate(truths[..., 6:10]))
+    vertical = np.zeros_like(turn)
+    vertical[..., ::3] = turn[..., ::3]
+    vertical /= np.linalg.norm(vertical, axis=-1, keepdims=True)
+    d[..., PHI:GYRO] = rotation.to_rotvec(rotation.multiply(turn, rotation.conjugate(vertical)))
+    d[..., GYRO - 1] = rotation.to_rotvec(vertical)[..., 2]
+    d[..., GYRO:] = state[10:] - truths[..., 10:]
     return d
 
 
-def moved_state(state: FloatArray, d: FloatArray) -> FloatArray:
-    """Return a filter state (n + 1,) with errors d (..., n) added; undoes :func:`state_difference`."""
+def less_errors(state: FloatArray, d: FloatArray) -> FloatArray:
+    """Return the truths (..., n + 1) if a filter state (n + 1,) has the errors d (..., n).
+
+    What :func:`feedback_kernel` does; it undoes :func:`state_errors`.
+    """
     moved = np.empty((*d.shape[:-1], d.shape[-1] + 1))
-    moved[..., :3] = earth.displace(state[:3], d[..., POS:VEL])
-    moved[..., 3:6] = state[3:6] + d[..., VEL:PHI]
-    moved[..., 6:10] = rotation.multiply(rotation.from_rotvec(d[..., PHI:GYRO]), state[6:10])
-    moved[..., 10:] = state[10:] + d[..., GYRO:]
+    moved[..., :3] = earth.displace(state[:3], -d[..., POS:VEL])
+    moved[..., 3:6] = state[3:6] - d[..., VEL:PHI]
+    tilt, heading = d[..., PHI:GYRO].copy(), np.zeros((*d.shape[:-1], 3))
+    tilt[..., 2], heading[..., 2] = 0.0, d[..., PHI + 2]
+    level = rotation.multiply(rotation.from_rotvec(-tilt), state[6:10])
+    moved[..., 6:10] = rotation.multiply(rotation.from_rotvec(-heading), level)
+    moved[..., 10:] = state[10:] - d[..., GYRO:]
     return moved

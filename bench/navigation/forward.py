@@ -236,7 +236,7 @@ class ForwardRun:
         if lever >= 0:
             state[lever + 1 : lever + 4] = antenna_b
         self.now = FilterState(state, widened(model.P), np.zeros(n))
-        self.work = work_for(n, len(model.process.drives))
+        self.work = work_for(n, model.process.drives)
         self.work.carried.known[:] = model.process.thermal[0], *model.process.range
         self.pending = pending_for(n, 1, 6)
         self.moved = False
@@ -247,7 +247,7 @@ class ForwardRun:
         other = copy(self)
         state, P, dx = self.now
         other.now = FilterState(state.copy(), widened(P), dx.copy())
-        other.work = work_for(len(dx), len(self.model.process.drives))
+        other.work = work_for(len(dx), self.model.process.drives)
         other.work.carried.whole[:] = self.work.carried.whole
         H, z, r, tags, live, width = self.pending
         other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
@@ -321,7 +321,8 @@ class ForwardRun:
         )
         work = self.work
         if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
-            work.measure.w_ib_b[:] = steps.dtheta_b[steps.row[0]] * steps.share[0] / steps.span[0]
+            first = np.stack([steps.dtheta_b[steps.row[0]], steps.dvel_b[steps.row[0]]])
+            work.measure.last[:] = first * steps.share[0] / steps.span[0]
             self.moved = True
         data = Measurements(
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()

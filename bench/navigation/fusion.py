@@ -24,10 +24,9 @@ from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation import aiding, alignment, hypotheses, in_blocks, ranging, turn_on
-from bench.navigation.aiding import COORDINATED, POSITION, SENSORS, VELOCITY, ZERO_RATE, ZERO_VELOCITY
+from bench.navigation.aiding import OPENS, PSEUDORANGE, RANGE_RATE, SENSORS
 from bench.navigation.blocks import StateModel, assumed, chosen_blocks, moving_states, state_model
 from bench.navigation.constraints import VehicleSampler
-from bench.navigation.error_state import POS, VEL
 from bench.navigation.forward import ForwardRun, Nodes
 from bench.navigation.gate import Gate
 from bench.navigation.hypotheses import ManyHeadings
@@ -180,11 +179,12 @@ class Fusion:
         options, bounds = self.options, np.full(4, np.inf)
         if "nis" in options.integrity:
             bounds[1:] = [nis_limit(m, options.gate_probability) for m in (1, 2, 3)]
-        readmit = np.full(len(SENSORS), options.readmit_after)
-        readmit[[ZERO_VELOCITY, ZERO_RATE, COORDINATED]] = _NEVER
-        own = np.full((len(SENSORS), 3), -1)  # one satellite of many opens nothing: it is outvoted
-        own[POSITION], own[VELOCITY] = POS + np.arange(3), VEL + np.arange(3)
-        own[aiding.BARO, 0] = model.index.baro_bias
+        readmit, opens = np.full(len(SENSORS), _NEVER), np.zeros((len(SENSORS), 2), np.int64)
+        readmit[[PSEUDORANGE, RANGE_RATE]] = options.readmit_after  # of many satellites: one opens nothing
+        for code, names in OPENS.items():
+            if model.layout.has(names[0]):
+                first, last = (model.layout.slice(name) for name in (names[0], names[-1]))
+                readmit[code], opens[code] = options.readmit_after, (first.start, last.stop - first.start)
         return Gate(
             nis=bounds,
             trace=options.trace_ratio if "trace" in options.integrity else np.inf,
@@ -192,7 +192,7 @@ class Fusion:
             sigmas=options.tolerance_sigmas,
             memory=0.0 if options.adaptive_noise is None else 1.0 / options.adaptive_noise,
             readmit_after=readmit,
-            own=own,
+            opens=opens,
             misses=np.zeros(channels, np.int64),
             used=np.full(channels, start),
             level=np.ones(len(SENSORS)),

@@ -10,10 +10,10 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
 from bench.navigation.aiding import ABSENT, MAGNETIC, POSITION, VELOCITY, ZERO_RATE, ZERO_VELOCITY
 from bench.navigation.cycle import FilterState, Pending, UpdateWork
-from bench.navigation.error_state import feedback_kernel
+from bench.navigation.error_state import feedback_kernel, reset_kernel, turn_rows_kernel
 from bench.navigation.integrity import OUTAGE
 from bench.navigation.kalman import drifted_kernel, nis_kernel, open_kernel, stretch_kernel, update_kernel
-from bench.navigation.rough_heading import blind_kernel, turn_tilts_kernel
+from bench.navigation.rough_heading import blind_kernel
 
 
 class Gate(NamedTuple):
@@ -25,7 +25,7 @@ class Gate(NamedTuple):
     sigmas: float  # tolerance test: standard deviations granted to the receiver
     memory: float  # weight of a new measurement in the adapted noise; 0: noise of the datasheet
     readmit_after: IntArray  # (sensors,) refusals in a row after which the next measurement is used
-    own: IntArray  # (sensors, 3) states whose variance then grows; -1: none
+    opens: IntArray  # (sensors, 2) first and number of the states whose variance then grows; 0: none
     misses: IntArray  # (channels,) refusals in a row
     used: FloatArray  # (channels,) instant of the last measurement used [s]
     level: FloatArray  # (sensors,) adapted variance over that of the datasheet
@@ -113,9 +113,9 @@ def use_kernel(
         log.filled[0] += m
         if accepted:
             gate.used[channel] = t
-            if not sound and gate.own[code, 0] >= 0:
-                e = log.numbers[row : row + m, 1]
-                open_kernel(P, before, H, e, gate.own[code], work.square, work.row)
+            if not sound and gate.opens[code, 1] > 0:
+                e, first_own, count = log.numbers[row : row + m, 1], gate.opens[code, 0], gate.opens[code, 1]
+                open_kernel(P, before, H, e, first_own, count, work.square, work.row)
             elif beyond:
                 stretch_kernel(P, H, work.square, work.row)
             for b in range(m):
@@ -127,7 +127,9 @@ def use_kernel(
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
-    turn_tilts_kernel(now.state, P, pending.H, dx)
+    if dx[8] != 0.0:
+        reset_kernel(P, dx[8])
+        turn_rows_kernel(pending.H, np.sin(dx[8]), np.cos(dx[8]))
     feedback_kernel(now.state, dx)
 
 

@@ -35,7 +35,7 @@ from bench.data import (
 )
 from bench.earth import EARTH_RATE, difference_n
 from bench.navigation.aiding import SENSORS
-from bench.navigation.error_state import PHI, POS, VEL
+from bench.navigation.error_state import PHI, POS, VEL, less_errors
 from bench.navigation.in_blocks import longest_wait
 from bench.navigation.in_pieces import InPieces, answer_now, join_solutions, join_tables, take_answers
 from bench.navigation.leveling import bias_sd
@@ -230,14 +230,31 @@ class ManyHeadings:
 
 
 def turn_heading(initial: InitialState, turn: float) -> InitialState:
-    """Return an initial state with another heading, known to ``SD``; tilt errors turn with the aircraft."""
+    """Return an initial state with another heading, known to ``SD``; all else is what it is if that is true.
+
+    A tilt found by the accelerations over ground depends on the heading: the same force is felt along other
+    axes. With m the tilt by a small error of the heading, it is ``m sin(turn) + e_D x m (1 - cos(turn))``
+    less, whatever the turn. What else is not known of the tilts turns with the aircraft.
+    """
+    cov = initial.cov
+    by_heading = cov[:, 8] / cov[8, 8]
+    error = -turn * by_heading
+    m = by_heading[PHI : PHI + 2]
+    error[PHI : PHI + 2] = -np.sin(turn) * m + (1.0 - np.cos(turn)) * np.array([-m[1], m[0]])
+    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
+    state = less_errors(state, error)
     T = np.eye(9)
     T[PHI : PHI + 2, PHI : PHI + 2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-    cov, bias_cov = initial.cov.copy(), initial.bias_cov.copy()
-    cov[8], cov[:, 8], bias_cov[8] = 0.0, 0.0, 0.0
-    cov[8, 8] = SD**2
-    q_nb = rotation.multiply(rotation.from_rotvec([0.0, 0.0, turn]), initial.q_nb)
-    return replace(initial, q_nb=q_nb, cov=T @ cov @ T.T, bias_cov=T @ bias_cov)
+    rest = T @ (cov - cov[8, 8] * np.outer(by_heading, by_heading)) @ T.T
+    bias_cov = T @ (initial.bias_cov - np.outer(by_heading, initial.bias_cov[8]))
+    return replace(
+        initial,
+        lla=state[:3],
+        vel_n=state[3:6],
+        q_nb=state[6:],
+        cov=rest + SD**2 * np.outer(by_heading, by_heading),
+        bias_cov=bias_cov,
+    )
 
 
 def _take_table(table: Innovations, rows: slice | IntArray) -> Innovations:

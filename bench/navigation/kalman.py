@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import FloatArray
 from bench.compiled import kernel
 
 
@@ -111,15 +111,16 @@ def open_kernel(
     before: FloatArray,
     H: FloatArray,
     e: FloatArray,
-    own: IntArray,
+    own: int,
+    count: int,
     work: FloatArray,
     row: FloatArray,
 ) -> None:
     """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
 
     It has two explanations, and P grows by both: an error along the covariance (:func:`stretch_kernel`), and
-    a step of the measured states ``own`` (m,) alone. The next measurements tell them apart. ``before``
-    (n, n), the P that a smoother uses, grows alike.
+    a step of the ``count`` states from ``own`` on alone, the least that explains it. The next measurements
+    tell them apart. ``before`` (n, n), the P that a smoother uses, grows alike.
     """
     m, n = H.shape
     stretch_kernel(P, H, work, row)
@@ -127,8 +128,16 @@ def open_kernel(
         for j in range(n):
             before[i, j] += row[i] * row[j]
     for a in range(m):
-        P[own[a], own[a]] += e[a] * e[a]
-        before[own[a], own[a]] += e[a] * e[a]
+        size2 = 0.0
+        for i in range(own, own + count):
+            size2 += H[a, i] * H[a, i]
+        if size2 == 0.0:
+            continue
+        for i in range(own, own + count):
+            for j in range(own, own + count):
+                grown = H[a, i] * H[a, j] * (e[a] / size2) ** 2
+                P[i, j] += grown
+                before[i, j] += grown
 
 
 @kernel

@@ -67,23 +67,26 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
 
 
 @kernel
-def turn_between_kernel(nav: FloatArray, other: FloatArray, out: FloatArray) -> None:
-    """Fill out (3,) with the rotation vector, at most pi long, in n from the attitude of other to nav's."""
+def tilt_between_kernel(nav: FloatArray, other: FloatArray, out: FloatArray) -> None:
+    """Fill out (3,) with the turns that take the attitude of other to nav's: about down, then the tilt.
+
+    The third is the turn about down, at most pi; the first two are a rotation vector along n [rad].
+    """
     a, i, j, k = other[6], -other[7], -other[8], -other[9]
     w, x, y, z = nav[6], nav[7], nav[8], nav[9]
     real = w * a - x * i - y * j - z * k
-    out[0] = w * i + x * a + y * k - z * j
-    out[1] = w * j - x * k + y * a + z * i
-    out[2] = w * k + x * j - y * i + z * a
-    sine2 = out[0] * out[0] + out[1] * out[1] + out[2] * out[2]
+    north = w * i + x * a + y * k - z * j
+    east = w * j - x * k + y * a + z * i
+    down = w * k + x * j - y * i + z * a
+    cosine = np.sqrt(real * real + down * down)  # of half the tilt
+    sine = np.sqrt(north * north + east * east)
     sign = -1.0 if real < 0.0 else 1.0
-    if sine2 < 1e-8:  # the next term is below 1e-16
-        scale = sign * (2.0 + sine2 / 3.0)
-    else:
-        sine = np.sqrt(sine2)
-        scale = sign * 2.0 * np.arctan2(sine, sign * real) / sine
-    for m in range(3):
-        out[m] *= scale
+    scale = 2.0 / cosine
+    if sine > 0.0:
+        scale = 2.0 * np.arctan2(sine, cosine) / (sine * cosine)
+    out[0] = scale * (real * north - down * east)
+    out[1] = scale * (real * east + down * north)
+    out[2] = 2.0 * np.arctan2(sign * down, sign * real)
 
 
 @kernel

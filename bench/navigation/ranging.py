@@ -25,9 +25,7 @@ from bench.navigation.aiding import (
     SATELLITE_ROWS,
     SENSORS,
     Measurements,
-    antenna_kernel,
-    lever_kernel,
-    place_kernel,
+    antenna_rows_kernel,
 )
 from bench.navigation.blocks import Index
 from bench.navigation.cycle import FilterState, MeasureWork, Pending
@@ -196,18 +194,15 @@ def satellites_kernel(
     sky: Sky,
 ) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
-    state, C, H, z = now.state, work.C, pending.H, pending.z
+    state, H, z = now.state, pending.H, pending.z
     n, at = now.P.shape[0], index.clock_offset
-    place_kernel(now, data.antenna_b, index, work)
     # the last six rows of the slot hold position and velocity of the antenna
     last = first + pending.width - 6
     for j in range(last, last + 6):
         for i in range(n):
             H[j, i] = 0.0
     arm = z[last : last + 6]
-    antenna_kernel(state, C, work.lever, work.w_ib_b, state[:3], state[3:6], H[last : last + 6], arm)
-    if index.antenna_b >= 0:
-        lever_kernel(C, work.w_ib_b, index.antenna_b, H[last : last + 6])
+    antenna_rows_kernel(now, data.antenna_b, state[:3], state[3:6], index, H[last : last + 6], arm, work)
     s, c = np.sin(state[0]), np.cos(state[0])
     sl, cl = np.sin(state[1]), np.cos(state[1])
     _, prime = radii_kernel(s)

@@ -1,11 +1,9 @@
 """A heading that is hardly known: what the linear error model would make of it, and does not.
 
-With psi the error of the heading, an estimate with an error is an aircraft turned by psi and tilted: its
-attitude is exp(tilt) exp(psi) of the true one, its motion is turned by psi. At rest nothing is turned, so
-velocity and position tell nothing of psi. The linear model thinks they do, for three reasons: its own
-drifting velocity, which the next fix takes away, would be turned; a correction of psi turns the axes of the
-tilts, not their covariance with the biases of the instrument; the horizontal Earth rate would be turned
-without end, not by the sine of psi.
+With psi the error of the heading, an estimate with an error is an aircraft turned by psi and tilted, its
+motion turned by psi. At rest nothing is turned, so velocity and position tell nothing of psi. The linear
+model thinks they do, for two reasons: its own drifting velocity, which the next fix takes away, would be
+turned; the horizontal Earth rate would be turned without end, not by the sine of psi.
 """
 
 from __future__ import annotations
@@ -18,8 +16,6 @@ from bench.compiled import inner, kernel
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
 _ROUGH = 0.05  # sd from which on motion that may be none does not tell it [rad]
-_STEEP = 0.1  # correction from which on it turns tilts [rad]
-_FLYING = 5.0  # speed from which on the motion has told the tilts [m/s]
 _SIGMAS = 3.0  # a velocity within these of zero may be none
 _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s]
 
@@ -94,24 +90,3 @@ def add_arm(P: FloatArray, antenna_b: FloatArray) -> None:
     lost = np.abs(P[:, 8, 8] / UNKNOWN_HEADING_SD**2 - 1.0) < 0.01
     for axis in range(2):
         P[lost, axis, axis] += antenna_b[0] ** 2 + antenna_b[1] ** 2
-
-
-@kernel
-def turn_tilts_kernel(state: FloatArray, P: FloatArray, H: FloatArray, dx: FloatArray) -> None:
-    """Turn the tilts of P (n, n) and of rows H (m, n) that wait by the correction dx[8], if it is large.
-
-    The tilts of dx (n,) are turned to the middle of it, for the feedback is one rotation by all three. They
-    are those of an instrument that stood. In flight they follow from velocities gained along n, and stay.
-    """
-    speed2 = state[3] * state[3] + state[4] * state[4]
-    if not (abs(dx[8]) > _STEEP and speed2 < _FLYING**2):
-        return
-    s, c = np.sin(dx[8]), np.cos(dx[8])
-    for i in range(P.shape[0]):
-        P[6, i], P[7, i] = c * P[6, i] + s * P[7, i], c * P[7, i] - s * P[6, i]
-    for i in range(P.shape[0]):
-        P[i, 6], P[i, 7] = c * P[i, 6] + s * P[i, 7], c * P[i, 7] - s * P[i, 6]
-    for a in range(H.shape[0]):
-        H[a, 6], H[a, 7] = c * H[a, 6] + s * H[a, 7], c * H[a, 7] - s * H[a, 6]
-    s, c = np.sin(0.5 * dx[8]), np.cos(0.5 * dx[8])
-    dx[6], dx[7] = c * dx[6] + s * dx[7], c * dx[7] - s * dx[6]

@@ -74,7 +74,6 @@ class TrackWork(NamedTuple):
     product: FloatArray  # (3, 3)
     way: FloatArray  # (3,)
     H: FloatArray  # (2, 3, 9) of a position and of a velocity
-    own: IntArray  # (2, 3) the states they measure
     z: FloatArray  # (3,)
     e: FloatArray  # (3,)
     dx: FloatArray  # (9,)
@@ -88,7 +87,6 @@ class TrackWork(NamedTuple):
 
 def track_work() -> TrackWork:
     """Return the memory of :func:`track_kernel`."""
-    own = np.arange(6).reshape(2, 3)
     matrix, vector, states = np.zeros((3, 3)), np.zeros(3), np.zeros(9)
     return TrackWork(
         Phi=matrix.copy(),
@@ -97,8 +95,7 @@ def track_work() -> TrackWork:
         block=matrix.copy(),
         product=matrix.copy(),
         way=vector.copy(),
-        H=np.eye(9)[own],
-        own=own,
+        H=np.eye(9)[:6].reshape(2, 3, 9),
         z=vector.copy(),
         e=vector.copy(),
         dx=states.copy(),
@@ -250,7 +247,7 @@ def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: FixLog
             log.filled[0] += 1
         if accepted:
             if not sound:
-                open_kernel(P, work.unused, H, e, work.own[code], work.square, work.row)
+                open_kernel(P, work.unused, H, e, 3 * code, 3, work.square, work.row)
             for i in range(3):
                 update_kernel(P, dx, H[i], z[i], r[i], work.row, work.other_row)
             for i in range(3):

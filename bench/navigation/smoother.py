@@ -4,11 +4,13 @@ The forward run is an error-state filter in closed loop. Between two nodes its s
 updates of node j) to x_{j+1}^- (before those of node j+1), with the error transition Phi. Going back,
 
     C_j   = P_j Phi' (P_{j+1}^-)^-1
-    x_j^s = x_j + C_j (x_{j+1}^s - x_{j+1}^-)
+    x_j^s = x_j - C_j (x_{j+1}^- - x_{j+1}^s)
     P_j^s = P_j + C_j (P_{j+1}^s - P_{j+1}^-) C_j'
 
-where the difference of two states is an error state: metres in n, the rotation from one attitude to the
-other, and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3 (8), 1965).
+where the difference of two states is an error state: metres in n, the turns from one attitude to the other,
+and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3 (8), 1965). Tilts are
+those of the axes of each state (`bench.navigation.error_state`): P_{j+1}^s is turned to those of x_{j+1}^-,
+and P_j^s to those of x_j^s.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.navigation import in_blocks
-from bench.navigation.error_state import difference_kernel, feedback_kernel
+from bench.navigation.error_state import PHI, difference_kernel, feedback_kernel, reset_kernel
 from bench.navigation.forward import Nodes, answers, spread
 from bench.navigation.fusion import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
@@ -104,8 +106,8 @@ class SmootherWork(NamedTuple):
     D: FloatArray  # (n, n) P^s - P^-
     gain: FloatArray  # (n, n) C'
     product: FloatArray  # (n, n) D C'
-    d: FloatArray  # (n,) x^s - x^-
-    e: FloatArray  # (n,) less C d
+    d: FloatArray  # (n,) error of x^- if x^s is true
+    e: FloatArray  # (n,) C d
 
 
 def smooth(stretches: list[Nodes]) -> None:
@@ -137,18 +139,24 @@ def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: Smoo
     n, d, e, D = work.d.shape[0], work.d, work.e, work.D
     for j in range(state.shape[0] - 2, -1, -1):
         later, before = P[j + 1, 1], P[j + 1, 0]
-        difference_kernel(state[j + 1, 1], state[j + 1, 0], d)
+        difference_kernel(state[j + 1, 0], state[j + 1, 1], d)
         _gain_kernel(before, Phi[j + 1], P[j, 1], work)
         for i in range(n):
             e[i] = 0.0
         for k in range(n):
             for i in range(n):
-                e[i] -= work.gain[k, i] * d[k]
+                e[i] += work.gain[k, i] * d[k]
+        turn = e[PHI + 2]
         feedback_kernel(state[j, 1], e)
         for i in range(n):
             for k in range(n):
-                D[i, k] = later[i, k] - before[i, k]
+                D[i, k] = later[i, k]
+        reset_kernel(D, -d[PHI + 2])
+        for i in range(n):
+            for k in range(n):
+                D[i, k] -= before[i, k]
         _correct_kernel(P[j, 1], work)
+        reset_kernel(P[j, 1], turn)
 
 
 @inner

@@ -27,8 +27,8 @@ _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2
 class StandstillDetector(ImuSampler):
     """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
 
-    Values are the measured mean rate over each window [rad/s], b; variances those of the velocity, which is
-    zero, and of the rate.
+    Values are the measured mean rate [rad/s] and force [m/s^2] over each window, b; variances those of the
+    velocity, which is zero, and of the rate.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ class StandstillDetector(ImuSampler):
         self.spec = spec
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return in which windows it stood, the mean rates (W, 3) and the variances (6,)."""
+        """Return in which windows it stood, the mean rates and forces (W, 6) and the variances (6,)."""
         spec, end = self.spec, last + 1
         first = np.append(0, end)[: len(last)]
         variance = np.repeat([VELOCITY_SD**2, rate_variance(spec)], 3)
         if not len(last):
-            return np.zeros(0, np.bool_), np.empty((0, 3)), variance
+            return np.zeros(0, np.bool_), np.empty((0, 6)), variance
         count = end - first
         total = sum_segments(imu.dt[:, None], first, end)
         spans = imu.t[last] - (imu.t[first] - imu.dt[first])
@@ -70,7 +70,7 @@ class StandstillDetector(ImuSampler):
         size = np.linalg.norm(force, axis=1)
         allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
         still &= np.abs(size - GAMMA_E) < allowed
-        return still, turn, variance
+        return still, np.hstack(means), variance
 
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
         """Return the first sample of the window that has not ended."""

@@ -208,11 +208,11 @@ def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
         return None
     if (speed < STILL).all():
         inside = rows[sensors.imu.t[rows] <= initial.t + LONGEST]
-        ends, rate_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
+        ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
         span = len(ends) * standstill.WINDOW
         if span < SHORTEST:
             return None
-        return TurnOn(rate_b.mean(axis=0), STILL_SD / span, float(ends[-1]))
+        return TurnOn(motion_b[:, :3].mean(axis=0), STILL_SD / span, float(ends[-1]))
     course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
     straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
     count = len(t) if straight.all() else int(np.argmin(straight))

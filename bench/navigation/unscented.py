@@ -25,7 +25,7 @@ from bench.data import EventRow, Events, InitialState, Innovations, NavSolution,
 from bench.navigation import alignment, hypotheses
 from bench.navigation.aiding import FIX_ROWS
 from bench.navigation.blocks import BARO_BIAS, StateModel, state_model
-from bench.navigation.error_state import GYRO, PHI, POS, VEL, moved_state, state_difference
+from bench.navigation.error_state import GYRO, PHI, POS, VEL, less_errors, reset_kernel, state_errors
 from bench.navigation.forward import solution
 from bench.navigation.in_pieces import InPieces
 from bench.navigation.integrity import OUTAGE, nis, nis_limit, tells_of_drift
@@ -239,14 +239,14 @@ class _Flight:
         decay = np.exp(-(process.decay_time + process.decay_distance * ground_speed) * T)
         points = self.points()
         x = points.x
-        states = np.vstack([moved_state(self.estimate, -x), self.estimate])  # truths, and the estimate
+        states = np.vstack([less_errors(self.estimate, x), self.estimate])  # truths, and the estimate
         before = np.tile(self.before, (len(states), 1))
         if self.before[6] > 0:  # what each of them takes off the interval before
             before[:-1, :6] += x[:, GYRO : GYRO + 6] * self.before[6]
         _carry_kernel(states, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
         self.estimate, self.before = states[-1], before[-1]
         after = x * decay
-        after[:, :GYRO] = -state_difference(states[:-1], self.estimate)[:, :GYRO]
+        after[:, :GYRO] = state_errors(self.estimate, states[:-1])[:, :GYRO]
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(
@@ -270,11 +270,11 @@ class _Flight:
             return
 
         def place(x: FloatArray) -> FloatArray:
-            truth = moved_state(self.estimate, -x)
+            truth = less_errors(self.estimate, x)
             return rotation.rotate(truth[:, 6:10], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
 
         def motion(x: FloatArray) -> FloatArray:
-            truth = moved_state(self.estimate, -x)
+            truth = less_errors(self.estimate, x)
             lat, q_nb = self.estimate[0], truth[:, 6:10]
             earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
             w_b = w_ib_b - truth[:, 10:13] - rotation.rotate(rotation.conjugate(q_nb), earth_n)
@@ -346,8 +346,9 @@ class _Flight:
         return mean, S, np.asarray(np.linalg.solve(S, cross.T).T, np.float64)
 
     def _feed_back(self, x: FloatArray) -> None:
-        """Take an expected error off the estimate."""
-        self.estimate = moved_state(self.estimate, -x)
+        """Take an expected error off the estimate; the tilts turn with the axes of the unit."""
+        self.estimate = less_errors(self.estimate, x)
+        reset_kernel(self.P, float(x[PHI + 2]))
 
 
 def _root(P: FloatArray) -> FloatArray:

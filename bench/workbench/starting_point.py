@@ -3,7 +3,8 @@
 Fifteen error states, estimate minus truth: position [m], velocity [m/s] and attitude phi [rad] along north,
 east, down; gyro bias [rad/s] and accelerometer bias [m/s^2] along the body axes. From one fix or output to
 the next, a compiled strapdown propagates the navigation state, and one step propagates the covariance. A fix
-measures position and velocity; the estimated errors are fed back at once. The barometer is not used.
+measures position and velocity; the estimated errors are fed back at once: the tilt first, then the heading,
+with which the axes of the tilts in P turn. The barometer is not used.
 """
 
 import numpy as np
@@ -98,7 +99,12 @@ class StartingPoint:
                         P = J @ P @ J.T + K @ R[use, use] @ K.T
                 nav[:3] = earth.displace(nav[:3], -x[:3])
                 nav[3:6] -= x[3:6]
-                nav[6:] = rotation.multiply(rotation.from_rotvec(-x[6:9]), nav[6:])
+                level = rotation.multiply(rotation.from_rotvec([-x[6], -x[7], 0.0]), nav[6:])
+                heading = rotation.from_rotvec([0.0, 0.0, -x[8]])
+                nav[6:] = rotation.multiply(heading, level)
+                axes = np.eye(15)
+                axes[6:9, 6:9] = rotation.matrix(heading)
+                P = axes @ P @ axes.T
                 gyro_bias, accel_bias = gyro_bias - x[9:12], accel_bias - x[12:]
             if k in outputs:
                 out[outputs[k]] = np.concatenate([nav, gyro_bias, accel_bias])

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation
-from bench.navigation import cycle, error_state, mechanization
+from bench.navigation import corrections, error_state, mechanization
 from bench.wide_rows import widened
 
 DIGITS = mpmath.mp.clone()
@@ -53,7 +53,8 @@ def displaced(nav, error):
     state[1] += error[1] / ((prime + nav[2]) * DIGITS.cos(nav[0]))
     state[2] -= error[2]
     state[3:6] += error[3:6]
-    TURN(state, error[6], error[7], error[8], True)
+    TURN(state, 0, 0, error[8], True)
+    TURN(state, error[6], error[7], 0, True)
     return state
 
 
@@ -247,7 +248,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
     The increments are those of a sensor, (1 + s) w + M f and (1 + s) f, put through the corrections.
     """
     nav, f_b, w_ib_b, F = dynamics_of(case)
-    correction = plain(cycle.increments_kernel, LONG_NUMPY)
+    correction = plain(corrections.increments_kernel, LONG_NUMPY)
     begin = {"gyro scale": 16, "accel scale": 19, "g-sensitivity": 22}
     drives = np.array([(begin[name] - 1 + i, bias, by) for name, i, bias, by in MEMS_STATES])
     reading = np.concatenate([w_ib_b, f_b]).astype(float)
@@ -333,14 +334,19 @@ def test_layout_names_every_state_once():
         layout.slice("scale")
 
 
-def test_difference_and_move_are_inverse():
+def test_errors_and_truths_are_inverse():
+    """By the kernels and by the plain functions: the errors of a state less these errors are these errors."""
     rng = np.random.default_rng(5)
     start = [0.8, 0.2, 500.0, 20.0, 5.0, -1.0, *rotation.from_euler(0.1, 0.2, 0.3), *rng.normal(size=7)]
     d = rng.normal(size=(20, 16)) * np.repeat([5.0, 0.5, 0.3, 1e-3, 1e-2, 3.0], [3, 3, 3, 3, 3, 1])
     state = np.array(start)
-    moved = error_state.moved_state(state, d)
-    assert_allclose(error_state.state_difference(moved, state), d, rtol=1e-5, atol=1e-9)
-    assert_allclose(error_state.moved_state(state, d[3]), moved[3], rtol=1e-15)
+    truths = error_state.less_errors(state, d)
+    assert_allclose(error_state.state_errors(state, truths), d, rtol=1e-5, atol=1e-9)
+    assert_allclose(error_state.less_errors(state, d[3]), truths[3], rtol=1e-15)
+    fed = state.copy()
+    error_state.feedback_kernel(fed, d[3].copy())
+    fed[6:10] *= np.sign(fed[6] * truths[3, 6])
+    assert_allclose(fed, truths[3], rtol=1e-12)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-6, 1e-3, 0.5, 3.0])
@@ -349,12 +355,13 @@ def test_the_difference_of_the_kernel_is_that_of_two_states(turn, sign):
     """Across the date line, by any turn, with either sign of the quaternion."""
     rng = np.random.default_rng(5)
     q = rotation.from_euler(0.3, -0.4, 5.0)
-    other = np.concatenate([[0.8, np.pi - 1e-9, 500.0], rng.normal(size=3), q, rng.normal(size=9)])
-    d = rng.normal(size=len(other) - 1)
+    state = np.concatenate([[0.8, np.pi - 1e-9, 500.0], rng.normal(size=3), q, rng.normal(size=9)])
+    d = rng.normal(size=len(state) - 1)
     d[6:9] *= turn / np.linalg.norm(d[6:9])
-    state, found = error_state.moved_state(other, d), np.empty_like(d)
-    state[1] -= 2 * np.pi
-    state[6:10] *= sign
-    error_state.difference_kernel(state, other, found)
-    assert_allclose(found, error_state.state_difference(state, other), rtol=1e-12, atol=1e-14)
-    assert_allclose(found, d, rtol=1e-8, atol=2e-9)
+    truth, found = error_state.less_errors(state, d), np.empty_like(d)
+    wanted = error_state.state_errors(state, truth)
+    truth[1] += 2 * np.pi
+    truth[6:10] *= sign
+    error_state.difference_kernel(state, truth, found)
+    assert_allclose(found[3:], wanted[3:], rtol=1e-12, atol=1e-14)
+    assert_allclose(found, d, rtol=1e-5, atol=2e-9)

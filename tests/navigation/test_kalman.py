@@ -93,17 +93,16 @@ def test_nis_sees_a_fault_that_points_across_the_correlation():
 def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m):
     """A-5.4.7: then the refused innovation is one to be expected, NIS at most m; the smoother's P alike."""
     P, dx, H, z, r = problem(seed, m)
-    own = np.arange(m)
     H[:, :m] = np.eye(m)  # as a fix: each component is one state by itself, and others beside it
     e = 30.0 * np.sqrt(np.diag(H @ P @ H.T) + r)
     z = H @ dx + e
     var, work = np.empty(m), np.zeros((m, m + 1))
     opened, before = P.copy(), 2.0 * P
     assert nis_kernel(P, dx, H, z, r, var, work, np.empty_like(H)) > 899.0
-    open_kernel(opened, before, H, e, own, work, np.empty(N))
+    open_kernel(opened, before, H, e, 0, m, work, np.empty(N))
     x = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(r), e)
     step = np.zeros(N)
-    step[own] = e
+    step[:m] = e
     size = np.sqrt(np.diag(P))
     unit = np.outer(size, size)
     assert_allclose((opened - P) / unit, (np.outer(x, x) + np.diag(step**2)) / unit, rtol=1e-6, atol=1e-6)
@@ -181,3 +180,19 @@ def test_compiled_kernels_agree_with_their_own_python():
         own, own_var = nis(*case, kernel=nis_kernel.py_func)
         assert_allclose(value, own, rtol=1e-12)
         assert_allclose(var, own_var, rtol=1e-12)
+
+
+def test_two_states_seen_together_open_by_the_least_step_that_explains():
+    """Along their row of H: the innovation is one to be expected, and what the row does not see stays."""
+    P, dx, H, _, r = problem(1, 1)
+    H[:] = 0.0
+    H[0, 2:4] = -0.6, 0.8
+    e = np.array([50.0])
+    work = np.zeros((1, 2))
+    nis_kernel(P, dx, H, H @ dx + e, r, np.empty(1), work, np.empty_like(H))
+    opened = P.copy()
+    open_kernel(opened, P.copy(), H, e, 2, 2, work, np.empty(N))
+    x = P @ H[0] * (e[0] / (H[0] @ P @ H[0] + r[0]))
+    step = opened - P - np.outer(x, x)
+    assert_allclose(step[2:4, 2:4], 2500.0 * np.outer([-0.6, 0.8], [-0.6, 0.8]), rtol=1e-9, atol=1e-6)
+    assert_allclose(np.array([0.8, 0.6]) @ step[2:4, 2:4], 0.0, atol=1e-6)

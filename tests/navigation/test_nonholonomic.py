@@ -59,7 +59,7 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
     state[6:10] = rotation.from_euler(0.1, -0.2, 1.1)
     state[10:13] = [1e-3, -2e-3, 3e-3]
     state[index.axis_yaw + 1 : index.axis_yaw + 6] = [0.2, -0.3, 0.05, -0.04, 0.006]
-    values = np.array([[0.1, -0.2, 0.4, 2.0, -1.5, 0.0]])
+    values = np.array([[0.1, -0.2, 0.4, 0.5, 0.3, -9.7, 2.0, -1.5]])
     aid = aiding.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
 
     def measure(error):
@@ -68,8 +68,8 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
         pending = cycle.Pending(
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
-        work = cycle.work_for(n, len(model.process.drives)).measure
-        work.w_ib_b[:] = values[0, :3] - moved[10:13]
+        work = cycle.work_for(n, model.process.drives).measure
+        work.last[0] = values[0, :3] - moved[10:13]
         belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
         code = ROWS.get(kind, aiding.AIRSPEED_ROWS)
         rows = plain(aiding.ROWS[code])(0, 0, belief, aid, index, pending, work)
@@ -90,8 +90,9 @@ def test_samples_hold_the_mean_motion_before_them():
     assert_allclose(ends, constraints.INTERVAL * np.arange(1, 1 + len(ends)))
     k = int(np.searchsorted(imu.t, ends[-1]))
     rate = imu.dtheta_b[k - 9 : k + 1].sum(axis=0) / 0.1
-    force = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / constraints.LEAN
-    assert_allclose(motion_b[-1], [*rate, force[0], force[1] / constraints.SLIP_FORCE])
+    force = imu.dvel_b[k - 9 : k + 1].sum(axis=0) / 0.1
+    lean = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / constraints.LEAN
+    assert_allclose(motion_b[-1], [*rate, *force, lean[0], lean[1] / constraints.SLIP_FORCE])
 
 
 def drive(slip: float, **options):

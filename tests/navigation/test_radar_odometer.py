@@ -60,7 +60,7 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
         belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
-        work = cycle.work_for(n, len(model.process.drives)).measure
+        work = cycle.work_for(n, model.process.drives).measure
         made = plain(aiding.ROWS[code])(0, 0, belief, aid, model.index, pending, work)
         assert made == 1
         return pending.z[0], pending.H[0].copy()

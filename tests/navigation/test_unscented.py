@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import stats
 
 import bench
 from bench import earth, rotation, sensors
@@ -80,23 +79,22 @@ def test_ten_seeds_over_a_minute_are_consistent(minute):
     assert not nis["gnss_velocity"].inside
 
 
-def test_where_the_heading_is_hardly_known_it_beats_the_linear_filter(monkeypatch):
-    """60 deg of heading sd, 24 draws of a minute: the heading errors after 30 s in units of what is claimed.
+def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
+    """60 deg of heading sd, 16 draws of a minute: the headings after 30 s in units of what is claimed.
 
-    What makes a filter of sigma points worth its time: large errors before the first turns. One filter each,
-    without the hypotheses that both start with from such a heading.
+    One filter, without the hypotheses that it starts with from such a heading. Of 16 honest draws three are
+    beyond 3.29 sigma once in 10^6 times.
     """
     monkeypatch.setattr(hypotheses, "LINEAR", np.inf)
     truth, spec = weaving(60.0, rate=50.0), replace(units(), initial_heading_sd=60.0 * DEG)
-    found = {"ukf": [], "loose-15": []}
-    for run in range(24):
+    beyond = 0
+    for run in range(16):
         sensed = sensors.sense(truth, spec, 2, run)
-        for name, estimator in (("ukf", Unscented()), ("loose-15", Loose(covariance_hz=10.0))):
-            solution = estimator.run(sensed.data, sensed.initial)
-            errors = error_series(truth, solution)
-            late = errors.t > 30.0
-            found[name].append(np.mean(errors.heading[late] ** 2 / solution.cov[-late.sum() :, 8, 8]))
-    assert stats.wilcoxon(found["ukf"], found["loose-15"], alternative="less").pvalue < 0.001, found
+        solution = Unscented().run(sensed.data, sensed.initial)
+        errors = error_series(truth, solution)
+        late = errors.t > 30.0
+        beyond += np.mean(errors.heading[late] ** 2 / solution.cov[-late.sum() :, 8, 8]) > 3.29**2
+    assert beyond < 3
 
 
 def test_a_gauss_markov_state_forgets_between_measurements(sensed):

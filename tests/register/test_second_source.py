@@ -109,7 +109,7 @@ def test_46_the_estimator_takes_the_curve_in_an_outage(curve):
     before = plain.t < 41.55  # 2.5 intervals after the last fix
     np.testing.assert_array_equal(ours.lla[before], plain.lla[before])
     sd, of_plain = (np.sqrt(np.einsum("kii->ki", one.cov)) for one in (ours, plain))
-    assert_allclose(sd, of_plain, rtol=1e-3)  # only in metres at another place
+    assert_allclose(sd, of_plain, rtol=0.01)  # only in metres at another place, tilts turned with the heading
     off = np.linalg.norm(difference_n(ours.lla, plain.lla)[~before, :2], axis=1)
     assert (off > 0).all()
     assert off[-1] < 500.0

@@ -90,7 +90,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
 def measurement_rows(
     path: Path, at: int, code: int, antenna_b: FloatArray, index: Index, n: int
 ) -> FloatArray:
-    """Return H (m, n) of a sensor at an instant of the truth."""
+    """Return H (m, n) of a sensor at an instant of the truth, but for states that add to the gyro biases."""
     if code == BARO:
         H = np.zeros((1, n))
         H[0, 2] = -1.0
@@ -138,6 +138,10 @@ def _replay(
             node, P = here, nodes.P[here, 0].copy()
         code = int(table.code[first])
         H = measurement_rows(path, int(step[here]), code, data.antenna_b, model.index, n)
+        seen = H.copy()
+        seen[:, GYRO : GYRO + 3] = 0.0  # the rate of a lever arm is taken for known
+        for state, error, by in model.process.drives:
+            H[:, state] += H[:, error] * path.factors[max(int(step[here]) - 1, 0), by]
         left = table.S[first:end] - np.einsum("bi,ij,bj->b", H, P, H)
         number = int(numbers[code][counts[code]])
         counts[code] += 1
@@ -150,9 +154,7 @@ def _replay(
                 continue
             update_kernel(P, dx, H[b], 0.0, r, row, other)
             found.append((int(step[here]), code, b, number))
-            seen = H[b].copy()
-            seen[GYRO : GYRO + 3] = 0.0  # the rate of a lever arm is taken for known
-            h_rows.append(seen)
+            h_rows.append(seen[b])
             gains.append(other.copy())
     marks = np.array(found, np.int64).reshape(-1, 4)
     step_, code_, component, row_number = marks.T

@@ -25,6 +25,7 @@ from bench.navigation.classic.navigator import (
     Earth,
     Nav,
     Vector,
+    axes_turned,
     body_increments,
     corrected,
     ellipsoid,
@@ -290,18 +291,16 @@ class FilterLoop:
         else:
             self.misses[name] = 0
             self.close(name)
-        code = SENSORS.index(name)
         along_n = -(NED_OF_ENU @ y) if len(rows) == 3 else -y  # measured less predicted
         variance = np.diag(S)[[1, 0, 2]] if len(rows) == 3 else np.diag(S)
         for i, (z, s) in enumerate(zip(along_n.tolist(), variance.tolist(), strict=True)):
-            self.innovations.append((now, code, i, z, s, value, use))
+            self.innovations.append((now, SENSORS.index(name), i, z, s, value, use))
         return use
 
     def _has_drifted(self, now: float, y: FloatArray, S: FloatArray, r: FloatArray) -> bool:
         """Return whether a fix comes after an outage, its position beyond the gate by a drift."""
-        missed = self.misses["gnss_position"] + self.misses["gnss_velocity"]
         used = max((at for at, _ in self.accepted.values()), default=self.began)
-        if missed > 0 or now - used < integrity.OUTAGE:
+        if self.misses["gnss_position"] + self.misses["gnss_velocity"] or now - used < integrity.OUTAGE:
             return False
         return integrity.tells_of_drift(y[1:7], S[1:7, 1:7], r[1:4], self.gates["gnss_position"])
 
@@ -347,7 +346,9 @@ class FilterLoop:
         self.start = self.nav
         self.eps = self.eps + x[9:12]
         self.da = self.da + x[12:15]
-        self.form.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 and P are kept
+        self.form.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 are kept
+        self.form.predict(axes_turned(x), np.zeros((SIZE, SIZE)), 0.0)
+        self._keep_floor()
         period = options.correction_period
         if isinstance(period, str):
             spread = 3.0 * np.sqrt(np.diag(self.form.covariance))
@@ -373,7 +374,7 @@ class FilterLoop:
             x[:9] = extrapolate(self.options.outage, t, errors, now)
         nav = corrected(self.nav, x)
         earth = ellipsoid(nav.lat, nav.h)
-        J = ned_matrix(nav, earth)
+        J = ned_matrix(nav, earth) @ axes_turned(x)[:9, :9]
         east, north = reduced(nav, earth)
         to_ned = np.zeros((13, 13))
         to_ned[0:3, 0:3] = to_ned[3:6, 3:6] = FRD_OF_FUR

@@ -156,12 +156,25 @@ def reduced(nav: Nav, earth: Earth) -> tuple[float, float]:
 def corrected(nav: Nav, x: FloatArray) -> Nav:
     """Return the navigator less an estimated error x (22,) (A-5.4.8, A-5.4.9).
 
-    The attitude turns by the exact rotation of alpha, so that it stays orthogonal.
+    The attitude turns by exact rotations, so that it stays orthogonal: the horizontal part of alpha first, as
+    the error state has it (`bench.navigation.error_state`).
     """
+    east, north, up = (float(v) for v in x[6:9])
     return Nav(
         nav.lat - x[1] / R3,
         nav.lon - x[0] / R3,
         nav.h - x[2],
         nav.V - x[3:6],
-        turn_matrix(*(float(v) for v in x[6:9])) @ nav.B,
+        turn_matrix(0.0, 0.0, up) @ turn_matrix(east, north, 0.0) @ nav.B,
     )
+
+
+def axes_turned(x: FloatArray) -> FloatArray:
+    """Return the Jacobian (22, 22) of what is left of an error after :func:`corrected` took x (22,) off.
+
+    The tilts turn with the axes of the unit.
+    """
+    s, c = math.sin(x[8]), math.cos(x[8])
+    turned = np.eye(len(x))
+    turned[6:8, 6:8] = [[c, -s], [s, c]]
+    return turned
