@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
-    from bench.navigation.pieces import PieceFilter
+    from bench.navigation.open_filters import PieceFilter
     from bench.signals.delays import Troposphere
     from bench.signals.receiver import Ionosphere, Systems
 
@@ -133,7 +133,7 @@ def open_filter(
     Parameters
     ----------
     use : str
-        A built-in filter that runs forward, or an estimator with `bench.navigation.in_pieces.RunsInPieces`.
+        A built-in filter that runs forward, or an estimator with `piecewise.RunsInPieces`.
     initial : InitialState
         Start.
     options : mapping or None
@@ -147,7 +147,7 @@ def open_filter(
     bench.errors.EstimatorError
         If there is no such filter, an option is wrong, or it cannot run in pieces.
     """
-    from bench.navigation.pieces import PieceFilter
+    from bench.navigation.open_filters import PieceFilter
 
     given = dict(options or {})
     return PieceFilter(use, given, estimator.load(use, given), initial, look_back)

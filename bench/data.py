@@ -240,7 +240,7 @@ class SensorData(InstrumentReports, Rebuilt):
 class InitialState(Rebuilt):
     """Initial state of an estimator with its covariance.
 
-    What is not given is NaN with infinite variance; `bench.navigation.alignment.complete` finds it.
+    What is not given is NaN with infinite variance; `bench.navigation.start.alignment.complete` finds it.
     """
 
     t: float  # [s]

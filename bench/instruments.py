@@ -2,7 +2,7 @@
 
 An instrument has a record, a spec, a field in :class:`InstrumentSpecs` and :class:`InstrumentReports` and a
 row in :data:`INSTRUMENTS`. To add one, write these here and its model in ``bench/sensors/<model>.py``. For
-filters that use it, add its row in `bench.navigation.measurements` and its branch in the measurement kernel.
+filters that use it, add its row in `aiding_sensors` and its branch in the measurement kernel.
 Datasheets, profiles, faults, files, streams, recordings, requirements and alarms follow from the row here.
 """
 

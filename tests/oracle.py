@@ -19,8 +19,8 @@ import numpy as np
 
 from bench import earth, pipeline, rotation
 from bench.config import list_profiles, load_profile
-from bench.navigation.classic import Classic22
-from bench.navigation.fusion import Loose
+from bench.navigation.models.classic import Classic22
+from bench.navigation.models.loose_tight import Loose
 
 LIMITS = {"position": 0.05, "velocity": 0.005, "attitude": 20e-6}  # RMS [m], [m/s], [rad]
 EXEMPT = ("polar",)

@@ -1,4 +1,4 @@
-"""A car on a winding, hilly road: what it does is drawn from the model of `bench.navigation.constraints`.
+"""A car on a winding, hilly road: what it does is drawn from the model of `vehicle_motion`.
 
 The IMU follows the turns and slopes of the road. The motion of the axle is turned from its axes by mounting,
 slip and the force upon the car, the axle shakes, and the IMU is off the axle.
@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 from bench import earth, rotation
 from bench.data import Trajectory
 from bench.exchange.trajectory import read_trajectory
-from bench.navigation.blocks import SQUAT_SD
-from bench.navigation.constraints import SHAKING_SD, SLIP_FORCE
+from bench.navigation.error_state_filter.state_blocks import SQUAT_SD
+from bench.navigation.error_state_filter.vehicle_motion import SHAKING_SD, SLIP_FORCE
 from bench.navigation.options import FusionOptions
 from bench.specs import TableSpec
 from bench.store import join_pieces

@@ -62,7 +62,13 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
     folder = copy_of_the_package(tmp_path)
     monkeypatch.setattr(compiled, "PACKAGE", folder / "bench")
     before = compiled._hash_sources()
-    for name in ("navigation/schedule.py", "navigation/states.py", "data.py", "specs.py", "units.py"):
+    for name in (
+        "navigation/error_state_filter/schedule.py",
+        "navigation/error_state_filter/state_processes.py",
+        "data.py",
+        "specs.py",
+        "units.py",
+    ):
         path = folder / "bench" / name
         path.write_text(path.read_text() + "\n# changed\n")
         after = compiled._hash_sources()
@@ -135,12 +141,14 @@ def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
     """In a process of its own: a barometer was read, no magnetometer and no satellites."""
     code = """
 from bench import sensors
-from bench.navigation import aiding, estimator, ranging
+from bench.navigation.error_state_filter import measurement_rows
+from bench.navigation import estimator
+from bench.navigation.error_state_filter import ranging
 from tests.weaving import units, weaving
 sensed = sensors.sense(weaving(5.0, rate=100.0), units(), 1, 0)
 estimator.load("loose-22", {}).run(sensed.data, sensed.initial)
 made = [bool(k.dispatcher.signatures) for k in
-        (aiding._baro_kernel, aiding._magnetic_kernel, ranging.satellites_kernel)]
+        (measurement_rows._baro_kernel, measurement_rows._magnetic_kernel, ranging.satellites_kernel)]
 assert made == [True, False, False], made
 """
     subprocess.run([sys.executable, "-c", code], check=True)

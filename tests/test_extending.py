@@ -156,7 +156,7 @@ IMU_TERM = Toy(
 
 STATE = Toy(
     inserted={
-        "bench/navigation/blocks.py": [
+        "bench/navigation/error_state_filter/state_blocks.py": [
             (
                 "def chosen_blocks(",
                 """SHEAR = Block(
@@ -249,7 +249,7 @@ class LaserSpec:
                 '    laser: bool = False\n    """Use the height of a laser."""\n',
             )
         ],
-        "bench/navigation/aiding.py": [
+        "bench/navigation/error_state_filter/measurement_rows.py": [
             (")\nPOSITION, VELOCITY, BARO", '    "laser",\n'),
             ("_SLOWEST_AIR = ", 'LASER, LASER_ROWS = SENSORS.index("laser"), 99\n'),
             (
@@ -264,10 +264,10 @@ def _laser_kernel(row, first, now, data, index, pending, work):
             ),
             ("    FIX_ROWS: _fix_kernel,\n", "    LASER_ROWS: _laser_kernel,\n"),
         ],
-        "bench/navigation/measurements.py": [
+        "bench/navigation/error_state_filter/aiding_sensors.py": [
             (
                 "AIDING = (",
-                """from bench.navigation.aiding import LASER_ROWS
+                """from bench.navigation.error_state_filter.measurement_rows import LASER_ROWS
 
 LASER = AidingSensor(
     "laser",

@@ -16,7 +16,7 @@ from bench.baselines.baseline_file import (
 )
 from bench.baselines.experiments import Draw, Experiment, lose_draw, make_baseline, open_experiment
 from bench.baselines.verdict_rows import CONVERGED, LOOKS, Candidate, Verdict, compare, decide
-from bench.campaigns.engine import Lost, Pool, compute
+from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
 from bench.errors import ConfigError

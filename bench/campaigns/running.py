@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from bench import pipeline, store
+from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
-from bench.campaigns.engine import Lost, Pool, compute
 from bench.campaigns.groups import gather
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.outcome import Outcome, compare, summarize

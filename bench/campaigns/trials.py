@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import log_pipeline, pipeline
 from bench.arrays import BoolArray, FloatArray
-from bench.campaigns.engine import Lost, Pool, compute
+from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.worker import RunTask, choose_step, measure
 from bench.config import load_profile
 from bench.config.datasheets import MODIFIED, SENSORS

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.evaluation.drift_laws import RAYLEIGH_95
-from bench.navigation.remedies import explain
+from bench.navigation.unmodelled_effects import explain
 from bench.wording import format_number
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"

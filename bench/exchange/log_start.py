@@ -9,7 +9,7 @@ from bench.config.log import LogSpec
 from bench.data import InitialState
 from bench.errors import ConfigError
 from bench.exchange.log_records import LogRecords
-from bench.navigation.alignment import UNKNOWN_SPEED_SD
+from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.rotation import from_euler, matrix
 
 

@@ -33,7 +33,7 @@ class Estimator(Protocol):
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and their covariance at ``sensors.output_t``.
 
-        Where ``initial.alignment`` is not "given", `bench.navigation.alignment.complete` finds the rest.
+        Where ``initial.alignment`` is not "given", `alignment.complete` finds the rest.
 
         Raises
         ------
@@ -79,8 +79,8 @@ class BuiltIn:
         ]
 
 
-_LOOSE = "bench.navigation.fusion:Loose"
-_GIVEN_GAINS = "bench.navigation.classic.given_gains"
+_LOOSE = "bench.navigation.models.loose_tight:Loose"
+_GIVEN_GAINS = "bench.navigation.register.given_gains"
 _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
@@ -104,13 +104,13 @@ BUILT_IN: Mapping[str, BuiltIn] = {
     ),
     "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
-        "bench.navigation.fusion:Tight",
+        "bench.navigation.models.loose_tight:Tight",
         "TightOptions",
         {"gnss_markov": False},
     ),
     "smoother": BuiltIn(
         "loose-full and a pass back over its record",
-        "bench.navigation.smoother:Smoother",
+        "bench.navigation.models.smoother:Smoother",
         "SmootherOptions",
         {"gnss": True},
     ),
@@ -125,25 +125,25 @@ BUILT_IN: Mapping[str, BuiltIn] = {
     ),
     "gnss-only": BuiltIn(
         "position and velocity from the fixes, without IMU",
-        "bench.navigation.gnss_only:GnssOnly",
+        "bench.navigation.models.gnss_only:GnssOnly",
         "GnssOnlyOptions",
         {},
     ),
     "ukf": BuiltIn(
         "the states of loose-15 by sigma points, slow",
-        "bench.navigation.unscented:Unscented",
+        "bench.navigation.models.ukf:Unscented",
         "UnscentedOptions",
         {},
     ),
     "classic-22": BuiltIn(
         "the source's 22 states step by step, slow: the oracle of loose-22",
-        "bench.navigation.classic:Classic22",
+        "bench.navigation.models.classic:Classic22",
         "ClassicOptions",
         {},
     ),
     "error-ekf": BuiltIn(
         "the generic filter of the errors of two systems, the INS never corrected, slow",
-        "bench.navigation.classic.error_ekf:ErrorEkfEstimator",
+        "bench.navigation.register.error_ekf:ErrorEkfEstimator",
         "ClassicOptions",
         {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
     ),
@@ -167,14 +167,14 @@ BUILT_IN: Mapping[str, BuiltIn] = {
     ),
     "invariant-ekf": BuiltIn(
         "invariant EKF on SE2(3) of gtsam (extra 'graph'), nine states, fixes only, slow",
-        "bench.navigation.graph.invariant_ekf:InvariantEkf",
+        "bench.navigation.models.graph.invariant_ekf:InvariantEkf",
         "InvariantOptions",
         {},
         package="gtsam",
     ),
     "graph-smoother": BuiltIn(
         "smoother as a factor graph of preintegrated IMU and fixes, by gtsam (extra 'graph'), slow",
-        "bench.navigation.graph.factor_graph:GraphSmoother",
+        "bench.navigation.models.graph.factor_graph:GraphSmoother",
         "GraphOptions",
         {},
         package="gtsam",

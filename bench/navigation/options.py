@@ -22,7 +22,6 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from bench.navigation.estimator import BUILT_IN
 from bench.wording import as_toml, describe_error, suggest
 
 
@@ -202,6 +201,16 @@ class TightOptions(FusionOptions):
         return True
 
 
+FORWARD: Mapping[str, Mapping[str, bool]] = {
+    "loose-15": {"gnss_markov": False},
+    "loose-22": {"gnss_markov": True},
+    "loose-mems": {"gnss_markov": True, "mems": True},
+    "loose-full": {"gnss_markov": True, "every_error": True},
+    "tight": {"gnss_markov": False},
+}
+"""Compiled filters that aid by GNSS -> the options that make them what they are."""
+
+
 class SmootherOptions(FusionOptions):
     """Options of the smoother: which filter runs forward, and the options of that."""
 
@@ -216,8 +225,7 @@ class SmootherOptions(FusionOptions):
     def _fix(cls, given: dict[str, Any]) -> dict[str, Any]:
         """Return the options with those that make the forward filter what it is."""
         over = given.get("over", "loose-full")
-        known = BUILT_IN.get(over) if isinstance(over, str) else None
-        states = known.fixed if known else {}
+        states = FORWARD.get(over, {}) if isinstance(over, str) else {}
         wrong = [
             f"option {name!r} is {as_toml(value)} in over = {as_toml(over)}; leave it out"
             for name, value in states.items()

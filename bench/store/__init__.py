@@ -36,7 +36,7 @@ from bench.store.results import (
     to_json,
     write_json,
 )
-from bench.store.start import (
+from bench.store.start_document import (
     START,
     load_start,
     make_sensor_data,

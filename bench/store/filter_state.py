@@ -16,8 +16,8 @@ import numpy as np
 import bench
 from bench.errors import EstimatorError
 from bench.navigation import estimator
-from bench.navigation.pieces import PieceFilter
-from bench.store.start import assumed_document, read_assumed_specs
+from bench.navigation.open_filters import PieceFilter
+from bench.store.start_document import assumed_document, read_assumed_specs
 
 FORMAT = 1
 _NOTES, _SUM = "notes", "sha256"

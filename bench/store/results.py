@@ -38,7 +38,13 @@ from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
 from bench.store.folders import write_text
-from bench.store.start import START, load_start, make_sensor_data, make_start_document, read_initial_state
+from bench.store.start_document import (
+    START,
+    load_start,
+    make_sensor_data,
+    make_start_document,
+    read_initial_state,
+)
 
 RECORDING = "flight.rrd"
 REPORT = "report.html"

@@ -47,7 +47,7 @@ STUDIES: Mapping[str, Entry] = {
         "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
     ),
     "register": Entry(
-        "bench.studies.register",
+        "bench.studies.register_study",
         "Which rows of the sources' register hold here, and by what number?",
     ),
     "rnp": Entry(

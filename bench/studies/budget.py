@@ -21,7 +21,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import check_aiding
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.specs import Profile

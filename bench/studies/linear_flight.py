@@ -19,10 +19,10 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.navigation.classic import navigator, observation_model, process_model
-from bench.navigation.classic.error_dynamics import dynamics_matrix
-from bench.navigation.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Earth, Nav
-from bench.navigation.classic.process_model import Sigmas
+from bench.navigation.models.classic import navigator, observation_model, process_model
+from bench.navigation.models.classic.error_dynamics import dynamics_matrix
+from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Earth, Nav
+from bench.navigation.models.classic.process_model import Sigmas
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 Phase = Literal["s-turns", "straight", "turn", "climb"]

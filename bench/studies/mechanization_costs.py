@@ -19,10 +19,10 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.flight.closed_form import STurns
 from bench.navigation import mechanization
-from bench.navigation.mechanizations import accelerometers, coning, earth_series
-from bench.navigation.mechanizations.attitude import ATTITUDES, make_attitude
-from bench.navigation.mechanizations.earth_series import EarthModel
-from bench.navigation.mechanizations.solving import FRAMES, Motion, Rates, navigate
+from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
+from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
+from bench.navigation.register.mechanizations.earth_series import EarthModel
+from bench.navigation.register.mechanizations.solving import FRAMES, Motion, Rates, navigate
 from bench.plots import series
 from bench.plots.series import Colour, Plot, Series
 from bench.studies.study import Findings, Numbers, Positive, StudyOptions, StudyTable, Work

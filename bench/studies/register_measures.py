@@ -14,10 +14,10 @@ from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.evaluation.route_errors import cross_track_error
 from bench.flight.closed_form import STurns
-from bench.navigation import integrity
-from bench.navigation.mechanizations import attitude
-from bench.navigation.mechanizations.error_integral import quaternion_error
-from bench.navigation.mechanizations.solving import Motion, Rates, navigate
+from bench.navigation.engine import integrity
+from bench.navigation.register.mechanizations import attitude
+from bench.navigation.register.mechanizations.error_integral import quaternion_error
+from bench.navigation.register.mechanizations.solving import Motion, Rates, navigate
 from bench.signals import delays
 from bench.studies.mechanization_costs import (
     coning_drift,

@@ -48,7 +48,7 @@ from bench.evaluation.required_performance import (
 )
 from bench.flight.off_track import measure_off_track
 from bench.navigation import estimator
-from bench.navigation.waiting import take_observations
+from bench.navigation.engine.kept_rows import take_observations
 from bench.plots import series
 from bench.plots.series import Plot
 from bench.specs import FlightSpec, Profile

@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from bench.campaigns.batches import Lost, compute
 from bench.campaigns.campaign_file import CampaignSpec
-from bench.campaigns.engine import Lost, compute
 from bench.campaigns.plan import plan_campaign
 from bench.campaigns.pools import ExecutorPool, ProcessPool, open_pool
 from bench.campaigns.running import Campaign, run_campaign

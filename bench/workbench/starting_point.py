@@ -12,9 +12,10 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation import alignment, timeline
-from bench.navigation.error_state import dynamics
+from bench.navigation.engine import timeline
+from bench.navigation.error_state_filter.error_state import dynamics
 from bench.navigation.mechanization import propagate
+from bench.navigation.start import alignment
 from bench.specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")

@@ -425,10 +425,12 @@ def test_only_runs_of_the_same_profile_estimator_and_versions_are_taken(here, mo
         return seen[0].done
 
     monkeypatch.syspath_prepend(here)
-    (here / "own_filter.py").write_text("from bench.navigation.fusion import Loose as Own\n")
+    (here / "own_filter.py").write_text("from bench.navigation.models.loose_tight import Loose as Own\n")
     own = {"estimators": ["own_filter:Own"]}
     assert [count(**own), count(**own)] == [0, 2]
-    (here / "own_filter.py").write_text("from bench.navigation.fusion import Loose as Own  # another\n")
+    (here / "own_filter.py").write_text(
+        "from bench.navigation.models.loose_tight import Loose as Own  # another\n"
+    )
     assert count(**own) == 0
     assert count(**own, overrides=OPTIONS["overrides"] | {"sensors.imu.gyro.noise_deg_sqrt_h": 0.2}) == 0
     monkeypatch.setattr("bench.campaigns.plan.describe_software", lambda: {"bench": "another"})
@@ -436,7 +438,7 @@ def test_only_runs_of_the_same_profile_estimator_and_versions_are_taken(here, mo
 
 
 def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
-    """As a pool of one process would tell it; `test_engine` ends real ones."""
+    """As a pool of one process would tell it; `test_batches` ends real ones."""
 
     class Mortal(ExecutorPool):
         lost = (BrokenProcessPool,)

@@ -24,7 +24,7 @@ from tests.campaigns.test_campaign import PROFILE
 distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
-OWN = "from bench.navigation.fusion import Loose as Own\n"
+OWN = "from bench.navigation.models.loose_tight import Loose as Own\n"
 
 
 @contextlib.contextmanager

@@ -53,7 +53,7 @@ use = "loose-15"
 LOST = """
 import dataclasses
 import numpy as np
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 
 class Lost(Loose):
     def run(self, sensors, initial):
@@ -185,7 +185,7 @@ MINE = """
 import dataclasses
 import numpy as np
 from bench import earth
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 
 class Mine(Loose):
     def run(self, sensors, initial):
@@ -395,7 +395,7 @@ def test_a_bug_is_status_70_and_keeps_its_traceback(here, capsys, monkeypatch):
 
 MY_LAB = """
 from dataclasses import replace
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 
 class Raises:
     def run(self, sensors, initial):
@@ -544,7 +544,7 @@ def test_the_list_imports_only_what_it_uses(tmp_path):
 def test_a_cached_run_imports_only_what_it_uses(here, capsys):
     assert say(capsys, "fly", "short.toml")[0] == 0
     loaded = modules(["run", "short.toml", "--no-rrd"], here)
-    assert "bench.navigation.fusion" in loaded
+    assert "bench.navigation.models.loose_tight" in loaded
     assert "pandas" not in modules(["run", "short.toml", "--force"], here)
     heavy = {"jsbsim", "rerun", "matplotlib", "filterpy", "scipy.stats", "scipy.optimize", "pandas"}
     assert not loaded & heavy

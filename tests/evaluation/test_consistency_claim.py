@@ -11,7 +11,7 @@ import pytest
 
 from bench import pipeline
 from bench.config import load_profile
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from tests.builders import ensemble
 
 RUNS = 40

@@ -14,7 +14,7 @@ from bench.data import Events, Innovations, NavSolution
 from bench.evaluation import metrics
 from bench.evaluation.case import collect_alarms
 from bench.evaluation.detection import count_false_alarms, measure_delay
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from bench.sensors import sense
 from bench.specs import Fault
 from tests.weaving import units, weaving

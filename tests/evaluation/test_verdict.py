@@ -10,8 +10,8 @@ from rich.console import Console
 
 from bench.data import NavSolution
 from bench.evaluation.verdict import add_verdict, find_bounds, is_outside
-from bench.navigation import remedies
-from bench.navigation.blocks import GNSS_MARKOV
+from bench.navigation import unmodelled_effects
+from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
 from bench.run_result import RunResult
 from bench.workbench import result_table
 
@@ -120,11 +120,11 @@ def test_bounds_stand_beside_nees_nis_and_coverage():
 
 
 def test_every_remedy_is_an_estimator_whose_states_take_the_error():
-    assert remedies.find_remedy(GNSS_MARKOV.takes[0]) == "loose-22 has states for it"
-    assert remedies.find_remedy("gyro scale factor") == "loose-mems has states for it"
-    assert remedies.find_remedy("barometer quantization") == "loose-full has states for it"
-    assert remedies.find_remedy("vibration").startswith("no built-in")
-    assert remedies.explain(["barometer quantization"], "pos") == ""
+    assert unmodelled_effects.find_remedy(GNSS_MARKOV.takes[0]) == "loose-22 has states for it"
+    assert unmodelled_effects.find_remedy("gyro scale factor") == "loose-mems has states for it"
+    assert unmodelled_effects.find_remedy("barometer quantization") == "loose-full has states for it"
+    assert unmodelled_effects.find_remedy("vibration").startswith("no built-in")
+    assert unmodelled_effects.explain(["barometer quantization"], "pos") == ""
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 9])

@@ -7,7 +7,7 @@ import pytest
 
 from bench import sensors
 from bench.evaluation import fixes
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from tests.weaving import units, weaving
 
 

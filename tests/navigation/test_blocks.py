@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose
 from bench import sensors
 from bench.config import load_profile
 from bench.data import InitialState
-from bench.navigation import corrections
-from bench.navigation.blocks import index_of, state_model
-from bench.navigation.error_state import GYRO
-from bench.navigation.fusion import Loose
-from bench.navigation.imu_blocks import EVERY_ERROR
-from bench.navigation.measurements import AIDING
-from bench.navigation.states import CUBE, STEADY, WARMTH, Block, States
+from bench.navigation.error_state_filter import corrections
+from bench.navigation.error_state_filter.aiding_sensors import AIDING
+from bench.navigation.error_state_filter.error_state import GYRO
+from bench.navigation.error_state_filter.imu_states import EVERY_ERROR
+from bench.navigation.error_state_filter.state_blocks import index_of, state_model
+from bench.navigation.error_state_filter.state_processes import CUBE, STEADY, WARMTH, Block, States
+from bench.navigation.models.loose_tight import Loose
 from bench.sensors import imu
 from bench.specs import ImuSpec, TriadSpec, stream
 from tests.builders import first_rows

@@ -12,7 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation
-from bench.navigation import corrections, error_state, mechanization
+from bench.navigation import mechanization
+from bench.navigation.error_state_filter import corrections, error_state
 from bench.wide_rows import widened
 
 DIGITS = mpmath.mp.clone()

@@ -22,7 +22,7 @@ from bench.data import NavSolution
 from bench.errors import EstimatorError
 from bench.evaluation import metrics
 from bench.navigation.estimator import BUILT_IN, check_needs, load
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from tests.builders import assert_same_solution
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
@@ -65,7 +65,9 @@ def test_they_keep_it_without_aiding(sensed, name):
 
 def shorten(data, name):
     """The first five seconds of a record for the filters in plain Python; all of it for the others."""
-    if not BUILT_IN[name].place.startswith(("bench.navigation.classic", "bench.navigation.graph")):
+    if not BUILT_IN[name].place.startswith(
+        ("bench.navigation.models.classic", "bench.navigation.models.graph")
+    ):
         return data
     cut = {
         record: type(one)(**{f.name: getattr(one, f.name)[one.t <= 5.0] for f in fields(one)})
@@ -343,7 +345,8 @@ with open(sys.argv[1], "rb") as file:
     data, initial = pickle.load(file)
 solutions = {name: load(name, {}).run(one, initial) for name, one in data.items()}
 seen = [m for m in sys.modules if m.startswith(("bench.", "jsbsim"))]
-compiled = len(sys.modules["bench.navigation.forward"]._fusion_kernel.dispatcher.signatures)
+filter_run = sys.modules["bench.navigation.error_state_filter.filter_run"]
+compiled = len(filter_run._fusion_kernel.dispatcher.signatures)
 with open(sys.argv[2], "wb") as file:
     pickle.dump((solutions, seen, compiled), file)
 """

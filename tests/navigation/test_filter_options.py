@@ -18,10 +18,11 @@ from bench.config import load_profile
 from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
-from bench.navigation import integrity, standstill
+from bench.navigation.engine import integrity
+from bench.navigation.error_state_filter import standstill
+from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose, Tight
-from bench.navigation.measurements import airspeed_variance, fix_variance, weigh_fixes
+from bench.navigation.models.loose_tight import Loose, Tight
 from bench.signals.magnetic import field_n
 from tests.builders import first_rows, take
 from tests.weaving import DEG, GNSS, IMU, units, weaving
@@ -244,7 +245,7 @@ def test_each_integrity_test_refuses_a_jump_by_itself(truth, test):
 
 
 def test_the_tolerance_is_that_of_the_register(truth):
-    """A-5.4.T by `bench.navigation.integrity`: 1 s after the last fix, 1/2 20 + 5 sigma."""
+    """A-5.4.T by `bench.navigation.engine.integrity`: 1 s after the last fix, 1/2 20 + 5 sigma."""
     drawn = sensors.sense(truth, units(baro=None), 11, 0)
     limit = integrity.tolerance(
         1.0, np.array([GNSS.pos_h_white_sd]), order=2, max_acceleration=20.0, sigmas=5.0

@@ -22,9 +22,9 @@ from bench.errors import EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
-from bench.navigation.gnss_only import GnssOnly
-from bench.navigation.singer import singer
+from bench.navigation.models.gnss_only import GnssOnly
+from bench.navigation.models.loose_tight import Loose
+from bench.navigation.start.singer import singer
 from tests.builders import band, student
 from tests.weaving import GNSS, units, weaving
 

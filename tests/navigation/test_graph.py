@@ -14,7 +14,7 @@ from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation.estimator import load
-from bench.navigation.graph.flat_frame import FlatFrame
+from bench.navigation.models.graph.flat_frame import FlatFrame
 from tests.builders import band, ensemble
 from tests.weaving import DEG, IMU, units, weaving
 
@@ -124,7 +124,7 @@ def test_the_factor_graph_is_the_smoother(imu):
 
 
 def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
-    monkeypatch.setattr("bench.navigation.graph.flat_frame.find_spec", lambda name: None)
+    monkeypatch.setattr("bench.navigation.models.graph.flat_frame.find_spec", lambda name: None)
     for name in ("invariant-ekf", "graph-smoother"):
         with pytest.raises(EstimatorError, match=r"pip install 'ins-gnss-bench\[graph\]'"):
             load(name, {}).run(sensed.data, sensed.initial)

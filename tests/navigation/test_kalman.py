@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.navigation.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
 
 N = 16
 

@@ -16,9 +16,9 @@ import pytest
 
 from bench import rotation, sensors
 from bench.instruments import AirspeedData, AirspeedSpec, MagSpec, OdometerSpec, RadarSpec
-from bench.navigation.error_state import feedback_kernel, less_errors, state_errors
+from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Passage
+from bench.navigation.models.loose_tight import Passage
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec
 from tests.builders import put, take
 from tests.navigation.test_tight import UNITS as WITH_SKY

@@ -13,10 +13,10 @@ from bench import rotation, sensors
 from bench.evaluation import consistency
 from bench.evaluation.error_series import error_series
 from bench.instruments import AirspeedSpec, OdometerSpec
-from bench.navigation import aiding, constraints, cycle
-from bench.navigation.blocks import chosen_blocks, state_model
-from bench.navigation.error_state import feedback_kernel
-from bench.navigation.fusion import Loose
+from bench.navigation.error_state_filter import measurement_rows, propagation, vehicle_motion
+from bench.navigation.error_state_filter.error_state import feedback_kernel
+from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model
+from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import FusionOptions
 from tests.builders import band
 from tests.navigation.test_error_state import plain
@@ -32,7 +32,11 @@ RUNS, LOST, END = 12, 35.0, 60.0
 
 
 AIRSPEED = AirspeedSpec("pitot", 10.0, white_sd=0.3)
-ROWS = {"wheels": aiding.VEHICLE_ROWS, "odometer": aiding.ODOMETER_ROWS, "wings": aiding.VEHICLE_ROWS}
+ROWS = {
+    "wheels": measurement_rows.VEHICLE_ROWS,
+    "odometer": measurement_rows.ODOMETER_ROWS,
+    "wings": measurement_rows.VEHICLE_ROWS,
+}
 
 
 @pytest.mark.parametrize("kind", [*ROWS, "airspeed"])
@@ -60,20 +64,20 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
     state[10:13] = [1e-3, -2e-3, 3e-3]
     state[index.axis_yaw + 1 : index.axis_yaw + 6] = [0.2, -0.3, 0.05, -0.04, 0.006]
     values = np.array([[0.1, -0.2, 0.4, 0.5, 0.3, -9.7, 2.0, -1.5]])
-    aid = aiding.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
+    aid = measurement_rows.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
 
     def measure(error):
         moved, back = state.copy(), -error
         feedback_kernel(moved, back)  # takes an error out: here it puts one in
-        pending = cycle.Pending(
+        pending = propagation.Pending(
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
-        work = cycle.work_for(n, model.process.drives).measure
+        work = propagation.work_for(n, model.process.drives).measure
         work.last[0] = values[0, :3] - moved[10:13]
-        belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
-        code = ROWS.get(kind, aiding.AIRSPEED_ROWS)
-        rows = plain(aiding.ROWS[code])(0, 0, belief, aid, index, pending, work)
-        assert rows == (2 if code == aiding.VEHICLE_ROWS else 1)
+        belief = propagation.FilterState(moved, model.P.copy(), np.zeros(n))
+        code = ROWS.get(kind, measurement_rows.AIRSPEED_ROWS)
+        rows = plain(measurement_rows.ROWS[code])(0, 0, belief, aid, index, pending, work)
+        assert rows == (2 if code == measurement_rows.VEHICLE_ROWS else 1)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 
     _, H = measure(np.zeros(n))
@@ -86,13 +90,13 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
 def test_samples_hold_the_mean_motion_before_them():
     sensed = sensors.sense(rolling(0, 3.0), replace(units(), gnss=None, baro=None), 1, 0)
     imu = sensed.data.imu
-    ends, motion_b, _ = constraints.VehicleSampler(0.0, flying=False).take(imu)
-    assert_allclose(ends, constraints.INTERVAL * np.arange(1, 1 + len(ends)))
+    ends, motion_b, _ = vehicle_motion.VehicleSampler(0.0, flying=False).take(imu)
+    assert_allclose(ends, vehicle_motion.INTERVAL * np.arange(1, 1 + len(ends)))
     k = int(np.searchsorted(imu.t, ends[-1]))
     rate = imu.dtheta_b[k - 9 : k + 1].sum(axis=0) / 0.1
     force = imu.dvel_b[k - 9 : k + 1].sum(axis=0) / 0.1
-    lean = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / constraints.LEAN
-    assert_allclose(motion_b[-1], [*rate, *force, lean[0], lean[1] / constraints.SLIP_FORCE])
+    lean = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / vehicle_motion.LEAN
+    assert_allclose(motion_b[-1], [*rate, *force, lean[0], lean[1] / vehicle_motion.SLIP_FORCE])
 
 
 def drive(slip: float, **options):

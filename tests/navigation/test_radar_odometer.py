@@ -12,10 +12,10 @@ from scipy import stats
 from bench import rotation, sensors
 from bench.evaluation.error_series import error_series
 from bench.instruments import OdometerSpec, RadarSpec
-from bench.navigation import aiding, cycle
-from bench.navigation.blocks import chosen_blocks, state_model
-from bench.navigation.error_state import feedback_kernel
-from bench.navigation.fusion import Loose, Tight
+from bench.navigation.error_state_filter import measurement_rows, propagation
+from bench.navigation.error_state_filter.error_state import feedback_kernel
+from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model
+from bench.navigation.models.loose_tight import Loose, Tight
 from bench.navigation.options import FusionOptions
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
@@ -48,20 +48,20 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
     state[:3], state[3:6] = truth.lla[0], [21.0, -13.0, 2.0]
     state[6:10] = rotation.from_euler(0.4, -0.2, 1.1)
     state[model.index.radar_bias + 1], state[model.index.odometer_scale + 1] = 0.7, 0.03
-    aid = aiding.Measurements(
+    aid = measurement_rows.Measurements(
         np.full((1, 6), 3.0), np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3)
     )
-    code = aiding.RADAR_ROWS if kind == "radar" else aiding.ODOMETER_ROWS
+    code = measurement_rows.RADAR_ROWS if kind == "radar" else measurement_rows.ODOMETER_ROWS
 
     def row(error):
         moved, back = state.copy(), -error
         feedback_kernel(moved, back)  # takes an error out: here it puts one in
-        pending = cycle.Pending(
+        pending = propagation.Pending(
             np.zeros((6, n)), np.zeros(6), np.zeros(6), np.zeros((6, 4), np.int64), np.zeros(1, np.int64), 6
         )
-        belief = cycle.FilterState(moved, model.P.copy(), np.zeros(n))
-        work = cycle.work_for(n, model.process.drives).measure
-        made = plain(aiding.ROWS[code])(0, 0, belief, aid, model.index, pending, work)
+        belief = propagation.FilterState(moved, model.P.copy(), np.zeros(n))
+        work = propagation.work_for(n, model.process.drives).measure
+        made = plain(measurement_rows.ROWS[code])(0, 0, belief, aid, model.index, pending, work)
         assert made == 1
         return pending.z[0], pending.H[0].copy()
 

@@ -15,10 +15,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation, sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation import forward, timeline
+from bench.navigation.engine import timeline
+from bench.navigation.error_state_filter import filter_run
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
-from bench.navigation.whole_records import run_between_gaps
+from bench.navigation.models.loose_tight import Loose
+from bench.navigation.start.whole_records import run_between_gaps
 from tests.builders import put, take
 from tests.weaving import DEG, units, weaving
 
@@ -280,13 +281,13 @@ def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
 
 def test_a_record_with_a_gap_needs_no_second_compilation(draws, monkeypatch):
     """What the kernel is given has the same types with the rows that bridge a gap and without them."""
-    kernel, types = forward._fusion_kernel, []
+    kernel, types = filter_run._fusion_kernel, []
 
     def watched(*arguments):
         types.append([numba.typeof(argument) for argument in arguments])
         kernel(*arguments)
 
-    monkeypatch.setattr(forward, "_fusion_kernel", watched)
+    monkeypatch.setattr(filter_run, "_fusion_kernel", watched)
     for data in (draws[0].data, with_gap(draws[0].data, 52.0, 0.3)):
         FILTER.run(data, draws[0].initial)
     assert types[0] == types[1]

@@ -10,9 +10,9 @@ from numpy.testing import assert_array_equal
 
 from bench import sensors
 from bench.evaluation.error_series import error_series
+from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
-from bench.navigation.integrity import nis_limit
+from bench.navigation.models.loose_tight import Loose
 from tests import twin
 from tests.builders import put, take
 from tests.navigation.test_twin import assert_same

@@ -9,7 +9,7 @@ import pytest
 
 from bench import sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from tests import tails
 from tests.builders import band
 from tests.weaving import IMU, units, weaving

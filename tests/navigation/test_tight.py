@@ -16,13 +16,13 @@ from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
-from bench.navigation import aiding, error_state, ranging
-from bench.navigation.blocks import index_of
-from bench.navigation.cycle import FilterState, Pending, work_for
-from bench.navigation.error_state import StateLayout
+from bench.navigation.error_state_filter import error_state, measurement_rows, ranging
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
+from bench.navigation.error_state_filter.schedule import Schedule
+from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose, Tight
-from bench.navigation.schedule import Schedule
+from bench.navigation.models.loose_tight import Loose, Tight
 from bench.specs import Fault
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
@@ -80,7 +80,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     channel = ranging.Channels().of_satellites(data.observations)
     schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0], channel)
     sky = schedule.sky
-    aid = aiding.Measurements(
+    aid = measurement_rows.Measurements(
         np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
     )
     index = index_of(StateLayout(("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)))

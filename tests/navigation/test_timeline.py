@@ -14,9 +14,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation
-from bench.navigation import timeline
+from bench.navigation.engine import timeline
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from tests.builders import assert_same_solution, put, take
 from tests.weaving import units
 

@@ -7,7 +7,7 @@ import pytest
 
 import bench
 from bench import pipeline
-from bench.navigation import turn_on
+from bench.navigation.start import turn_on
 from tests.builders import Z, at_rest, band, first_rows
 from tests.navigation import honesty
 

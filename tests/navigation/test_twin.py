@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 
 from bench import config, pipeline, rotation, sensors
 from bench.data import GnssFixes, ImuData
-from bench.navigation.fusion import Loose, Tight
+from bench.navigation.models.loose_tight import Loose, Tight
 from bench.specs import ImuSpec
 from tests import twin
 from tests.builders import take

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from bench import pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.evaluation.error_series import error_series
-from bench.navigation import hypotheses
 from bench.navigation.estimator import load
+from bench.navigation.start import headings
 from tests.builders import band, first_rows, steered, student
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import DEG, GNSS, units
@@ -90,7 +90,7 @@ def test_tilt_is_honest_at_rest_and_the_heading_is_after_the_first_motion(estima
 
 def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
     """What the hypotheses are for: with them off the same draws are far out of the band."""
-    monkeypatch.setattr(hypotheses, "heading_is_unknown", lambda initial: False)
+    monkeypatch.setattr(headings, "heading_is_unknown", lambda initial: False)
     t, found = squares("loose-15", spec_of("level"), draws=6)
     late = t > REST + 20
     assert found[:, late, 2].mean() > 10 * 9
@@ -122,7 +122,7 @@ def test_a_start_in_flight_with_a_rough_heading_is_honest(straight_on):
 
 
 def test_one_filter_from_a_rough_heading_is_not_honest(straight_on, monkeypatch):
-    monkeypatch.setattr(hypotheses, "LINEAR", np.inf)
+    monkeypatch.setattr(headings, "LINEAR", np.inf)
     assert mean_nees(*straight_on, (2, 5, 8)).max() > 10 * 9
 
 
@@ -154,10 +154,10 @@ def test_a_turned_start_is_the_same_aircraft_on_another_heading():
     """Tilt errors belong to the instrument: their covariance with its biases is the same in b."""
     truth = take_off(0.4, away=0.0)
     sensed = sensors.sense(truth, spec_of("level"), 7, 0)
-    from bench.navigation import alignment
+    from bench.navigation.start import alignment
 
     initial, _ = alignment.complete(sensed.data, sensed.initial)
-    other = hypotheses.turn_heading(initial, 1.3)
+    other = headings.turn_heading(initial, 1.3)
     roll, pitch, heading = rotation.to_euler(initial.q_nb)
     assert_allclose(rotation.to_euler(other.q_nb), (roll, pitch, np.mod(heading + 1.3, 2 * np.pi)), atol=1e-9)
     in_b = [rotation.matrix(start.q_nb)[:2].T @ start.bias_cov[6:8, 3:] for start in (initial, other)]
@@ -171,5 +171,5 @@ def test_the_jacobian_carries_an_error_over_a_large_rotation():
     d *= (rng.uniform(0.01, 3.1, 50) / np.linalg.norm(d, axis=1))[:, None]
     e = 1e-6 * rng.normal(size=(50, 3))
     both = rotation.multiply(rotation.from_rotvec(d), rotation.from_rotvec(e))
-    J = hypotheses._inverse_jacobian(d)
+    J = headings._inverse_jacobian(d)
     assert_allclose(rotation.to_rotvec(both) - d, np.einsum("kij,kj->ki", J, e), rtol=1e-3, atol=1e-9)

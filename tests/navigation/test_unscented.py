@@ -12,11 +12,12 @@ import bench
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
-from bench.navigation import hypotheses, unscented
-from bench.navigation.blocks import BARO_BIAS, state_model
+from bench.navigation.error_state_filter.state_blocks import BARO_BIAS, state_model
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
-from bench.navigation.unscented import Unscented
+from bench.navigation.models import ukf
+from bench.navigation.models.loose_tight import Loose
+from bench.navigation.models.ukf import Unscented
+from bench.navigation.start import headings
 from tests.builders import ensemble, student
 from tests.navigation.test_layouts import standard_errors_from
 from tests.weaving import DEG, GNSS, units, weaving
@@ -85,7 +86,7 @@ def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
     One filter, without the hypotheses that it starts with from such a heading. Of 16 honest draws three are
     beyond 3.29 sigma once in 10^6 times.
     """
-    monkeypatch.setattr(hypotheses, "LINEAR", np.inf)
+    monkeypatch.setattr(headings, "LINEAR", np.inf)
     truth, spec = weaving(60.0, rate=50.0), replace(units(), initial_heading_sd=60.0 * DEG)
     beyond = 0
     for run in range(16):
@@ -110,7 +111,7 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     decay_time[at], stationary[at] = 1 / tau, sd**2
     process = model.process._replace(decay_time=decay_time, stationary=stationary)
     model = replace(model, process=process)
-    flight = unscented._Flight(Unscented().options, model, sensed.initial)
+    flight = ukf._Flight(Unscented().options, model, sensed.initial)
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0
     flight.estimate[10:] = np.arange(1.0, len(flight.estimate) - 9) * 1e-4
@@ -131,7 +132,7 @@ def test_the_kernel_is_its_own_python(sensed):
     nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
     start = np.hstack([np.tile(nav, (3, 1)), 1e-3 * np.arange(18.0).reshape(3, 6)])
     results = []
-    for kernel in (unscented._carry_kernel, unscented._carry_kernel.py_func):
+    for kernel in (ukf._carry_kernel, ukf._carry_kernel.py_func):
         points, before, work = start.copy(), np.zeros((3, 7)), np.empty((5, 3))
         kernel(points, before, imu.dt[:20], imu.dtheta_b[:20], imu.dvel_b[:20], work, np.empty((3, 3)))
         results.append(np.hstack([points, before]))
@@ -158,9 +159,9 @@ def test_a_filter_of_nan_is_a_result(sensed):
 
 def test_the_root_is_one_of_a_singular_matrix_and_no_other():
     a = np.array([[4.0, 2e-3], [2e-3, 1e-6]])
-    assert_allclose(unscented._root(a).T @ unscented._root(a), a, rtol=1e-12)
+    assert_allclose(ukf._root(a).T @ ukf._root(a), a, rtol=1e-12)
     with pytest.raises(np.linalg.LinAlgError, match="eigenvalue"):
-        unscented._root(a * [[1.0, 1.1], [1.1, 1.0]])
+        ukf._root(a * [[1.0, 1.1], [1.1, 1.0]])
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from bench.data import GnssFixes
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation import estimator
-from bench.navigation.measurements import fix_variance
-from bench.navigation.moved_fixes import WINDOWS, MovedFixes
+from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
+from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.specs import GnssSpec
 from tests.builders import student
 

@@ -14,11 +14,16 @@ from dataclasses import replace
 from bench import config, pipeline
 from bench.compiled import kernel
 from bench.data import Sensed
-from bench.navigation import estimator, forward
-from bench.navigation.cycle import noise_kernel
-from bench.navigation.error_state import covariance_kernel, dynamics_kernel, transition_kernel
-from bench.navigation.fusion import Passage
+from bench.navigation import estimator
+from bench.navigation.error_state_filter import filter_run
+from bench.navigation.error_state_filter.error_state import (
+    covariance_kernel,
+    dynamics_kernel,
+    transition_kernel,
+)
+from bench.navigation.error_state_filter.propagation import noise_kernel
 from bench.navigation.mechanization import propagate
+from bench.navigation.models.loose_tight import Passage
 from tests.perf.dense import epoch_costs
 
 STEPS = 20_000  # of the covariance, in one slice
@@ -98,9 +103,9 @@ def main() -> None:
         "strapdown": (strapdown, len(imu.t)),
         "every sample": run(data, covariance_hz=None),
     }
-    compiled, forward._fusion_kernel = forward._fusion_kernel, lambda *_: None
+    compiled, filter_run._fusion_kernel = filter_run._fusion_kernel, lambda *_: None
     prepared = epoch_costs({"prepared": run(last, baro=False, covariance_hz=1.0)}, 11)["prepared"]
-    forward._fusion_kernel = compiled
+    filter_run._fusion_kernel = compiled
     cost = epoch_costs(works, 11)
     whole, heights, answers, steps, rest, _ = (cost[name] for name in works)
     for what, share in {

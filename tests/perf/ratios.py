@@ -34,8 +34,8 @@ from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.navigation import estimator
-from bench.navigation.fusion import Loose
 from bench.navigation.mechanization import propagate
+from bench.navigation.models.loose_tight import Loose
 from bench.report import page
 from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
 from tests.perf.dense import EPOCHS, dense, epoch_costs

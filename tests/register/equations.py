@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
-from bench.navigation.classic.navigator import R3, Earth, Nav
-from bench.navigation.classic.process_model import Sigmas, per_axis
-from bench.navigation.integrity import SCHULER_RADIUS
+from bench.navigation.engine.integrity import SCHULER_RADIUS
+from bench.navigation.models.classic.navigator import R3, Earth, Nav
+from bench.navigation.models.classic.process_model import Sigmas, per_axis
 from bench.units import STANDARD_GRAVITY
 
 

@@ -12,10 +12,10 @@ from scipy import stats
 
 from bench import rotation, sensors
 from bench.earth import difference_n
-from bench.navigation import square_root
-from bench.navigation.classic import Classic22, given_gains, process_model
-from bench.navigation.classic.covariance_forms import Joseph, make_form
+from bench.navigation.models.classic import Classic22, process_model, square_root
+from bench.navigation.models.classic.covariance_forms import Joseph, make_form
 from bench.navigation.options import ClassicOptions
+from bench.navigation.register import given_gains
 from bench.studies.linear_flight import GRADES, LinearFlight, update
 from tests.weaving import units, weaving
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.navigation.classic import process_model
+from bench.navigation.models.classic import process_model
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 

@@ -14,17 +14,17 @@ from scipy.integrate import solve_ivp
 from bench import rotation, sensors
 from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import error_series
-from bench.navigation import integrity
-from bench.navigation.classic import (
+from bench.navigation.engine import integrity
+from bench.navigation.estimator import load
+from bench.navigation.models.classic import (
     Classic22,
-    attitude_errors,
     error_dynamics,
     navigator,
     observation_model,
     process_model,
 )
-from bench.navigation.classic.navigator import R3, Nav
-from bench.navigation.estimator import load
+from bench.navigation.models.classic.navigator import R3, Nav
+from bench.navigation.register import attitude_errors
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
 from bench.units import DEG
 from bench.units import STANDARD_GRAVITY as G0

@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from bench import rotation, sensors
 from bench.earth import difference_n
 from bench.errors import EstimatorError
-from bench.navigation import vector_matching
-from bench.navigation.classic import Classic22, process_model
-from bench.navigation.classic.extrapolation import extrapolate
 from bench.navigation.estimator import load
+from bench.navigation.models.classic import Classic22, process_model
+from bench.navigation.models.classic.extrapolation import extrapolate
+from bench.navigation.register import vector_matching
 from bench.studies.linear_flight import GRADES, LinearFlight, update
 from bench.units import DEG
 from tests.weaving import units, weaving

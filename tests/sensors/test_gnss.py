@@ -17,8 +17,8 @@ import bench
 from bench import earth, rotation
 from bench.config.datasheets import read_gnss
 from bench.errors import ConfigError
-from bench.navigation.classic.process_model import per_axis
-from bench.navigation.measurements import fix_variance
+from bench.navigation.error_state_filter.aiding_sensors import fix_variance
+from bench.navigation.models.classic.process_model import per_axis
 from bench.sensors import gnss
 from bench.specs import GnssSpec
 from tests.builders import Z, band

@@ -483,7 +483,7 @@ def test_a_wrong_sky_gets_one_line(tmp_path, old, new, said):
 def test_a_profile_flies_with_it(short_truth, tmp_path):
     """The loose filter takes its fixes as those of the position level; observations reach the disk."""
     from bench import pipeline, store
-    from bench.navigation.fusion import Loose
+    from bench.navigation.models.loose_tight import Loose
     from bench.sensors import sense
 
     profile = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"})

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.navigation.mechanizations.accelerometers import drift_by_angular_acceleration
+from bench.navigation.register.mechanizations.accelerometers import drift_by_angular_acceleration
 from bench.studies.mechanization_costs import (
     acceleration_error,
     gravity_error,

@@ -41,7 +41,7 @@ def test_a_row_that_does_not_hold_is_said(monkeypatch):
         ROWS[41],
         ROWS[16]._replace(test="", open_because="nobody"),
     )
-    monkeypatch.setattr("bench.studies.register.ROWS", rows)
+    monkeypatch.setattr("bench.studies.register_study.ROWS", rows)
     found = bench.study("register")
     assert not found.findings.good
     holds = {name: table.columns["holds"] for name, table in found.tables.items()}

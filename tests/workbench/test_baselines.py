@@ -21,11 +21,11 @@ from bench.baselines.checking import check, record_baselines
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
-from bench.campaigns.engine import Lost
+from bench.campaigns.batches import Lost
 from bench.data import ImuData
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from bench.specs import stream
 from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli

@@ -32,7 +32,7 @@ from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session, read_log
 from bench.navigation import estimator
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from bench.recording import column
 from tests.exchange import drives
 

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 import bench
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
-from bench.navigation.fusion import Loose
+from bench.navigation.models.loose_tight import Loose
 from bench.workbench.new import new_check
 from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)

@@ -21,10 +21,10 @@ from bench.evaluation.linear.error_budget import ProcessSteps, signals
 from bench.evaluation.linear.gains import measurement_rows
 from bench.evaluation.linear.path import Path
 from bench.evaluation.linear.terms import IMU, TruthModel
-from bench.navigation.aiding import BARO, POSITION, VELOCITY
-from bench.navigation.blocks import index_of
-from bench.navigation.error_state import CORE, StateLayout
-from bench.navigation.states import STEADY
+from bench.navigation.error_state_filter.error_state import CORE, StateLayout
+from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
+from bench.navigation.error_state_filter.state_blocks import index_of
+from bench.navigation.error_state_filter.state_processes import STEADY
 
 _INDEX = index_of(StateLayout())  # of a filter of the core states alone
 
@@ -34,7 +34,7 @@ class Epochs:
     """Measurements in the order of time: each of all components of a sensor."""
 
     step: IntArray  # (E,) instant of the path
-    code: IntArray  # (E,) sensor of `bench.navigation.aiding`
+    code: IntArray  # (E,) sensor of `bench.navigation.error_state_filter.measurement_rows`
 
 
 def find_epochs(path: Path, data: SensorData) -> Epochs:

@@ -18,10 +18,10 @@ from bench.arrays import FloatArray, IntArray
 from bench.evaluation.linear.gains import Gains
 from bench.evaluation.linear.path import FACTORS, Path
 from bench.evaluation.linear.terms import IMU, Constant, Process, TruthModel
-from bench.navigation.aiding import BARO
-from bench.navigation.blocks import StateModel
-from bench.navigation.cycle import warmth_kernel
-from bench.navigation.states import WARMTH
+from bench.navigation.error_state_filter.measurement_rows import BARO
+from bench.navigation.error_state_filter.propagation import warmth_kernel
+from bench.navigation.error_state_filter.state_blocks import StateModel
+from bench.navigation.error_state_filter.state_processes import WARMTH
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,22 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import Innovations, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
 from bench.evaluation.linear.path import Path, make_path
-from bench.navigation.aiding import BARO, POSITION, SENSORS, VELOCITY, antenna_kernel
-from bench.navigation.blocks import Index, StateModel, state_model
-from bench.navigation.error_state import GYRO
-from bench.navigation.forward import Nodes, join_nodes
-from bench.navigation.fusion import Fusion, Loose
-from bench.navigation.kalman import update_kernel
-from bench.navigation.turn_on import find_turn_on
+from bench.navigation.engine.kalman import update_kernel
+from bench.navigation.error_state_filter.error_state import GYRO
+from bench.navigation.error_state_filter.filter_run import Nodes, join_nodes
+from bench.navigation.error_state_filter.measurement_rows import (
+    BARO,
+    POSITION,
+    SENSORS,
+    VELOCITY,
+    antenna_kernel,
+)
+from bench.navigation.error_state_filter.state_blocks import Index, StateModel, state_model
+from bench.navigation.models.loose_tight import Fusion, Loose
+from bench.navigation.start.turn_on import find_turn_on
 
 KNOWN = (POSITION, VELOCITY, BARO)
-"""Sensors of `bench.navigation.aiding` whose rows there are here."""
+"""Sensors of `bench.navigation.error_state_filter.measurement_rows` whose rows there are here."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,9 @@ from bench.evaluation.linear.best_linear import Bound, bound_errors, find_epochs
 from bench.evaluation.linear.path import make_path
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run
 from bench.evaluation.linear.terms import check_sensors, model_errors
-from bench.navigation.fusion import Fusion
-from bench.navigation.measurements import BARO, FIXES
-from bench.navigation.smoother import Smoother
+from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES
+from bench.navigation.models.loose_tight import Fusion
+from bench.navigation.models.smoother import Smoother
 from bench.specs import SensorsSpec
 
 _RATE = 1.0  # of the instants of a run that are held against the bound [Hz]

@@ -9,14 +9,14 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray, IntArray
 from bench.data import Trajectory
-from bench.navigation.error_state import dynamics_kernel, transition_kernel
-from bench.navigation.states import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.navigation.error_state_filter.error_state import dynamics_kernel, transition_kernel
+from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 from bench.sensors.imu_terms import compute_temperature
 from bench.specs import ImuSpec
 
 STEP = 0.1  # longest step: the attitude turns by a few degrees in it [s]
 FACTORS = CUBE + 6
-"""Factors of the motion by which errors act, numbered as in `bench.navigation.states`."""
+"""Factors of the motion by which errors act, numbered as in `state_processes`."""
 
 
 @dataclass(frozen=True, slots=True)

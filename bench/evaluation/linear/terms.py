@@ -18,9 +18,9 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.errors import ConfigError
-from bench.navigation.aiding import BARO, POSITION, VELOCITY
-from bench.navigation.blocks import CHANGES
-from bench.navigation.states import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
+from bench.navigation.error_state_filter.state_blocks import CHANGES
+from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 from bench.sensors import imu as imu_model
 from bench.sensors import static_pressure, vibration
 from bench.sensors.gnss import find_constellation_changes
@@ -29,7 +29,7 @@ from bench.sensors.timing import find_epoch_rows
 from bench.specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
 
 IMU = -1
-"""What a process acts on, beside the sensors of `bench.navigation.aiding`: gyros or accelerometers."""
+"""What a process acts on, beside the sensors of `measurement_rows`: gyros or accelerometers."""
 SAMPLES = 8  # draws that stand for an error which has no linear model
 _NOTHING = np.zeros(3)
 

@@ -13,7 +13,7 @@ from bench.arrays import FloatArray
 from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.errors import EstimatorError, ExportError
 from bench.exchange.rinex.lines import leap_seconds
-from bench.navigation.waiting import take_rows
+from bench.navigation.engine.kept_rows import take_rows
 from bench.store import make_sensor_data, read_initial_state, write_initial_state
 from bench.store.columns import MOTION, Layout, flatten
 from bench.units import SAME_INSTANT
@@ -131,7 +131,7 @@ class ExportData:
         ExportError
             If the record does not allow the alignment.
         """
-        from bench.navigation import alignment  # kernels: not for who lists the formats
+        from bench.navigation.start import alignment  # kernels: not for who lists the formats
 
         asked = read_initial_state(self.start)
         data = make_sensor_data(

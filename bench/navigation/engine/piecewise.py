@@ -1,0 +1,178 @@
+"""What an estimator must offer to run in pieces, as `bench.navigation.open_filters.PieceFilter` asks it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from bench import disk_arrays
+from bench.data import (
+    EventRow,
+    Events,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorData,
+    no_innovations,
+)
+from bench.errors import EstimatorError
+
+_COUNTED = re.compile(r"(\w+): (\d+) (.*)")
+"""Text of an event that counts rows of a record."""
+
+
+class InPieces(Protocol):
+    """A filter on its way through a record that comes in pieces."""
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        ...
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that nothing can change any more.
+
+        Parameters
+        ----------
+        piece : SensorData
+            IMU samples and instants wanted by their time, measurements by their arrival.
+        look_back : float
+            Longest time from the validity of a measurement to its arrival [s].
+        last : bool
+            Nothing comes after it: all answers that are left are final.
+
+        Returns
+        -------
+        NavSolution
+            With the innovations and events since the piece before.
+
+        Raises
+        ------
+        EstimatorError
+            If it cannot go on with this piece.
+        """
+        ...
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at :attr:`end`, were that the end of the record: one row.
+
+        It may use up what it goes over: it is asked of a copy. ``head`` is a piece without rows.
+        """
+        ...
+
+    def copy(self) -> Self:
+        """Return a filter that goes on from here by itself."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        ...
+
+
+@runtime_checkable
+class RunsInPieces(Protocol):
+    """An estimator that runs in pieces.
+
+    Its ``run`` on the whole record gives the same bits. An attribute ``finds_start = True`` is optional: the
+    estimator takes a start that is not told as it is, and needs no alignment.
+    """
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return the filter before its first piece.
+
+        Parameters
+        ----------
+        first : SensorData
+            Its records say which sensors there are, and its datasheets are those assumed.
+        initial : InitialState
+            Start; complete, unless the estimator finds it by itself.
+        events : list of (t, t_end, kind, text)
+            What went before.
+
+        Raises
+        ------
+        EstimatorError
+            If it cannot run in pieces from this start.
+        """
+        ...
+
+
+def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
+    """Return the last of the answers to a record that ends with what a filter has taken."""
+    solution = filter_.feed(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
+    return take_answers(solution, slice(-1, None))
+
+
+def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
+    """Return some of the answers of a solution, with its innovations and events."""
+    columns: dict[str, Any] = {f.name: getattr(solution, f.name) for f in fields(solution)}
+    columns = {name: one[rows] for name, one in columns.items() if isinstance(one, np.ndarray)}
+    return replace(solution, **columns)
+
+
+def join_solutions(parts: list[NavSolution]) -> NavSolution:
+    """Return solutions that follow on each other, of the same states and sensors, as one."""
+    parts = [one for one in parts if len(one) or one.extra_names] or parts[:1]  # others know nothing yet
+    if len(parts) == 1:
+        return parts[0]
+    columns = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}
+    for name, column in columns.items():
+        if isinstance(column, np.ndarray):
+            columns[name] = np.concatenate([getattr(one, name) for one in parts])
+    columns["innovations"] = join_tables([one.innovations for one in parts if len(one.innovations)])
+    columns["events"] = Events.from_rows(join_events([row for one in parts for row in one.events.rows()]))
+    return NavSolution(**columns)
+
+
+def join_tables(tables: list[Innovations]) -> Innovations:
+    """Return innovations that follow on each other as one table."""
+    if not tables:
+        return no_innovations()
+    joined: dict[str, Any] = {}
+    count = sum(len(table.t) for table in tables)
+    for f in fields(Innovations):
+        if f.name != "sensor":
+            parts = [getattr(table, f.name) for table in tables]
+            joined[f.name] = disk_arrays.empty(count, parts[0].dtype.type)
+            np.concatenate(parts, out=joined[f.name])
+    return Innovations(sensor=tables[0].sensor, **joined)
+
+
+def join_events(rows: list[EventRow]) -> list[EventRow]:
+    """Return the events of parts of a record; those that count the same have their counts added."""
+    found: list[EventRow] = []
+    counts: dict[tuple[str, str, str, str], tuple[float, float, int]] = {}
+    for row in rows:
+        t, t_end, kind, text, *sensor = row
+        match = _COUNTED.fullmatch(text) if kind == "timeline" else None
+        if match is None:
+            found.append(row)
+            continue
+        name, number, what = match.groups()
+        key = (kind, name, what, "".join(sensor))
+        first, last, count = counts.get(key, (np.inf, -np.inf, 0))
+        counts[key] = min(t, first), max(t_end, last), count + int(number)
+    for (kind, name, what, of), (first, last, count) in counts.items():
+        found.append((first, last, kind, f"{name}: {count} {what}", of))
+    return found
+
+
+def refuse(what: str, t: float, reached: float) -> None:
+    """Raise the error of what comes after the filter has gone on.
+
+    Raises
+    ------
+    EstimatorError
+    """
+    raise EstimatorError(
+        f"{what} for {t:.6g} s comes when the filter has gone on to {reached:.6g} s; "
+        "open it with a longer look_back"
+    )

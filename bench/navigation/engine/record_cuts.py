@@ -1,0 +1,131 @@
+"""Pieces of a record: cut, joined, and as plain columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, SensorData
+from bench.instruments import INSTRUMENTS
+from bench.navigation.engine.kept_rows import columns, join_rows, take_observations, take_rows
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.specs import AssumedSpecs
+
+
+def newest_sample(record: SensorData) -> float:
+    """Return the instant of the last IMU sample [s], -inf without one."""
+    t = record.imu.t[np.isfinite(record.imu.t)]
+    return float(t.max(initial=-np.inf))
+
+
+def first_sample(record: SensorData) -> float:
+    """Return the instant of the first IMU sample [s], inf without one."""
+    t = record.imu.t[np.isfinite(record.imu.t)]
+    return float(t.min(initial=np.inf))
+
+
+def nothing_known(t: FloatArray) -> NavSolution:
+    """Return a solution that knows nothing at instants t (M,)."""
+    none = np.full((len(t), 9, 9), np.nan)
+    three, four = none[:, 0, :3], none[:, 0, :4]
+    return NavSolution(t, three, three, four, three, three, none, (), none[:, 0, :0], none[:, 0, :0])
+
+
+def aiding_records(sensors: SensorData) -> dict[str, Any]:
+    """Return the aiding records, by name."""
+    found = {"fixes": sensors.fixes, "observations": sensors.observations}
+    return {name: record for name, record in found.items() if record is not None} | sensors.instruments
+
+
+def as_plain(sensors: SensorData) -> dict[str, Any]:
+    """Return a piece of a record by name, without the datasheets."""
+    whole = {name: getattr(sensors, name) for name in ("antenna_b", "output_t", "ground_alt", "date")}
+    records = {name: columns(record) for name, record in aiding_records(sensors).items()}
+    return whole | {"imu": columns(sensors.imu), "records": records}
+
+
+def from_plain(plain: Mapping[str, Any], specs: AssumedSpecs) -> SensorData:
+    """Return the piece that :func:`as_plain` was given."""
+    kinds = {"fixes": GnssFixes, "observations": GnssObservations}
+    kinds |= {name: instrument.record for name, instrument in INSTRUMENTS.items()}
+    records: dict[str, Any] = {"fixes": None}
+    records |= {name: kinds[name](**one) for name, one in plain["records"].items()}
+    whole = {name: plain[name] for name in ("antenna_b", "output_t", "ground_alt", "date")}
+    return SensorData(imu=ImuData(**plain["imu"]), specs=specs, **whole, **records)
+
+
+def without_orbits(specs: Any) -> Any:
+    """Return datasheets without the true orbits of a sky, which no filter knows."""
+    if specs.gnss is None or specs.gnss.sky is None:
+        return specs
+    return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, gps=None, glonass=None)))
+
+
+def take_head(piece: SensorData) -> SensorData:
+    """Return a piece without rows."""
+    return replace(cut_piece(piece, slice(0), np.inf, np.inf), specs=without_orbits(piece.specs))
+
+
+def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
+    """Return what came after an instant and until another [s]: the piece that a filter is fed next.
+
+    IMU samples and wanted answers by their time, measurements by their arrival.
+    """
+
+    def inside(t: FloatArray) -> BoolArray:
+        found: BoolArray = (t > begin) & (t <= end)
+        return found
+
+    cut: dict[str, Any] = {}
+    for name, one in aiding_records(record).items():
+        rows = inside(one.t_arrival)
+        observed = isinstance(one, GnssObservations)
+        cut[name] = take_observations(one, rows) if observed else take_rows(one, rows)
+    imu, output_t = record.imu, record.output_t
+    return replace(record, imu=take_rows(imu, inside(imu.t)), output_t=output_t[inside(output_t)], **cut)
+
+
+def join_pieces(first: SensorData, second: SensorData) -> SensorData:
+    """Return two pieces of a record as one."""
+    joined: dict[str, Any] = {
+        name: join_rows(one, getattr(second, name)) for name, one in aiding_records(first).items()
+    }
+    output_t = np.append(first.output_t, second.output_t)
+    return replace(first, imu=join_rows(first.imu, second.imu), output_t=output_t, **joined)
+
+
+def arrivals(record: Any) -> FloatArray:
+    """Return when each row of a record arrives [s]; the rows of an epoch arrive with its first."""
+    arrival: FloatArray = record.t_arrival
+    if isinstance(record, GnssObservations):
+        arrival = arrival[record.epoch_start[:-1][record.epoch]]
+    return arrival
+
+
+def cut_piece(record: SensorData, samples: slice | IntArray, after: float, until: float) -> SensorData:
+    """Return some IMU samples of a record, and what arrived or is wanted after an instant until another [s].
+
+    Both may be infinite; what has no time is there from the begin of the record.
+    """
+
+    def inside(t: FloatArray, slack: float) -> BoolArray:
+        found: BoolArray = ~(t > until + slack)
+        return found if np.isneginf(after) else found & (t > after + slack)
+
+    cut: dict[str, Any] = {}
+    for name, one in aiding_records(record).items():
+        rows = inside(arrivals(one), TIME_TOLERANCE)
+        observed = isinstance(one, GnssObservations)
+        cut[name] = take_observations(one, rows) if observed else take_rows(one, rows)
+    wanted = record.output_t[inside(record.output_t, 0.0)]
+    return replace(record, imu=take_rows(record.imu, samples), output_t=wanted, **cut)
+
+
+def goes_beyond(record: SensorData, t: float) -> bool:
+    """Return whether anything arrives or is wanted after an instant [s], IMU samples aside."""
+    late = any((one.t_arrival > t + TIME_TOLERANCE).any() for one in aiding_records(record).values())
+    return late or bool((record.output_t > t).any())

@@ -1,0 +1,161 @@
+"""Positions of a receiver against its velocities: a position that moved otherwise is told.
+
+The way from an earlier fix less the sum of the velocities in between has to fit its variance: by white and
+Markov errors of both ends and of the velocities. The earlier fix is the median of the last few that passed,
+and of the first within each of `WINDOWS`; one that failed is no measure, so a ramp is told until it ends.
+Over the first of the windows it is the median of all so far. What is told of a fix follows from those before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import EventRow, GnssFixes
+from bench.earth import matrix_en, to_ecef
+from bench.navigation.engine.integrity import nis_limit
+from bench.specs import GnssSpec
+
+WINDOWS = (10.0, 30.0, 100.0)
+"""Times over which positions are compared with velocities [s]; a slow ramp shows over a long one."""
+_NEAR = 5  # fixes whose median stands for one, so that a bad one that passed does no harm
+_FEWEST = 3  # fixes of which the median is not that of a bad one
+_STEPS = 9  # between fixes whose median is the usual one
+_GAP = 2.5  # usual steps, from which on the test begins anew
+_JERK = 10.0  # [m/s^3]: what the sum of velocities a step apart leaves out
+_CARRIED = ("begin", "C_en", "before", "vel_e", "change", "sum_e", "steps", "measures", "passed")
+
+# a fix by what is carried from the begin to it: [s], way left over [m] e, variance of an end [m^2] n, sum of
+# velocity variances [m^2] n, path [m]
+_T, _REST, _END, _SUMMED, _PATH = 0, slice(1, 4), slice(4, 7), slice(7, 10), 10
+
+
+class MovedFixes:
+    """Tells fixes whose position moved otherwise than their velocities say, one after another.
+
+    Parameters
+    ----------
+    gnss : GnssSpec
+        For the Markov errors.
+    false_alarm : float
+        Chance that a sound fix is told.
+    """
+
+    def __init__(self, gnss: GnssSpec, false_alarm: float) -> None:
+        self._limit = nis_limit(3, false_alarm / (len(WINDOWS) + 1))
+        self._slow, self._vel_var = gnss.vel_decay_time, gnss.vel_markov_sd**2
+        self._decay, self._decay_by_way = gnss.pos_decay_time, gnss.pos_decay_distance
+        self._markov = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
+        self._jump = np.square([gnss.pos_h_jump_sd, gnss.pos_h_jump_sd, gnss.pos_v_jump_sd])
+        self._begin = self._C_en = np.zeros(0)  # none before the first fix
+        self._before = np.zeros(11)  # the fix before
+        self._vel_e = self._change = np.zeros(3)  # of it [m/s], e
+        self._sum_e = np.zeros(3)  # of the velocities from the begin to it [m], e
+        self._steps = np.empty(0)  # the last of them [s]
+        self._measures = np.empty((0, 11))  # fixes to compare with
+        self._passed = False  # the first window; the measures are fixes that passed
+        self._told: tuple[float, float, int] | None = None  # first, last [s] and number of those in a row
+
+    def take(self, fixes: GnssFixes, variance: FloatArray, *, last: bool) -> tuple[BoolArray, list[EventRow]]:
+        """Return which positions (M,) of the next fixes moved otherwise, and an event for each row of these.
+
+        Fixes without velocity pass; the test begins anew after a gap.
+
+        Parameters
+        ----------
+        fixes : GnssFixes
+            In order of time.
+        variance : (M, 6) array
+            White variances of position [m^2] and velocity [m^2/s^2], n.
+        last : bool
+            Nothing comes after them.
+        """
+        moved, events = np.zeros(len(fixes), np.bool_), list[EventRow]()
+        whole = fixes.valid & np.isfinite(np.hstack([fixes.lla, fixes.vel_n])).all(axis=1)
+        for k, t in enumerate(fixes.t.tolist()):
+            if whole[k]:
+                moved[k] = self._moved(t, fixes.lla[k], fixes.vel_n[k], variance[k])
+            if moved[k]:
+                first, _, count = self._told or (t, t, 0)
+                self._told = first, t, count + 1
+            else:
+                events += self._end_row()
+        return moved, events + (self._end_row() if last else [])
+
+    def _end_row(self) -> list[EventRow]:
+        if self._told is None:
+            return []
+        (first, end, count), self._told = self._told, None
+        words = "positions moved otherwise than the velocities of the receiver"
+        return [(first, end, "integrity", f"{count} {words}", "gnss_position")]
+
+    def _moved(self, t: float, lla: FloatArray, vel_n: FloatArray, variance: FloatArray) -> bool:
+        """Return whether the position of the next fix moved otherwise."""
+        C_en, dt = matrix_en(lla[0], lla[1]), t - float(self._before[_T])
+        vel_e = C_en @ vel_n
+        known = len(self._begin) > 0
+        usual = float(np.median(self._steps)) if len(self._steps) else dt
+        if known:
+            self._steps = np.append(self._steps, dt)[-_STEPS:]
+        fix = np.zeros(11)
+        fix[_T], fix[_END] = t, variance[:3] + self._jump
+        change = np.zeros(3)
+        if not known or dt > _GAP * usual:
+            self._begin, self._C_en = to_ecef(lla), C_en
+            self._measures, self._passed = np.empty((0, 11)), False
+            self._sum_e = np.zeros(3)
+        else:
+            change = vel_e - self._vel_e
+            self._sum_e = self._sum_e + 0.5 * (vel_e + self._vel_e) * dt
+            # position less the sum of velocities, by Euler and Maclaurin
+            rest_e = to_ecef(lla) - self._begin + change * dt / 12.0 - self._sum_e
+            fix[_REST] = self._C_en.T @ rest_e
+            left = _JERK * dt**3 / 24.0 + np.linalg.norm(change - self._change) * dt / 6.0
+            fix[_END] += left**2
+            fix[_SUMMED] = self._before[_SUMMED] + variance[3:] * dt**2
+            speeds = np.linalg.norm(vel_e) + np.linalg.norm(self._vel_e)
+            fix[_PATH] = self._before[_PATH] + 0.5 * speeds * dt
+        self._before, self._vel_e, self._change = fix, vel_e, change
+        return self._compare(fix)
+
+    def _compare(self, fix: FloatArray) -> bool:
+        """Return whether a fix moved otherwise than those before; one that did not is a measure."""
+        if not self._passed:
+            if not len(self._measures) or fix[_T] < self._measures[0, _T] + WINDOWS[0]:
+                self._measures = np.vstack([self._measures, fix])
+                return len(self._measures) >= _FEWEST and not self._fits(fix, self._measures)
+            good = [one for one in self._measures if self._fits(one, self._measures)]
+            self._measures = np.array(good or self._measures[:1])
+            self._passed = True
+        begins = np.searchsorted(self._measures[:, _T], fix[_T] - np.array(WINDOWS))
+        newest = max(len(self._measures) - _NEAR, 0)
+        for begin in {min(int(b), newest) for b in (*begins, newest)}:
+            if not self._fits(fix, self._measures[begin : begin + _NEAR]):
+                return True
+        self._measures = np.vstack([self._measures[min(int(begins[-1]), newest) :], fix])
+        return False
+
+    def _fits(self, fix: FloatArray, some: FloatArray) -> bool:
+        """Return whether the way of a fix from the median of some others is that of the velocities."""
+        one = some[len(some) // 2]
+        T = abs(float(fix[_T] - one[_T]))
+        slow = self._slow
+        wander = T * T if slow * T < 1e-3 else 2.0 * (slow * T - 1.0 + np.exp(-slow * T)) / slow**2
+        decay = self._decay * T + self._decay_by_way * abs(float(fix[_PATH] - one[_PATH]))
+        var = fix[_END] + one[_END] + 2.0 * self._markov * -np.expm1(-decay)
+        var += np.abs(fix[_SUMMED] - one[_SUMMED]) + self._vel_var * wander
+        apart = fix[_REST] - np.median(some[:, _REST], axis=0)
+        return bool(np.sum(np.square(apart) / var) <= self._limit)
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, by name."""
+        return {name: getattr(self, f"_{name}") for name in _CARRIED} | {"told": list(self._told or ())}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        for name in _CARRIED:
+            setattr(self, f"_{name}", state[name])
+        self._told = tuple(state["told"]) or None

@@ -1,0 +1,286 @@
+"""What each aiding instrument gives a filter: one row a sensor.
+
+A row says which record and datasheet belong to the sensor, which rows of `measurement_rows` it fills
+and how, and the errors that its datasheet lists. A new instrument is a row here
+and its kernel in `measurement_rows.ROWS`. Satellites alone come another way
+(`ranging`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import GnssFixes, InitialState, SensorData
+from bench.instruments import (
+    AirspeedData,
+    AirspeedSpec,
+    BaroData,
+    BaroSpec,
+    MagData,
+    MagSpec,
+    OdometerData,
+    OdometerSpec,
+    RadarData,
+    RadarSpec,
+)
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.measurement_rows import (
+    AIRSPEED_ROWS,
+    BARO_ROWS,
+    FIX_ROWS,
+    MAGNETIC_ROWS,
+    ODOMETER_ROWS,
+    RADAR_ROWS,
+    SATELLITE_ROWS,
+)
+from bench.navigation.error_state_filter.state_blocks import CHANGES
+from bench.navigation.options import FixAccuracy
+from bench.signals import air
+from bench.signals.magnetic import field_n
+from bench.specs import AssumedSpecs, GnssSpec, ImuSpec
+
+LATENCY = "GNSS latency"
+
+Errors = Iterator[tuple[str, object]]
+"""Words for an error of a sensor, and its size: zero or false where the unit has no such error."""
+
+Reader = Callable[[Any, Any, SensorData, InitialState, StateLayout], tuple[FloatArray, FloatArray]]
+"""Record (M rows), its datasheet, all sensors, start, layout -> values (M, m), up to six, and their variance
+(m,) or (M, m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class AidingSensor:
+    """One aiding sensor, its place in the records and what a filter makes of it."""
+
+    option: str  # of the estimator, that switches it on
+    record: str  # of `SensorData`
+    spec: str  # of `AssumedSpecs`; its name in events, too
+    kind: int  # of its rows
+    read: Reader | None  # None: satellites
+    errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
+    on_request: bool = True  # a filter that asks for it cannot work without its record
+    short: Callable[[Any], FloatArray] | None = (
+        None  # variance of errors of one row; for ``every_error`` alone
+    )
+
+
+def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
+    """Return the variances (6,) taken as white in a fix, position [m^2] then velocity [m^2/s^2], n.
+
+    With Markov states the white part of the datasheet; without, white and Markov part together.
+    """
+    rest = 0.0 if gnss_markov else 1.0
+    h = gnss.pos_h_white_sd**2 + rest * gnss.pos_h_markov_sd**2
+    v = gnss.pos_v_white_sd**2 + rest * gnss.pos_v_markov_sd**2
+    s = np.square(gnss.vel_white_sd_n) + rest * gnss.vel_markov_sd**2
+    return np.array([h, h, v, *s])
+
+
+def weigh_fixes(fixes: GnssFixes, white: FloatArray, accuracy: FixAccuracy) -> FloatArray:
+    """Return the variances (M, 6) of the fixes of a record.
+
+    Parameters
+    ----------
+    fixes : GnssFixes
+        Record; what it reports and is not above 0 is not used.
+    white : (6,) array
+        Variances by the datasheet, as :func:`fix_variance` returns them.
+    accuracy : str
+        "datasheet", "reported" by the receiver with each fix, or the "larger" of both.
+    """
+    stated = np.tile(white, (len(fixes), 1))
+    if accuracy == "datasheet":
+        return stated
+    found = np.hstack([np.einsum("mii->mi", cov) for cov in (fixes.cov_pos_n, fixes.cov_vel_n)])
+    found = np.where(np.isfinite(found) & (found > 0), found, stated)
+    return found if accuracy == "reported" else np.maximum(found, stated)
+
+
+def jumps(gnss: GnssSpec) -> FloatArray:
+    """Return the variance (6,) of the jumps of one epoch [m^2], [m^2/s^2], by how often there is one."""
+    sd = np.repeat([gnss.pos_h_jump_sd, gnss.pos_v_jump_sd, gnss.vel_jump_sd], [2, 1, 3])
+    return np.asarray(min(CHANGES / gnss.rate, 1.0) * sd**2)
+
+
+def _rounding(spec: BaroSpec | RadarSpec | OdometerSpec) -> FloatArray:
+    return np.array([spec.quantization**2 / 12.0])
+
+
+def _read_fixes(
+    fixes: GnssFixes, gnss: GnssSpec, sensors: SensorData, _: InitialState, layout: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    variance = fix_variance(gnss, gnss_markov=layout.has("gnss_pos"))
+    return np.hstack([fixes.lla, fixes.vel_n, np.tile(sensors.antenna_b, (len(fixes), 1))]), variance
+
+
+def fix_errors(gnss: GnssSpec) -> Errors:
+    """Yield the errors of a receiver's fixes beyond white noise."""
+    yield "time-correlated GNSS position error", max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd)
+    yield "time-correlated GNSS velocity error", gnss.vel_markov_sd
+    yield LATENCY, gnss.latency
+    yield "jumps of the GNSS error where the satellites change", gnss.jumps
+
+
+def _satellite_errors(gnss: GnssSpec) -> Errors:
+    sky = gnss.sky
+    if sky is None:
+        yield "GNSS at all: tight coupling needs a receiver with [sky]", True
+    else:
+        yield "satellite orbit and clock error", max(sky.gps_space_sd, sky.glonass_space_sd)
+        yield "ionosphere beyond the broadcast model", sky.ionosphere_sd if sky.bands == 1 else 0.0
+        yield "troposphere beyond the model", sky.troposphere_sd
+        yield "multipath", max(sky.multipath_zenith_sd, sky.multipath_horizon_sd)
+        yield "flicker of the receiver's clock", sky.clock_h_m1
+        yield "g-sensitivity of the receiver's clock", sky.clock_g
+    yield LATENCY, gnss.latency
+
+
+def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.alt_baro[:, None], np.array([baro.white_sd**2])
+
+
+def _baro_errors(baro: BaroSpec) -> Errors:
+    yield "barometer quantization", baro.quantization
+    yield "barometer errors with height, airspeed and incidence", baro.physical is not None
+
+
+def airspeed_variance(record: AirspeedData, airspeed: AirspeedSpec, height: float) -> FloatArray:
+    """Return the variance (M, 1) taken as white in an airspeed [m^2/s^2]: with bias, zero and scale factor.
+
+    The zero of the pressure counts as a speed in the standard air at a ``height`` [m]: that of the start.
+    """
+    zero = replace(airspeed, white_sd=0.0, pressure_white_sd=airspeed.pressure_bias_sd)
+    pressure, temperature, _ = air.standard_atmosphere(height)
+    shifted = air.airspeed_sd(zero, record.airspeed_true, pressure, temperature)
+    scale = airspeed.scale_factor_sd * record.airspeed_true
+    variance: FloatArray = (record.sd**2 + airspeed.bias_sd**2 + shifted**2 + scale**2)[:, None]
+    return variance
+
+
+def _read_airspeed(
+    record: AirspeedData, airspeed: AirspeedSpec, _: SensorData, initial: InitialState, __: StateLayout
+) -> tuple[FloatArray, FloatArray]:
+    variance = airspeed_variance(record, airspeed, float(initial.lla[2]))
+    return record.airspeed_true[:, None], variance
+
+
+def _airspeed_errors(airspeed: AirspeedSpec) -> Errors:
+    sizes = (airspeed.bias_sd, airspeed.pressure_bias_sd, airspeed.scale_factor_sd)
+    yield "airspeed bias and scale factor", max(sizes)
+    yield "airspeed lag", airspeed.lag
+
+
+def _read_radar(
+    record: RadarData, radar: RadarSpec, sensors: SensorData, *_: object
+) -> tuple[FloatArray, FloatArray]:
+    """Return the ellipsoidal height of the IMU: that above the runway and the runway's own."""
+    return (record.height + sensors.ground_alt)[:, None], np.array([radar.white_sd**2])
+
+
+def _radar_errors(radar: RadarSpec) -> Errors:
+    yield "radar altimeter bias", radar.bias_sd
+    yield "radar altimeter quantization", radar.quantization
+
+
+def _read_odometer(record: OdometerData, odometer: OdometerSpec, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.speed[:, None], np.array([odometer.white_sd**2])
+
+
+def _odometer_errors(odometer: OdometerSpec) -> Errors:
+    yield "odometer scale factor", odometer.scale_factor_sd
+    yield "odometer quantization", odometer.quantization
+
+
+def field_variance(record: MagData, mag: MagSpec) -> FloatArray:
+    """Return the variance (M, 3) taken as white in a magnetic field [T^2], with what calibration left."""
+    size2 = np.sum(record.field_b**2, axis=1)
+    left = mag.scale_factor_sd**2 + mag.soft_iron_sd**2 + mag.misalignment_sd**2
+    total = record.sd**2 + mag.hard_iron_sd**2 + left * size2
+    variance: FloatArray = np.repeat(total[:, None], 3, axis=1)
+    return variance
+
+
+def _read_field(record: MagData, mag: MagSpec, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.field_b, field_variance(record, mag)
+
+
+def _magnetometer_errors(mag: MagSpec) -> Errors:
+    sizes = (mag.hard_iron_sd, mag.soft_iron_sd, mag.scale_factor_sd, mag.misalignment_sd)
+    yield "magnetometer calibration", max(sizes)
+
+
+def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
+    """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
+
+    What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
+    """
+    step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
+    ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])
+    around = field_n(np.vstack([lla, earth.displace(lla, ends)]), date)
+    return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])
+
+
+FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors, False, jumps)
+SATELLITES = AidingSensor(
+    "gnss", "observations", "gnss", SATELLITE_ROWS, None, _satellite_errors, on_request=False
+)
+AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed, _airspeed_errors)
+MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field, _magnetometer_errors)
+RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_errors, short=_rounding)
+ODOMETER = AidingSensor(
+    "odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors, short=_rounding
+)
+BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, False, _rounding)
+
+AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, BARO)
+
+
+def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
+    """Return the records a filter cannot work without: GNSS, else the barometer, and those asked for."""
+    usual = [sensor.record for sensor in aiding if not sensor.on_request]
+    return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
+
+
+def unmodelled(
+    specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collection[str]
+) -> tuple[str, ...]:
+    """Return the errors of the IMU and of the sensors in use, but those that are ``taken``, in words."""
+    found = list(imu_errors(specs.imu))
+    for sensor in aiding:
+        spec = getattr(specs, sensor.spec)
+        found += () if spec is None else sensor.errors(spec)
+    return remaining(found, taken)
+
+
+def remaining(errors: Iterable[tuple[str, object]], taken: Collection[str]) -> tuple[str, ...]:
+    """Return the words of the errors that a unit has and nothing takes.
+
+    Examples
+    --------
+    >>> remaining([("lag", 0.2), ("bias", 1.0), ("drift", 0.0)], taken={"bias"})
+    ('lag',)
+    """
+    return tuple(dict.fromkeys(words for words, size in errors if size and words not in taken))
+
+
+def imu_errors(imu: ImuSpec) -> Errors:
+    """Yield the errors of an IMU beyond white noise and biases."""
+    for name, triad in (("gyro", imu.gyro), ("accelerometer", imu.accel)):
+        for one in fields(triad):
+            if "triad" in one.metadata and one.metadata["triad"].error:
+                yield f"{name} {one.metadata['triad'].error}", getattr(triad, one.name)
+        flicker = triad.bias_model == "flicker"
+        yield f"{name} bias instability as flicker noise", triad.bias_instability if flicker else 0.0
+    yield "distance between the accelerometers", imu.accel_arms
+    shaking = imu.vibration
+    yield (
+        "vibration",
+        max(shaking.engine_gyro, shaking.engine_accel, shaking.gust_gyro, shaking.gust_accel),
+    )

@@ -1,0 +1,438 @@
+"""One forward run of the compiled filter: the kernel, its stores, and the solution made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import disk_arrays
+from bench.arrays import FloatArray, IntArray, read_only
+from bench.call_at import call_at
+from bench.compiled import inner, kernel
+from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
+from bench.navigation.engine.rejection_events import refusals
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.gate import Gate, Log, use_kernel, with_channels
+from bench.navigation.error_state_filter.measurement_rows import (
+    SATELLITE_ROWS,
+    SENSORS,
+    Measurements,
+)
+from bench.navigation.error_state_filter.propagation import (
+    FilterState,
+    ImuSteps,
+    Pending,
+    Work,
+    advance_kernel,
+    grown,
+    pending_for,
+    work_for,
+)
+from bench.navigation.error_state_filter.ranging import Sky, place_fillers
+from bench.navigation.error_state_filter.rough_heading import add_arm
+from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
+from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel
+from bench.wide_rows import widened
+
+
+class Stores(NamedTuple):
+    """What a run stores."""
+
+    state: FloatArray  # (M, n + 1) at each output
+    cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
+    variance: FloatArray  # (M, n - 9) of the other states
+    node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
+    node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
+    node_cov: FloatArray  # (N, 2, n, n)
+    transition: FloatArray  # (N, n, n)
+
+
+@inner
+def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
+    """Copy the state of the filter; loops, because copies of slices take the compiler seconds each."""
+    n = now.P.shape[0]
+    for i in range(n + 1):
+        state[i] = now.state[i]
+    for i in range(n):
+        for j in range(P.shape[1]):  # what follows a row in memory, too, where there is room for it
+            P[i, j] = now.P[i, j]
+
+
+@inner
+def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
+    """Store the state of the filter as an answer."""
+    state, cov, variance, P = stores.state[at], stores.cov[at], stores.variance[at], now.P
+    for i in range(state.shape[0]):
+        state[i] = now.state[i]
+    for i in range(9):
+        for j in range(9):
+            cov[i, j] = P[i, j]
+    for i in range(variance.shape[0]):
+        variance[i] = P[9 + i, 9 + i]
+
+
+@kernel
+def _fusion_kernel(
+    schedule: IntArray,
+    fillers: IntArray,
+    ahead: FloatArray,
+    now: FilterState,
+    process: Process,
+    index: Index,
+    steps: ImuSteps,
+    data: Measurements,
+    sky: Sky,
+    pending: Pending,
+    gate: Gate,
+    log: Log,
+    stores: Stores,
+    work: Work,
+) -> None:
+    """Run the filter over a piece of a record.
+
+    A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
+    among its kind, and the slot it waits in. An answer is that of a filter which goes ``ahead`` (M,) of the
+    next step and ends a step of the covariance there. With the nodes of a smoother the filter itself ends a
+    step at each answer, and none is ahead. ``now`` is the state at the start and becomes the last one.
+    """
+    n = now.P.shape[0]
+    carried, step, _, measure, update, other = work
+    keep = stores.node_t.shape[0] > 0
+    k = steps.span.shape[0] * 0 - 1
+    e, node, output = 0, 0, 0
+    while e < schedule.shape[0]:
+        until, action = schedule[e, 0], schedule[e, 1]
+        asked = action == OUTPUT and not keep
+        peeking = asked and k == until and (ahead[output] > 0.0 or carried.elapsed[0] > 0.0)
+        target, part, goes = until, 1.0, now
+        if peeking:
+            goes = other
+            _keep_kernel(now, goes.state, goes.P)
+            for i in range(carried.whole.shape[0]):
+                carried.kept[i] = carried.whole[i]
+            if ahead[output] > 0.0:
+                target, part = until + 1, ahead[output]
+        closing = peeking or not (asked or action == GO_ON)
+        if k < target or closing:
+            advance_kernel(
+                k, target, goes, process, index, steps, work, pending, keep, closing, part, peeking
+            )
+        k = until
+        if peeking:
+            for i in range(carried.whole.shape[0]):
+                carried.whole[i] = carried.kept[i]
+            _answer_kernel(goes, output, stores)
+            output += 1
+            e += 1
+        elif asked and ahead[output] == 0.0 and carried.elapsed[0] == 0.0:
+            _answer_kernel(now, output, stores)
+            output += 1
+            e += 1
+        elif action == GO_ON:
+            e += 1
+        if asked or action == GO_ON:
+            continue
+        t = steps.t[k]  # the last one serves the start, index -1
+        before = step.Phi  # nobody looks there
+        if keep:
+            before = stores.node_cov[node, 0]
+            stores.node_t[node] = t
+            _keep_kernel(now, stores.node_state[node, 0], stores.node_cov[node, 0])
+            for i in range(n):
+                for j in range(n):
+                    stores.transition[node, i, j] = step.Phi[i, j]
+                    step.Phi[i, j] = 1.0 if i == j else 0.0
+        while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] < OUTPUT:
+            action, kind, row, slot = schedule[e, 1], schedule[e, 2], schedule[e, 3], schedule[e, 4]
+            first = slot * pending.width
+            if action != USE:
+                fill = fillers[kind]
+                if kind == SATELLITE_ROWS:
+                    made: int = call_at(fill, row, first, now, data, index, pending, measure, sky)
+                else:
+                    made = call_at(fill, row, first, now, data, index, pending, measure)
+                pending.live[slot] = made
+            if action != MEASURE:
+                made = pending.live[slot]
+                pending.live[slot] = 0
+                use_kernel(t, first, made, now, before, pending, gate, log, update)
+            e += 1
+        if keep:
+            _keep_kernel(now, stores.node_state[node, 1], stores.node_cov[node, 1])
+            node += 1
+            while e < schedule.shape[0] and schedule[e, 0] == until and schedule[e, 1] == OUTPUT:
+                _answer_kernel(now, output, stores)
+                output += 1
+                e += 1
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """A forward run, or a stretch of one, at the instants of its measurements and outputs, for a smoother."""
+
+    layout: StateLayout
+    t: FloatArray  # (N,) [s]
+    state: FloatArray  # (N, 2, n + 1) before and after: nav state (10), gyro bias, accelerometer bias, extra
+    P: FloatArray  # (N, 2, n, n) before and after
+    Phi: FloatArray  # (N, n, n) transition of the errors from the node before
+    output: IntArray  # (M,) node of each instant of its solution, -1 outside the record
+
+
+def join_nodes(stretches: list[Nodes]) -> Nodes:
+    """Return stretches of a run, in their order, as one."""
+    if len(stretches) == 1:
+        return stretches[0]
+    firsts = np.cumsum([0, *(len(one.t) for one in stretches)])
+    output = [
+        np.where(one.output >= 0, one.output + first, -1)
+        for one, first in zip(stretches, firsts[:-1], strict=True)
+    ]
+    t, state, P, Phi = (
+        np.concatenate([getattr(one, name) for one in stretches]) for name in ("t", "state", "P", "Phi")
+    )
+    return Nodes(stretches[0].layout, t, state, P, Phi, np.concatenate(output))
+
+
+class ForwardRun:
+    """A filter on its way through a record.
+
+    Parameters
+    ----------
+    initial : InitialState
+        Start.
+    model : StateModel
+        Layout, covariance at the start, processes.
+    antenna_b : (3,) array
+        Antenna [m], b.
+    field : (4, 3) array
+        Magnetic field at the start and its change by metre [T], n.
+    gate : Gate
+        Tests and their memories, of the sensors.
+    interval : float
+        Of the covariance step [s]; 0: every sample.
+    keep : bool
+        Store the nodes of a smoother, on disk if the record comes in pieces.
+    """
+
+    def __init__(
+        self,
+        initial: InitialState,
+        model: StateModel,
+        antenna_b: FloatArray,
+        field: FloatArray,
+        gate: Gate,
+        interval: float,
+        keep: bool,
+    ) -> None:
+        n = model.layout.size
+        self.initial, self.model, self.antenna_b, self.field = initial, model, antenna_b, field
+        self.gate, self.interval, self.keep = gate, interval, keep
+        state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
+        lever = model.index.antenna_b
+        if lever >= 0:
+            state[lever + 1 : lever + 4] = antenna_b
+        self.now = FilterState(state, widened(model.P), np.zeros(n))
+        self.work = work_for(n, model.process.drives)
+        self.work.carried.known[:] = model.process.thermal[0], *model.process.range
+        self.pending = pending_for(n, 1, 6)
+        self.moved = False
+        self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
+
+    def copy(self) -> ForwardRun:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        state, P, dx = self.now
+        other.now = FilterState(state.copy(), widened(P), dx.copy())
+        other.work = work_for(len(dx), self.model.process.drives)
+        other.work.carried.whole[:] = self.work.carried.whole
+        H, z, r, tags, live, width = self.pending
+        other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
+        gate = self.gate
+        other.gate = gate._replace(misses=gate.misses.copy(), used=gate.used.copy(), level=gate.level.copy())
+        other.refused = dict(self.refused)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays and numbers by name."""
+        gate = self.gate
+        return {
+            "now": self.now._asdict(),
+            "carried": self.work.carried.whole,
+            "pending": self.pending._asdict(),
+            "gate": {"misses": gate.misses, "used": gate.used, "level": gate.level},
+            "moved": self.moved,
+            "refused": [[channel, *so_far] for channel, so_far in self.refused.items()],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        now = state["now"]
+        self.now = FilterState(now["state"], widened(now["P"]), now["dx"])
+        self.work.carried.whole[:] = state["carried"]
+        self.pending, self.moved = Pending(**state["pending"]), state["moved"]
+        self.gate = self.gate._replace(**state["gate"])
+        self.refused = {channel: tuple(so_far) for channel, *so_far in state["refused"]}
+
+    def nothing(self) -> NavSolution:
+        """Return a solution without instants."""
+        none, layout = no_innovations(), self.model.layout
+        n = layout.size
+        return solution(
+            np.empty(0), layout, np.empty((0, n + 1)), np.empty((0, n, n)), none, Events.from_rows([])
+        )
+
+    def go(self, schedule: Schedule, names: list[str], look_back: float) -> tuple[NavSolution, Nodes]:
+        """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.
+
+        Parameters
+        ----------
+        schedule : Schedule
+            Everything to measure that is known; it forgets what is done.
+        names : list of str
+            Of the channels of the gate.
+        look_back : float
+            How far before the last sample to stop [s] (`Schedule.plan`).
+        """
+        model, n, keep = self.model, self.model.layout.size, self.keep
+        plan, sky = schedule.plan(look_back), schedule.sky
+        steps, entries = plan.steps, plan.entries
+        start = schedule.t
+        visible = int(np.diff(sky.epoch_start).max(initial=0))
+        self.pending = grown(self.pending, plan.slots, 2 * visible + 6)
+        self.gate = with_channels(self.gate, len(names), self.initial.t)
+        size = 7 * len(plan.variance) + 2 * len(sky.t)
+        log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+        m = len(plan.outputs)
+        at = np.unique(entries[entries[:, 1] != GO_ON, 0]) if keep else np.empty(0, np.int64)
+        whole = schedule.last and start == self.initial.t
+        empty = np.empty if whole else disk_arrays.empty
+        stores = Stores(
+            np.empty((m, n + 1)),
+            np.empty((m, 9, 9)),
+            np.empty((m, n - 9)),
+            np.empty(len(at)),
+            empty((len(at), 2, n + 1)),
+            empty((len(at), 2, n, n)),
+            empty((len(at), n, n)),
+        )
+        work = self.work
+        if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
+            first = np.stack([steps.dtheta_b[steps.row[0]], steps.dvel_b[steps.row[0]]])
+            work.measure.last[:] = first * steps.share[0] / steps.span[0]
+            self.moved = True
+        data = Measurements(
+            plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
+        )
+        kinds = np.unique(entries[entries[:, 1] < USE, 2])
+        _fusion_kernel(
+            entries,
+            place_fillers(kinds, (self.now, data, model.index, self.pending, work.measure), sky),
+            plan.ahead,
+            self.now,
+            model.process,
+            model.index,
+            ImuSteps(
+                np.append(steps.t, start),  # the last one serves the start, index -1
+                steps.span,
+                steps.row,
+                steps.share,
+                steps.unknown,
+                read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type for the kernel
+                read_only(steps.dvel_b),
+                self.interval,
+            ),
+            data,
+            sky,
+            self.pending,
+            self.gate,
+            log,
+            stores,
+            work,
+        )
+        count = int(log.filled[0])
+        numbers, marks = log.numbers[:count], log.marks[:count]
+        wanted = schedule.output_t
+        t = schedule.advance(plan)
+        found = stores.state, stores.cov, stores.variance
+        if len(t) != m:
+            rows = np.searchsorted(t, wanted[plan.outputs])
+            found = (
+                spread(found[0], rows, len(t)),
+                spread(found[1], rows, len(t)),
+                spread(found[2], rows, len(t)),
+            )
+        state, cov, variance = found
+        add_arm(cov, self.antenna_b)
+        events = schedule.events + refusals(numbers[:, 0], marks, names, self.refused, last=schedule.last)
+        schedule.events = []
+        node = np.full(len(t), -1)
+        if keep:
+            answered = entries[entries[:, 1] == OUTPUT, 0]
+            node[np.searchsorted(t, wanted[plan.outputs])] = np.searchsorted(at, answered)
+        nodes = Nodes(
+            model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
+        )
+        table = Events.from_rows(events)
+        marked = innovations(numbers, marks)
+        return answers(t, model.layout, state, cov, variance, marked, table), nodes
+
+
+def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
+    """Return the table of the innovations a kernel has logged."""
+    if len(numbers) == 0:
+        return no_innovations()
+    return Innovations(
+        t=numbers[:, 0],
+        sensor=SENSORS,
+        code=marks[:, 0],
+        component=marks[:, 1],
+        z=numbers[:, 1],
+        S=numbers[:, 2],
+        nis=numbers[:, 3],
+        accepted=marks[:, 2].astype(np.bool_),
+    )
+
+
+def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
+    """Return an array of ``count`` rows, NaN but for the given ``rows`` (M,), those of values (M, ...)."""
+    whole = np.full((count, *values.shape[1:]), np.nan)
+    whole[rows] = values
+    return whole
+
+
+def solution(
+    t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
+) -> NavSolution:
+    """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
+    variance = np.einsum("kii->ki", P)[:, 9:]
+    return answers(t, layout, state, P[:, :9, :9], variance, table, events)
+
+
+def answers(
+    t: FloatArray,
+    layout: StateLayout,
+    state: FloatArray,
+    cov: FloatArray,
+    variance: FloatArray,
+    table: Innovations,
+    events: Events,
+) -> NavSolution:
+    """Return the same from covariances (M, 9, 9) and the variances (M, n - 9) of the further states."""
+    return NavSolution(
+        t=t,
+        lla=state[:, :3],
+        vel_n=state[:, 3:6],
+        q_nb=state[:, 6:10],
+        gyro_bias_b=state[:, 10:13],
+        accel_bias_b=state[:, 13:16],
+        cov=cov,
+        extra_names=layout.labels(),
+        extra=state[:, 10:],
+        extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+        innovations=table,
+        events=events,
+    )

@@ -1,0 +1,414 @@
+"""The rows of H of each aiding sensor.
+
+Every z is predicted minus measured, z = H dx + noise:
+
+    fix        antenna position = dp - [C l x] phi + C dl + dm_p
+               antenna velocity = dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl + dm_v
+    baro       h + b - h_baro = -dp_D + db
+    magnetic   C' m_n - m_b = C' [m_n x] phi
+    airspeed   |v_n - w| - V = u . (dv - dw)
+    radar      h + b - h_radar = -dp_D + db
+    odometer   (1 + s) c . u - V = (1 + s) du + (c . u) ds, u of `vehicle_motion`
+    wheels     c . u - 0 = du, with c to the right and down; in coordinated flight alike
+    standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
+
+with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
+estimated, u the direction of the airspeed and w in its row the wind. A fix without velocity has the rows of
+its position only. What has a column for the gyro bias has one for each state that adds to it
+(`corrections`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.compiled import inner, kernel
+from bench.earth import EARTH_RATE, radii_kernel
+from bench.navigation.error_state_filter.corrections import (
+    drive_rows_kernel,
+    motion_factors_kernel,
+    motion_kernel,
+)
+from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
+from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
+from bench.navigation.error_state_filter.state_blocks import Index
+from bench.navigation.error_state_filter.vehicle_motion import along_kernel
+from bench.navigation.mechanization import matrix_kernel
+
+SENSORS = (
+    "gnss_position",
+    "gnss_velocity",
+    "baro",
+    "pseudorange",
+    "range_rate",
+    "magnetometer",
+    "airspeed",
+    "zero_velocity",
+    "zero_rate",
+    "radar",
+    "odometer",
+    "nonholonomic",
+    "coordinated",
+)
+POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
+RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
+ABSENT = -1
+
+OPENS = {
+    POSITION: ("pos",),
+    VELOCITY: ("vel",),
+    BARO: ("baro_bias",),
+    AIRSPEED: ("wind_north", "wind_east"),
+    RADAR: ("radar_bias",),
+    ODOMETER: ("odometer_scale",),
+    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
+}
+"""The states, one after the other, that may have made a step where a sensor is believed again after refusals.
+
+A sensor whose states a filter does not have stays out until it agrees with the rest.
+"""
+
+FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
+RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
+"""Kinds of records; at one instant they are used in this order."""
+
+_SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
+
+
+class Measurements(NamedTuple):
+    """Measurements of all kinds except satellites."""
+
+    values: FloatArray  # (R, 9); columns 6 to 8 of a fix: its antenna [m], b
+    variance: FloatArray  # (R, 6)
+    antenna_b: FloatArray  # (3,) of the satellites [m], b
+    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
+    field_lla: FloatArray  # (3,)
+
+
+@inner
+def _row_kernel(
+    pending: Pending, row: int, code: int, channel: int, component: int, length: int, r: float
+) -> None:
+    """Set a row of H to zero and write its variance and tags."""
+    for i in range(pending.H.shape[1]):
+        pending.H[row, i] = 0.0
+    pending.r[row] = r
+    pending.tags[row, 0], pending.tags[row, 1] = code, channel
+    pending.tags[row, 2], pending.tags[row, 3] = component, length
+
+
+@kernel
+def antenna_kernel(
+    nav: FloatArray,
+    C: FloatArray,
+    antenna_b: FloatArray,
+    w_ib_b: FloatArray,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+) -> None:
+    """Fill z (6,) and H (6, n) of a fix: predicted minus measured position [m] and velocity [m/s], n.
+
+    Elements of H that are always zero are not written: H must hold zeros there.
+    """
+    s, c = np.sin(nav[0]), np.cos(nav[0])
+    meridian, prime = radii_kernel(s)
+    r_m, r_p = meridian + nav[2], prime + nav[2]
+    x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
+    # rate of b relative to e: without that of the Earth, in b
+    p = w_ib_b[0] - EARTH_RATE * (C[0, 0] * c - C[2, 0] * s)
+    q = w_ib_b[1] - EARTH_RATE * (C[0, 1] * c - C[2, 1] * s)
+    r = w_ib_b[2] - EARTH_RATE * (C[0, 2] * c - C[2, 2] * s)
+    sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
+    for i in range(3):
+        H[POS + i, POS + i] = 1.0
+        H[VEL + i, VEL + i] = 1.0
+        H[3 + i, GYRO] = C[i, 1] * d - C[i, 2] * y  # C [l x]
+        H[3 + i, GYRO + 1] = C[i, 2] * x - C[i, 0] * d
+        H[3 + i, GYRO + 2] = C[i, 0] * y - C[i, 1] * x
+    for block, u, v, w in ((0, x, y, d), (3, sx, sy, sd)):
+        a = C[0, 0] * u + C[0, 1] * v + C[0, 2] * w
+        b = C[1, 0] * u + C[1, 1] * v + C[1, 2] * w
+        g = C[2, 0] * u + C[2, 1] * v + C[2, 2] * w
+        H[block, PHI + 1], H[block, PHI + 2] = g, -b  # -[a x]
+        H[block + 1, PHI], H[block + 1, PHI + 2] = -g, a
+        H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
+        z[block], z[block + 1], z[block + 2] = a, b, g
+    dlon = nav[1] - lla[1]
+    dlon -= 2.0 * np.pi * np.rint(dlon / (2.0 * np.pi))
+    z[0] += (nav[0] - lla[0]) * r_m
+    z[1] += dlon * r_p * c
+    z[2] += lla[2] - nav[2]
+    for i in range(3):
+        z[3 + i] += nav[3 + i] - vel_n[i]
+
+
+@inner
+def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> None:
+    """Fill the columns from ``at`` on of H (6, n): the estimated lever arm. The Earth rate is neglected."""
+    p, q, r = w_ib_b[0], w_ib_b[1], w_ib_b[2]
+    for i in range(3):
+        for j in range(3):
+            H[i, at + j] = C[i, j]
+        H[3 + i, at] = C[i, 1] * r - C[i, 2] * q  # C [w x]
+        H[3 + i, at + 1] = C[i, 2] * p - C[i, 0] * r
+        H[3 + i, at + 2] = C[i, 0] * q - C[i, 1] * p
+
+
+@inner
+def antenna_rows_kernel(
+    now: FilterState,
+    antenna_b: FloatArray,
+    lla: FloatArray,
+    vel_n: FloatArray,
+    index: Index,
+    H: FloatArray,
+    z: FloatArray,
+    work: MeasureWork,
+) -> None:
+    """Fill z (6,) and H (6, n) as :func:`antenna_kernel` does, with all states that the antenna depends on.
+
+    The lever arm is the estimated one if the layout has it.
+    """
+    at, last = index.antenna_b, work.last
+    for i in range(3):
+        work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
+    matrix_kernel(now.state, work.C)
+    antenna_kernel(now.state, work.C, work.lever, last[0], lla, vel_n, H, z)
+    motion_factors_kernel(last, work.drives, work.known, work.factor)
+    drive_rows_kernel(H[3:], work.drives, work.factor)
+    if at >= 0:
+        lever_kernel(work.C, last[0], at, H)
+
+
+@inner
+def _sense_kernel(now: FilterState, values: FloatArray, work: MeasureWork) -> None:
+    """Fill ``work.motion`` and its factors from a measured mean rate and force (6,)."""
+    for i in range(3):
+        work.motion[0, i], work.motion[1, i] = values[i], values[3 + i]
+    motion_kernel(now.state, work.motion, work.drives, work.known, work.slope, work.factor)
+
+
+@inner
+def _fix_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    state, values = now.state, data.values[row]
+    for i in range(6):
+        code = i // 3
+        _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
+    H, z = pending.H[first : first + 6], pending.z[first : first + 6]
+    antenna_rows_kernel(now, values[6:], values[:3], values[3:6], index, H, z, work)
+    if index.gnss_pos >= 0:
+        for i in range(6):
+            H[i, index.gnss_pos + i] = 1.0
+            z[i] += state[index.gnss_pos + 1 + i]
+    if not np.isfinite(values[0]):  # a position that a test before the filter has refused
+        for i in range(3):
+            pending.tags[first + i, 0], z[i] = ABSENT, 0.0
+    return 6 if np.isfinite(values[3] + values[4] + values[5]) else 3  # a fix may have no velocity
+
+
+@inner
+def _magnetic_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    state, C, m = now.state, work.C, work.vectors[0]
+    matrix_kernel(state, C)
+    s = np.sin(state[0])
+    meridian, prime = radii_kernel(s)
+    north = (state[0] - data.field_lla[0]) * meridian
+    east = (state[1] - data.field_lla[1]) * prime * np.cos(state[0])
+    down = data.field_lla[2] - state[2]
+    for i in range(3):
+        m[i] = data.field[0, i] + north * data.field[1, i] + east * data.field[2, i] + down * data.field[3, i]
+    for j in range(3):
+        k = first + j
+        _row_kernel(pending, k, MAGNETIC, MAGNETIC, j, 3, data.variance[row, j])
+        pending.z[k] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2] - data.values[row, j]
+        pending.H[k, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
+        pending.H[k, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
+        pending.H[k, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
+    return 3
+
+
+@inner
+def _airspeed_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    state, wind, gust = now.state, index.wind_north, index.gust_n
+    u = state[3] - state[wind + 1]
+    v = state[4] - state[wind + 2]
+    w = state[5]
+    if gust >= 0:
+        u -= state[gust + 1]
+        v -= state[gust + 2]
+        w -= state[gust + 3]
+    speed = np.sqrt(u * u + v * v + w * w)
+    if not speed > _SLOWEST_AIR:
+        return 0
+    _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, data.variance[row, 0])
+    H = pending.H[first]
+    H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
+    H[wind], H[wind + 1] = -u / speed, -v / speed
+    if gust >= 0:
+        H[gust], H[gust + 1], H[gust + 2] = -u / speed, -v / speed, -w / speed
+    pending.z[first] = speed - data.values[row, 0]
+    return 1
+
+
+@inner
+def _height_kernel(
+    code: int, bias: int, row: int, first: int, now: FilterState, data: Measurements, pending: Pending
+) -> int:
+    """Fill the row of a height above the ellipsoid; ``bias`` is the state of its bias, -1 for none."""
+    _row_kernel(pending, first, code, code, 0, 1, data.variance[row, 0])
+    pending.H[first, POS + 2] = -1.0
+    pending.z[first] = now.state[2] - data.values[row, 0]
+    if bias >= 0:
+        pending.H[first, bias] = 1.0
+        pending.z[first] += now.state[bias + 1]
+    return 1
+
+
+@inner
+def _baro_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    return _height_kernel(BARO, index.baro_bias, row, first, now, data, pending)
+
+
+@inner
+def _radar_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
+
+
+@inner
+def _odometer_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    at = index.odometer_scale
+    _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
+    H = pending.H[first]
+    for i in range(3):
+        work.motion[0, i], work.motion[1, i] = work.last[0, i], work.last[1, i]
+    motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
+    forward = along_kernel(0, 0.0, 0.0, now, index, H, work)  # the force of one sample is shaking
+    scale = 1.0
+    if at >= 0:
+        scale += now.state[at + 1]
+        for i in range(H.shape[0]):
+            H[i] *= scale
+        H[at] = forward
+    pending.z[first] = scale * forward - data.values[row, 0]
+    return 1
+
+
+@inner
+def _vehicle_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    values = data.values[row]
+    code = COORDINATED if index.gust_n >= 0 else NONHOLONOMIC
+    _sense_kernel(now, values, work)
+    for i in range(2):
+        k = first + i
+        _row_kernel(pending, k, code, code, i, 2, data.variance[row, i])
+        pending.z[k] = along_kernel(1 + i, values[6], values[7], now, index, pending.H[k], work)
+    return 2
+
+
+@inner
+def _standstill_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
+    state, C = now.state, work.C
+    matrix_kernel(state, C)
+    _sense_kernel(now, data.values[row], work)
+    n, d = EARTH_RATE * np.cos(state[0]), -EARTH_RATE * np.sin(state[0])
+    for i in range(3):
+        _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, data.variance[row, i])
+        pending.H[first + i, VEL + i] = 1.0
+        pending.z[first + i] = state[VEL + i]
+    for j in range(3):
+        k = first + 3 + j
+        _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, data.variance[row, 3 + j])
+        pending.z[k] = work.motion[0, j] - (C[0, j] * n + C[2, j] * d)
+        pending.H[k, GYRO + j] = -1.0
+        pending.H[k, PHI] = -C[1, j] * d  # -C' [w_ie x]
+        pending.H[k, PHI + 1] = -(C[2, j] * n - C[0, j] * d)
+        pending.H[k, PHI + 2] = C[1, j] * n
+    drive_rows_kernel(pending.H[first + 3 : first + 6], work.drives, work.factor)
+    return 6
+
+
+ROWS: dict[int, Callable[..., int]] = {
+    FIX_ROWS: _fix_kernel,
+    BARO_ROWS: _baro_kernel,
+    MAGNETIC_ROWS: _magnetic_kernel,
+    AIRSPEED_ROWS: _airspeed_kernel,
+    STANDSTILL_ROWS: _standstill_kernel,
+    RADAR_ROWS: _radar_kernel,
+    ODOMETER_ROWS: _odometer_kernel,
+    VEHICLE_ROWS: _vehicle_kernel,
+}
+"""What fills the rows of each kind of record from row ``first`` of ``pending`` on and returns their number.
+
+The filter calls them by address, so that only those of the records there are get compiled.
+"""

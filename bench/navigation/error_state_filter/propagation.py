@@ -1,0 +1,370 @@
+"""From one measurement to the next: strapdown at every step, covariance at its own rate.
+
+The arrays a compiled filter works on, by name, and the kernel that moves them in time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner
+from bench.navigation.error_state_filter.corrections import factor_kernel, increments_kernel
+from bench.navigation.error_state_filter.error_state import (
+    PHI,
+    VEL,
+    CovarianceWork,
+    accumulate_kernel,
+    backward_kernel,
+    covariance_kernel,
+    covariance_work,
+    dynamics_kernel,
+    mirror_kernel,
+    transition_kernel,
+)
+from bench.navigation.error_state_filter.rough_heading import stand_kernel
+from bench.navigation.error_state_filter.state_blocks import Index, Process
+from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
+from bench.wide_rows import wide, widened
+
+_RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
+
+
+class FilterState(NamedTuple):
+    """The state of the filter: the n + 1 numbers it estimates, and its n error states."""
+
+    state: FloatArray  # (n + 1,) navigation state (10), then the values of the states from the gyro bias on
+    P: FloatArray  # (n, n), `bench.wide_rows.wide`
+    dx: FloatArray  # (n,) error estimated and not yet fed back
+
+
+class ImuSteps(NamedTuple):
+    """`timeline.Steps` and the increments they go by."""
+
+    t: FloatArray  # (K,)
+    span: FloatArray  # (K,)
+    row: IntArray  # (K,)
+    share: FloatArray  # (K,)
+    unknown: FloatArray  # (K, 2)
+    dtheta_b: FloatArray  # (N, 3)
+    dvel_b: FloatArray  # (N, 3)
+    interval: float  # of the covariance step [s]; 0: every sample
+
+
+class Pending(NamedTuple):
+    """Measurements made and not yet used, a slot of ``width`` rows each: z = H dx + v, var v = r."""
+
+    H: FloatArray  # (S width, n)
+    z: FloatArray  # (S width,)
+    r: FloatArray  # (S width,)
+    tags: IntArray  # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
+    live: IntArray  # (S,) rows that wait in each slot
+    width: int
+
+
+class MeasureWork(NamedTuple):
+    """Memory of what fills the rows of a measurement, shared with the steps before it."""
+
+    last: FloatArray  # (2, 3) rate [rad/s] and specific force [m/s^2] of the last step, b, corrected
+    vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
+    C: FloatArray  # (3, 3)
+    lever: FloatArray  # (3,)
+    motion: FloatArray  # (2, 3) the same of the instants that the measurement is of
+    known: FloatArray  # (3,) `Carried.known`
+    drives: IntArray  # (D, 3) `Process.drives`
+    factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
+    slope: FloatArray  # (6,) of gyros and accelerometers along their axes
+
+
+class UpdateWork(NamedTuple):
+    """Memory of an update."""
+
+    row: FloatArray  # (n,)
+    other_row: FloatArray  # (n,)
+    square: FloatArray  # (6, 7)
+    rows: FloatArray  # (6, n)
+    var: FloatArray  # (6,)
+
+
+class Carried(NamedTuple):
+    """What the next step needs of the steps before; also the first two of `MeasureWork`."""
+
+    whole: FloatArray  # (62,) memory of all of it
+    kept: FloatArray  # (62,) a copy, while a filter goes ahead for an answer
+    before: FloatArray  # (7,) the step before, for coning and sculling
+    C_mean: FloatArray  # (3, 3)
+    reference: FloatArray  # (10,)
+    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
+    lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
+    elapsed: FloatArray  # (1,) since the last step of the covariance [s]
+
+
+class StepWork(NamedTuple):
+    """Memory of a step of the covariance."""
+
+    F: FloatArray  # (9, 15)
+    G: FloatArray  # (9, 15)
+    back: FloatArray  # (9, 15)
+    Phi: FloatArray  # (n, n) since the last node of a smoother
+    decay: FloatArray  # (n,)
+    noise: FloatArray  # (n,)
+    factor: FloatArray  # (D,)
+
+
+class Work(NamedTuple):
+    """Memory of the kernels, in small tuples (`bench.compiled`)."""
+
+    carried: Carried
+    step: StepWork
+    covariance: CovarianceWork
+    measure: MeasureWork
+    update: UpdateWork
+    ahead: FilterState  # of a filter that goes ahead for an answer
+
+
+def work_for(n: int, drives: IntArray) -> Work:
+    """Return the memory for n states and their drives (D, 3)."""
+    shapes = (7,), (2, 3), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    whole = np.zeros(ends[-1])
+    before, last, vectors, *others = (
+        part.reshape(shape) for part, shape in zip(np.split(whole, ends[:-1]), shapes, strict=True)
+    )
+    F, G, back = np.zeros((3, 9, 15))
+    carried, D = Carried(whole, np.zeros(ends[-1]), before, *others), len(drives)
+    return Work(
+        carried=carried,
+        step=StepWork(F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), np.zeros(D)),
+        covariance=covariance_work(n),
+        measure=MeasureWork(
+            last,
+            vectors,
+            np.zeros((3, 3)),
+            np.zeros(3),
+            np.zeros((2, 3)),
+            carried.known,
+            drives,
+            np.zeros(D),
+            np.ones(6),
+        ),
+        update=UpdateWork(np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6)),
+        ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
+    )
+
+
+def pending_for(n: int, slots: int, width: int) -> Pending:
+    """Return the memory for measurements that wait."""
+    rows = slots * width
+    return Pending(
+        np.zeros((rows, n)),
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros((rows, 4), np.int64),
+        np.zeros(slots, np.int64),
+        width,
+    )
+
+
+def grown(pending: Pending, slots: int, width: int) -> Pending:
+    """Return memory for at least so many slots of so many rows, with what waits."""
+    have = len(pending.live)
+    if have >= slots and pending.width >= width:
+        return pending
+    more = pending_for(pending.H.shape[1], max(slots, have), max(width, pending.width))
+    for old, new in zip(pending[:4], more[:4], strict=True):
+        shape = (-1, more.width, *new.shape[1:])
+        new.reshape(shape)[:have, : pending.width] = old.reshape((have, pending.width, *old.shape[1:]))
+    more.live[:have] = pending.live
+    return more
+
+
+@inner
+def warmth_kernel(T: float, thermal: FloatArray, height: float, known: FloatArray) -> None:
+    """Carry the temperature of the IMU over an interval T at a height [m], in air of constant lapse rate."""
+    end = thermal[1] + thermal[2] * height
+    lag = np.exp(-T / thermal[3]) if thermal[3] > 0.0 else 0.0
+    known[0] = end + lag * (known[0] - end)
+
+
+@inner
+def clock_kernel(P: FloatArray, at: int, T: float) -> None:
+    """Carry a clock's offset over T by its drift: P becomes Phi P Phi', Phi = I but for [at, at + 1] = T."""
+    n = P.shape[0]
+    for j in range(n):
+        P[at, j] += T * P[at + 1, j]
+    for i in range(n):
+        P[i, at] += T * P[i, at + 1]
+
+
+@inner
+def fade_kernel(x: float) -> float:
+    """Return exp(-x); of a small x, as most are, its series: the next term is below 1e-17."""
+    if x > 0.05:
+        return float(np.exp(-x))
+    value = 1.0
+    for k in range(9, 0, -1):
+        value = 1.0 - x * _RECIPROCAL[k] * value
+    return value
+
+
+@inner
+def noise_kernel(
+    T: float,
+    process: Process,
+    clock: int,
+    speed: float,
+    unknown: FloatArray,
+    decay: FloatArray,
+    noise: FloatArray,
+) -> int:
+    """Fill decay and noise (n,) of an interval T, flown at a speed [m/s]; return the first that decays."""
+    q, stationary = process.q, process.stationary
+    decay_time, decay_distance = process.decay_time, process.decay_distance
+    n = noise.shape[0]
+    fading: int = n
+    for i in range(n - 1, -1, -1):
+        x = (decay_time[i] + decay_distance[i] * speed) * T
+        decay[i] = 1.0
+        if x > 0.0:
+            fading = i
+            decay[i] = fade_kernel(x)
+        noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
+    for i in range(3):
+        noise[VEL + i] += unknown[0]
+        noise[PHI + i] += unknown[1]
+    if clock >= 0:
+        noise[clock] += q[clock + 1] * T * T * T / 3.0
+    return fading
+
+
+@inner
+def wait_kernel(
+    T: float, pending: Pending, drives: IntArray, clock: int, work: StepWork, row: FloatArray
+) -> None:
+    """Carry the rows that wait over the interval whose F, decay and factors ``work`` holds."""
+    width = pending.width
+    transition_kernel(work.F, -T, work.back)
+    for slot in range(pending.live.shape[0]):
+        for a in range(slot * width, slot * width + pending.live[slot]):
+            h = pending.H[a]
+            backward_kernel(h, work.back, work.decay, drives, work.factor, row)
+            if clock >= 0:
+                h[clock + 1] -= T * h[clock]
+
+
+@inner
+def advance_kernel(
+    k: int,
+    until: int,
+    now: FilterState,
+    process: Process,
+    index: Index,
+    steps: ImuSteps,
+    work: Work,
+    pending: Pending,
+    keep: bool,
+    closing: bool,
+    part: float,
+    ahead: bool,
+) -> None:
+    """Take the steps k + 1 to ``until``; with ``closing`` a step of the covariance ends there.
+
+    Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are.
+    """
+    state, P = now.state, now.P
+    carried, step, memory, measure, update, _ = work
+    drives, interval = process.drives, steps.interval
+    clock = index.clock_offset
+    rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
+    dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
+    C, C_mean, reference, F, G = measure.C, carried.C_mean, carried.reference, step.F, step.G
+    Phi, decay, noise, factor = step.Phi, step.decay, step.noise, step.factor
+    before, vectors, lost = carried.before, measure.vectors, carried.lost
+    dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum = (
+        vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6], vectors[7],
+    )  # fmt: skip
+    known, slope, last = carried.known, measure.slope, measure.last
+    driven = drives.shape[0]
+    n = P.shape[0]
+    waiting = False
+    for slot in range(pending.live.shape[0]):
+        waiting = waiting or (pending.live[slot] > 0 and not ahead)
+    T = carried.elapsed[0]
+    while k < until or (closing and T > 0.0):
+        while k < until:
+            if T == 0.0:
+                lost[0], lost[1] = 0.0, 0.0
+                for i in range(3):
+                    dv_sum[i], w_sum[i], f_sum[i] = 0.0, 0.0, 0.0
+                    for j in range(3):
+                        C_mean[i, j] = 0.0
+                for i in range(STATE_SIZE):
+                    reference[i] = state[i]
+            k += 1
+            row, dt, share, some = rows[k], spans[k], shares[k], 1.0
+            if k == until:
+                some = part
+            dt *= some
+            share *= some
+            for i in range(3):
+                dth[i] = dtheta_b[row, i] * share
+                dv[i] = dvel_b[row, i] * share
+            increments_kernel(state, dt, drives, known, dth, dv, slope)
+            for i in range(3):
+                last[0, i], last[1, i] = dth[i] / dt, dv[i] / dt
+            if driven > 0:
+                for i in range(3):
+                    w_sum[i] += dth[i]
+                    f_sum[i] += dv[i]
+            body_step_kernel(dt, dth, dv, before, rotvec, dv_start)
+            step_kernel(state, dt, rotvec, dv_start, C, dv_n)
+            T += dt
+            lost[0] += unknown[k, 0] * some
+            lost[1] += unknown[k, 1] * some
+            for i in range(3):
+                dv_sum[i] += dv_n[i]
+                for j in range(3):
+                    C_mean[i, j] += C[i, j] * dt
+            if not interval > T:
+                break
+        if interval > T and not closing:
+            break
+        for i in range(3):
+            dv_sum[i] /= T
+            for j in range(3):
+                C_mean[i, j] /= T
+        for d in range(driven):
+            factor[d] = factor_kernel(drives[d, 2], T, w_sum, f_sum, known) / T
+        if driven > 0:
+            warmth_kernel(T, process.thermal, state[2], known)
+        speed = np.sqrt(reference[3] * reference[3] + reference[4] * reference[4])
+        fading = noise_kernel(T, process, clock, speed, lost, decay, noise)
+        for i in range(fading, n):
+            state[i + 1] *= decay[i]
+        dynamics_kernel(reference, C_mean, dv_sum, F)
+        lost_heading = stand_kernel(state, T, P, F, noise)
+        transition_kernel(F, T, G)
+        if clock >= 0:
+            state[clock + 1] += T * state[clock + 2]
+            clock_kernel(P, clock, T)
+        covariance_kernel(P, G, decay, noise, fading, drives, factor, memory)
+        if clock >= 0:
+            together = 0.5 * process.q[clock + 1] * T * T
+            P[clock, clock + 1] += together
+            P[clock + 1, clock] += together
+        if keep:
+            if lost_heading:
+                for j in range(n):
+                    Phi[PHI + 2, j] = 0.0
+            accumulate_kernel(Phi, G, decay, drives, factor, memory)
+            if clock >= 0:
+                for j in range(n):
+                    Phi[clock, j] += T * Phi[clock + 1, j]
+        if waiting:
+            wait_kernel(T, pending, drives, clock, step, update.row)
+        T = 0.0
+    carried.elapsed[0] = T
+    mirror_kernel(P)

@@ -1,0 +1,264 @@
+"""Pseudorange and range rate of a satellite: prediction, corrections and rows of H.
+
+    z_range = |r_sat - r_ant| + troposphere + ionosphere + clock + offset - (pseudorange + satellite clock)
+    z_rate  = d/dt |r_sat - r_ant| + drift - (range rate + satellite clock rate)
+
+(B-12, B-14b) with the offset for GLONASS only. Both depend on the errors of the antenna along the line of
+sight. The delays are computed at the position of the filter, so that any number of satellites will do. H
+neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import find_address, inner, types_of
+from bench.data import GLONASS, GPS, GnssObservations
+from bench.earth import WGS84, radii_kernel
+from bench.navigation.error_state_filter.measurement_rows import (
+    PSEUDORANGE,
+    RANGE_RATE,
+    ROWS,
+    SATELLITE_ROWS,
+    SENSORS,
+    Measurements,
+    antenna_rows_kernel,
+)
+from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
+from bench.navigation.error_state_filter.state_blocks import Index
+from bench.signals import receiver
+from bench.signals.delays import (
+    klobuchar_kernel,
+    mapping_kernel,
+    range_kernel,
+    range_rate_kernel,
+    zenith_troposphere,
+)
+from bench.signals.orbits import GPS_EARTH_RATE, L1
+from bench.specs import GnssSpec
+
+_E2 = WGS84.e2
+_LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
+_TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
+_MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
+
+
+class Sky(NamedTuple):
+    """Corrected observations, one row per satellite and epoch."""
+
+    epoch_start: IntArray  # (M + 1,)
+    values: FloatArray  # (K, 2) range [m] and rate [m/s], corrected for everything but the atmosphere
+    variance: FloatArray  # (K, 2)
+    sat: FloatArray  # (K, 6) position and velocity, e at transmission
+    t: FloatArray  # (K,) time of the GPS day [s]
+    ionosphere: FloatArray  # (K,) ionospheric delay over that on L1; 0 with two frequencies [1]
+    which: IntArray  # (K, 3) system, channel of the range, channel of the rate
+    zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
+    klobuchar: FloatArray  # (8,)
+    sin_mask: float
+
+
+def empty_sky() -> Sky:
+    """Return a sky without satellites."""
+    none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 3), np.int64)
+    return Sky(np.zeros(1, np.int64), pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0)
+
+
+def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
+    """Return range and rate (K, 2) corrected for satellite clock and group delay, and their variances (K, 2).
+
+    With two bands assumed the range is the ionosphere-free combination (B-11).
+    """
+    free = spec is not None and spec.sky is not None and spec.sky.bands == 2
+    processing = receiver.Processing(ionosphere="free" if free else "klobuchar")
+    values = np.column_stack(
+        [receiver.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
+    )
+    return values, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2
+
+
+def make_sky(
+    o: GnssObservations,
+    spec: GnssSpec,
+    rows: IntArray,
+    epochs: IntArray,
+    count: int,
+    lat: float,
+    channel: IntArray,
+) -> Sky:
+    """Return the rows of a record that are used, as the kernel takes them.
+
+    Parameters
+    ----------
+    o : GnssObservations
+        Record.
+    spec : GnssSpec
+        Datasheet of the receiver that is assumed.
+    rows, epochs : (K,) arrays of int
+        Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
+    lat : float
+        Latitude of the table of vertical delays [rad]; 500 km north or south they differ by 1 mm.
+    channel : (K,) array of int
+        Channel of the gate that the range of each of the rows has; that of its rate is the next.
+    """
+    values, variance = correct_observations(o, spec)
+    free = spec.sky is not None and spec.sky.bands == 2
+    return Sky(
+        epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
+        values=values[rows],
+        variance=variance[rows],
+        sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
+        t=o.t[rows] + o.gps_t0,
+        ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
+        which=np.column_stack([o.system[rows], channel, channel + 1]),
+        zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
+        klobuchar=o.klobuchar.copy(),
+        sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
+    )
+
+
+def join_skies(first: Sky, second: Sky) -> Sky:
+    """Return the epochs of two skies of one receiver, in order."""
+    end = first.epoch_start[-1]
+    start = np.concatenate([first.epoch_start, end + second.epoch_start[1:]])
+    both = (np.concatenate(pair) for pair in zip(_by_row(first), _by_row(second), strict=True))
+    return _with_rows(second, start, *both)
+
+
+def take_epochs(sky: Sky, epochs: IntArray) -> Sky:
+    """Return some epochs of a sky, in order."""
+    count = np.diff(sky.epoch_start)
+    chosen = np.zeros(len(count), np.bool_)
+    chosen[epochs] = True
+    rows = np.repeat(chosen, count)
+    start = np.concatenate([[0], np.cumsum(count[epochs])]).astype(np.int64)
+    return _with_rows(sky, start, *(column[rows] for column in _by_row(sky)))
+
+
+def _by_row(sky: Sky) -> tuple[Any, ...]:
+    return sky.values, sky.variance, sky.sat, sky.t, sky.ionosphere, sky.which
+
+
+def _with_rows(sky: Sky, *columns: Any) -> Sky:
+    return Sky(*columns, *sky[len(columns) :])
+
+
+def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
+    """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
+    letter = {GPS: "G", GLONASS: "R"}
+    numbers, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
+    return [f"{letter[n // 1000]}{n % 1000:02d}" for n in numbers.tolist()], which.astype(np.int64)
+
+
+class Channels:
+    """The channels of a gate: those of the sensors, then range and rate of each satellite as it appears."""
+
+    def __init__(self) -> None:
+        self.names = list(SENSORS)
+
+    def of_satellites(self, o: GnssObservations) -> IntArray:
+        """Return the channel (K,) of the range of each row of a record; new satellites get one."""
+        satellites, which = name_satellites(o)
+        for one in satellites:
+            if f"{one} range" not in self.names:
+                self.names += [f"{one} range", f"{one} rate"]
+        return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
+
+
+def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntArray:
+    """Return by kind of record the address of what fills its rows, 0 for a kind that is not among ``kinds``.
+
+    ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
+    """
+    at, types = np.zeros(max(ROWS) + 1, np.int64), types_of(0, 0, *arguments)
+    for kind in kinds.tolist():
+        if kind == SATELLITE_ROWS:
+            at[kind] = find_address(satellites_kernel, types + types_of(sky))
+        else:
+            at[kind] = find_address(ROWS[kind], types)
+    return at
+
+
+@inner
+def satellites_kernel(
+    epoch: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+    sky: Sky,
+) -> int:
+    """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
+    state, H, z = now.state, pending.H, pending.z
+    n, at = now.P.shape[0], index.clock_offset
+    # the last six rows of the slot hold position and velocity of the antenna
+    last = first + pending.width - 6
+    for j in range(last, last + 6):
+        for i in range(n):
+            H[j, i] = 0.0
+    arm = z[last : last + 6]
+    antenna_rows_kernel(now, data.antenna_b, state[:3], state[3:6], index, H[last : last + 6], arm, work)
+    s, c = np.sin(state[0]), np.cos(state[0])
+    sl, cl = np.sin(state[1]), np.cos(state[1])
+    _, prime = radii_kernel(s)
+    across = (prime + state[2]) * c
+    # C_en: north (-s cl, -s sl, c), east (-sl, cl, 0), down (-c cl, -c sl, -s)
+    rx = across * cl - s * cl * arm[0] - sl * arm[1] - c * cl * arm[2]
+    ry = across * sl - s * sl * arm[0] + cl * arm[1] - c * sl * arm[2]
+    rz = (prime * (1.0 - _E2) + state[2]) * s + c * arm[0] - s * arm[2]
+    v_n, v_e, v_d = state[3] + arm[3], state[4] + arm[4], state[5] + arm[5]
+    vx = -s * cl * v_n - sl * v_e - c * cl * v_d
+    vy = -s * sl * v_n + cl * v_e - c * sl * v_d
+    vz = c * v_n - s * v_d
+    layer = min(max(state[2], 0.0) / _LAYER, float(sky.zenith.shape[0]) - 1.001)
+    low = int(layer)
+    zenith = sky.zenith[low] + (layer - float(low)) * (sky.zenith[low + 1] - sky.zenith[low])
+    row = first
+    for k in range(sky.epoch_start[epoch], sky.epoch_start[epoch + 1]):
+        sx, sy, sz = sky.sat[k, 0], sky.sat[k, 1], sky.sat[k, 2]
+        wx, wy, wz = sky.sat[k, 3], sky.sat[k, 4], sky.sat[k, 5]
+        distance, ex, ey, ez = range_kernel(sx, sy, sz, rx, ry, rz, GPS_EARTH_RATE)
+        e_n = -s * cl * ex - s * sl * ey + c * ez
+        e_e = -sl * ex + cl * ey
+        e_d = -c * cl * ex - c * sl * ey - s * ez
+        if not -e_d >= sky.sin_mask:
+            continue
+        a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, GPS_EARTH_RATE)
+        flat = np.sqrt(e_n * e_n + e_e * e_e)
+        delay = zenith * mapping_kernel(-e_d)
+        if sky.ionosphere[k] > 0.0 and flat > 0.0:
+            delay += sky.ionosphere[k] * klobuchar_kernel(
+                state[0], state[1], np.arctan2(-e_d, flat), e_e / flat, e_n / flat, sky.t[k], sky.klobuchar
+            )
+        glonass = sky.which[k, 0] == GLONASS
+        z[row] = distance + delay + state[at + 1] - sky.values[k, 0]
+        z[row + 1] = (a - ex * vx - ey * vy - ez * vz) / b + state[at + 2] - sky.values[k, 1]
+        # the line of sight turns as the antenna moves across it
+        ux, uy, uz = wx - vx, wy - vy, wz - vz
+        along = ux * ex + uy * ey + uz * ez
+        ux, uy, uz = (ux - along * ex) / distance, (uy - along * ey) / distance, (uz - along * ez) / distance
+        u_n = -s * cl * ux - s * sl * uy + c * uz
+        u_e = -sl * ux + cl * uy
+        u_d = -c * cl * ux - c * sl * uy - s * uz
+        for i in range(n):
+            p, q, r = H[last, i], H[last + 1, i], H[last + 2, i]
+            H[row, i] = -(e_n * p + e_e * q + e_d * r)
+            H[row + 1, i] = -(e_n * H[last + 3, i] + e_e * H[last + 4, i] + e_d * H[last + 5, i]) / b - (
+                u_n * p + u_e * q + u_d * r
+            )
+        H[row, at], H[row + 1, at + 1] = 1.0, 1.0
+        if glonass:
+            H[row, at + 2] = 1.0
+            z[row] += state[at + 3]
+        for i in range(2):
+            pending.r[row + i] = sky.variance[k, i]
+            pending.tags[row + i, 0] = PSEUDORANGE if i == 0 else RANGE_RATE
+            pending.tags[row + i, 1] = sky.which[k, 1 + i]
+            pending.tags[row + i, 2], pending.tags[row + i, 3] = 0, 1
+        row += 2
+    return row - first

@@ -1,0 +1,438 @@
+"""The schedule of a filter: its steps, and after which of them it measures, updates and answers.
+
+A record may come in pieces. A schedule plans what is known, and a filter goes no further than to where
+nothing can come any more that is valid before; the rest waits for the next piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
+from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine import timeline
+from bench.navigation.engine.kept_rows import Rows, columns, give_slots, join_rows, take_rows
+from bench.navigation.engine.piecewise import refuse
+from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
+from bench.navigation.engine.velocity_consistency import MovedFixes
+from bench.navigation.error_state_filter import ranging
+from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
+from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.options import FixAccuracy
+from bench.specs import GnssSpec, ImuSpec
+
+AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
+"""Actions: measure and update at once, measure, update with what was measured, output, just go there."""
+_BEFORE = -2  # step of what was measured in an earlier piece
+
+
+class Plan(NamedTuple):
+    """What a filter does next."""
+
+    steps: Steps
+    entries: IntArray  # (E, 5) as `filter_run` takes them
+    ahead: FloatArray  # (A,) part of the next step that an answer lies ahead [1]
+    slots: int  # that hold all which waits
+    measured: FloatArray  # (R, 9) values, and of a fix its antenna [m], b, of all but satellites
+    values: FloatArray  # (R, 6) of them the values
+    variance: FloatArray  # (R, 6)
+    outputs: IntArray  # (A,) rows of ``output_t`` that are answered
+    left: dict[int, Rows]  # what waits afterwards
+    go_to: int  # last step taken
+
+
+class Schedule:
+    """Collects the measurements of a run and puts them in order.
+
+    Parameters
+    ----------
+    start : float
+        Instant of the initial state [s].
+    imu : ImuSpec
+        The unit assumed.
+    compensate : bool
+        Measure at the instant of validity, not at that of arrival.
+    accuracy : str
+        What the variance of a fix comes from, see :func:`aiding_sensors.weigh_fixes`.
+    watch : MovedFixes or None
+        Leaves out positions that moved otherwise than the velocities say; None: no such test.
+    cut : bool
+        End a step at every answer: a smoother has a node there.
+    as_sampled : bool
+        End no step at what arrives in a gap either, and answer at the first step's end from the instant on.
+    """
+
+    def __init__(
+        self,
+        start: float,
+        imu: ImuSpec,
+        *,
+        compensate: bool,
+        accuracy: FixAccuracy = "datasheet",
+        watch: MovedFixes | None = None,
+        cut: bool = False,
+        as_sampled: bool = False,
+    ) -> None:
+        self.start, self.t = start, start
+        self._spec, self._compensate, self._cut = imu, compensate, cut
+        self._as_sampled = as_sampled
+        self._accuracy, self._watch = accuracy, watch
+        self._intake = ImuIntake(start)
+        self.events: list[EventRow] = []
+        nothing = np.empty(0)
+        self.imu = ImuData(nothing, nothing, nothing > 0, np.empty((0, 3)), np.empty((0, 3)))
+        self._again: ImuData | None = None
+        self._earlier = self.rows = np.empty(0, np.int64)
+        self.span = self.imu_t = self.output_t = np.empty(0)
+        self._kinds: dict[int, Rows] = {}
+        self._newest: dict[int, tuple[float, float]] = {}  # validity and arrival of the last row of each kind
+        self._names: dict[int, str] = {}
+        self.sky = ranging.empty_sky()
+        self.last = False
+
+    def copy(self) -> Schedule:
+        """Return a schedule that goes on from here by itself."""
+        other = copy(self)
+        other._intake, other.events = copy(self._intake), list(self.events)
+        other._kinds, other._newest, other._names = dict(self._kinds), dict(self._newest), dict(self._names)
+        other._watch = copy(self._watch)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "t": self.t,
+            "taken": [self._intake.newest, self._intake.before],
+            "imu": columns(self.imu),
+            "again": None if self._again is None else columns(self._again),
+            "earlier": self._earlier,
+            "rows": self.rows,
+            "span": self.span,
+            "output_t": self.output_t,
+            "kinds": {str(kind): rows._asdict() for kind, rows in self._kinds.items()},
+            "newest": {str(kind): list(times) for kind, times in self._newest.items()},
+            "names": {str(kind): name for kind, name in self._names.items()},
+            "sky": self.sky._asdict(),
+            "watch": None if self._watch is None else self._watch.state(),
+            "events": [list(row) for row in self.events],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.t, (self._intake.newest, self._intake.before) = state["t"], state["taken"]
+        self.imu = ImuData(**state["imu"])
+        self._again = None if state["again"] is None else ImuData(**state["again"])
+        self._earlier, self.rows, self.span = state["earlier"], state["rows"], state["span"]
+        self.imu_t, self.output_t = self.imu.t[self.rows], state["output_t"]
+        self._kinds = {int(kind): Rows(**rows) for kind, rows in state["kinds"].items()}
+        self._newest = {int(kind): (t, arrival) for kind, (t, arrival) in state["newest"].items()}
+        self._names = {int(kind): name for kind, name in state["names"].items()}
+        self.sky = ranging.Sky(**state["sky"])
+        if self._watch is not None:
+            self._watch.restore(state["watch"])
+        self.events = [(t, t_end, *texts) for t, t_end, *texts in state["events"]]
+
+    @property
+    def end(self) -> float:
+        """Instant of the last sample in use [s], or of the start."""
+        return self._intake.newest
+
+    @property
+    def _last_sample(self) -> float:
+        """The same, -inf without a sample."""
+        return self.end if self.end > self.start else -np.inf
+
+    def take(self, sensors: SensorData, *, last: bool) -> ImuData:
+        """Take the IMU samples of the next piece and the instants at which it asks for answers.
+
+        Returns
+        -------
+        ImuData
+            Those samples that are in use.
+
+        Raises
+        ------
+        EstimatorError
+            If one of these has been passed.
+        """
+        passed = (sensors.output_t < self.t - TIME_TOLERANCE) & (sensors.output_t > self.start)
+        if passed.any():
+            refuse("an answer", float(sensors.output_t[passed][0]), self.t)
+        imu = sensors.imu if self._again is None else join_rows(self._again, sensors.imu)
+        rows, span, events, again = self._intake.take(imu, self._spec, last=last)
+        self.events += events
+        self._again = take_rows(imu, again) if len(again) else None
+        taken = imu if len(rows) == len(imu) else take_rows(imu, rows)
+        if len(self.imu):
+            rows = np.append(self.rows, rows + len(self.imu))
+            imu, span = join_rows(self.imu, imu), np.append(self.span, span)
+        self.imu, self.rows, self.span, self.last = imu, rows, span, last
+        self.imu_t = take_increasing(imu.t, rows)
+        self.output_t = np.append(self.output_t, sensors.output_t)
+        return taken
+
+    def add(
+        self,
+        sensor: AidingSensor,
+        sensors: SensorData,
+        initial: InitialState,
+        layout: StateLayout,
+        more: FloatArray | float = 0.0,
+    ) -> None:
+        """Take the record of a sensor, with the variance of its datasheet and ``more``.
+
+        Raises
+        ------
+        ValueError
+            If its datasheet is not among those assumed.
+        EstimatorError
+            If a row comes too late.
+        """
+        assert sensor.read is not None
+        record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
+        values, white = sensor.read(record, spec, sensors, initial, layout)
+        white = white + more
+        if isinstance(record, GnssFixes):
+            variance, needed = weigh_fixes(record, white, self._accuracy), record.lla
+        else:
+            variance, needed = np.broadcast_to(white, values.shape), values
+        sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
+        sound &= np.isfinite(needed).all(axis=1)
+        rows, t, arrival = self._admit(sensor.kind, sensor.spec, record.t, record.t_arrival, sound)
+        if isinstance(record, GnssFixes):
+            self.events += timeline.without_velocity(record, rows)
+            if self._watch is not None:
+                values = np.array(values)
+                own = weigh_fixes(record, fix_variance(spec, gnss_markov=True), self._accuracy)[rows]
+                moved, events = self._watch.take(record.take(rows), own, last=self.last)
+                values[rows[moved], :3] = np.nan
+                self.events += events
+        self._wait(sensor.kind, t, arrival, values[rows], variance[rows])
+
+    def add_samples(self, kind: int, t: FloatArray, values: FloatArray, variance: FloatArray) -> None:
+        """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
+        self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
+
+    def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channel: IntArray) -> None:
+        """Take the usable satellites of each epoch; ``channel`` (K,) is that of the range of each row."""
+        assert gnss.sky is not None
+        values, variance = ranging.correct_observations(o, gnss)
+        sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
+        sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
+        sound &= np.isfinite(o.frequency[:, 0])
+        self.events += timeline.left_out("satellites", o.t, ~sound, "not finite")
+        system = {"gps": [GPS], "glonass": [GLONASS]}.get(gnss.sky.systems, [GPS, GLONASS])
+        wanted = np.isin(o.system, system)
+        self.events += timeline.empty_epochs(o.t, o.epoch_start, self.start, self.end)
+        filled = np.flatnonzero(np.diff(o.epoch_start) > 0)
+        first_row = o.epoch_start[filled]
+        t, arrival = o.t[first_row], o.t_arrival[first_row]
+        usable = np.isfinite(t) & np.isfinite(arrival)
+        chosen, t, arrival = self._admit(SATELLITE_ROWS, "satellites", t, arrival, usable)
+        epochs, known = filled[chosen], len(self.sky.epoch_start) - 1
+        number = np.full(len(o.epoch_start) - 1, -1)
+        number[epochs] = np.arange(len(epochs))
+        of_row = number[o.epoch]
+        rows = np.flatnonzero(sound & wanted & (of_row >= 0))
+        rows = rows[np.argsort(of_row[rows], kind="stable")]
+        sky = ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat, channel[rows])
+        self.sky = ranging.join_skies(self.sky, sky) if known else sky
+        nothing = np.empty((len(epochs), 0))
+        self._wait(SATELLITE_ROWS, t, arrival, nothing, nothing, known + np.arange(len(epochs)))
+
+    def _admit(
+        self, kind: int, name: str, t: FloatArray, arrival: FloatArray, sound: BoolArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the rows of a record to use, in the order of their arrival, when to measure and to use them.
+
+        Raises
+        ------
+        EstimatorError
+            If a row comes too late.
+        """
+        self._names[kind] = name
+        newest, arrived = self._newest.get(kind, (-np.inf, -np.inf))
+        if (early := sound & (arrival < arrived - TIME_TOLERANCE)).any():
+            raise EstimatorError(
+                f"{name}: a row that arrived at {arrival[early][0]:.6g} s comes after one that arrived at "
+                f"{arrived:.6g} s; give pieces in the order of arrival"
+            )
+        rows, events = timeline.fresh_rows(t, arrival, sound, name, newest)
+        self.events += events
+        if sound.any():
+            self._newest[kind] = max(newest, float(t[sound].max())), max(arrived, float(arrival[sound].max()))
+        outside = arrival[rows] <= self.start - TIME_TOLERANCE
+        if self.last:
+            outside |= arrival[rows] - TIME_TOLERANCE > self._last_sample
+        self._leave_out(name, t, rows[outside], timeline.OUTSIDE)
+        rows = rows[~outside]
+        valid = t[rows] if self._compensate else arrival[rows]
+        early = valid < self.start - TIME_TOLERANCE
+        self._leave_out(name, t, rows[early], "valid before the start")
+        rows, valid = rows[~early], valid[~early]
+        ahead = valid > arrival[rows] + TIME_TOLERANCE
+        if ahead.any():
+            text = f"{name}: {int(ahead.sum())} rows valid after their arrival: taken at their arrival"
+            self.events.append((float(valid[ahead].min()), float(valid[ahead].max()), "timeline", text, name))
+        valid = np.minimum(valid, arrival[rows])
+        if self.t > self.start and (late := valid - TIME_TOLERANCE <= self.t).any():
+            refuse(f"a row of {name}", float(valid[late][0]), self.t)
+        return rows, valid, arrival[rows]
+
+    def _leave_out(self, name: str, t: FloatArray, rows: IntArray, why: str) -> None:
+        out = np.zeros(len(t), np.bool_)
+        out[rows] = True
+        self.events += timeline.left_out(name, t, out, why)
+
+    def _wait(
+        self,
+        kind: int,
+        t: FloatArray,
+        arrival: FloatArray,
+        values: FloatArray,
+        variance: FloatArray,
+        number: IntArray | None = None,
+    ) -> None:
+        """Let measurements wait for their step."""
+        wide, spread = np.zeros((len(t), 9)), np.zeros((len(t), 6))
+        wide[:, : values.shape[1]], spread[:, : variance.shape[1]] = values, variance
+        none = np.zeros(len(t), np.int64)
+        rows = Rows(t, arrival, wide, spread, none, none if number is None else number)
+        before = self._kinds.get(kind)
+        self._kinds[kind] = rows if before is None else before.joined(rows)
+
+    def plan(self, look_back: float = 0.0) -> Plan:
+        """Return what a filter does up to where nothing can come any more that is valid before.
+
+        After the last piece that is all there is; else ``look_back`` [s] before the last sample.
+        """
+        if self.last:
+            self._forget_late()
+        nothing, every = np.empty(0), list(self._kinds.items())
+        fresh = [rows.slot == 0 for _, rows in every]
+        valid = np.concatenate([nothing, *(rows.t[new] for (_, rows), new in zip(every, fresh, strict=True))])
+        arrivals = np.concatenate([nothing, *(rows.arrival for _, rows in every)])
+        everywhere = valid if self._compensate else nothing
+        if self._cut:
+            everywhere = np.append(everywhere, self.output_t)
+        steps = timeline.steps(
+            self.imu,
+            self.rows,
+            self.span,
+            self.t,
+            everywhere,
+            everywhere if self._as_sampled else np.concatenate([everywhere, arrivals]),
+            self._earlier,
+        )
+        go_to = len(steps.t) - 1
+        if not self.last:
+            known = self.imu_t <= self.end - look_back - 2.0 * TIME_TOLERANCE
+            go_to = int(np.searchsorted(steps.t, self.imu_t[known][-1])) if known.any() else -1
+        parts: list[tuple[Any, ...]] = []
+        left: dict[int, Rows] = {}
+        base, tables = 0, [(np.zeros((0, 9)), np.zeros((0, 6)))]
+        uses = [self._step_at(steps.t, rows.arrival) for _, rows in every]
+        measures = []
+        for (_, rows), use in zip(every, uses, strict=True):
+            measure = use
+            if self._compensate:
+                at_once = np.abs(rows.t - rows.arrival) < TIME_TOLERANCE
+                measure = np.where(at_once, use, self._step_at(steps.t, rows.t))
+            measures.append(np.where(rows.slot > 0, _BEFORE, measure))
+        slots = give_slots(_whole(measures), _whole(uses), _whole([rows.slot for _, rows in every]), go_to)
+        most = int(slots.max(initial=0)) + 1
+        for kind, rows in every:
+            measure, use = measures.pop(0), uses.pop(0)
+            slot, slots = slots[: len(use)], slots[len(use) :]
+            row = rows.number
+            if kind != SATELLITE_ROWS:
+                row = base + np.arange(len(use))
+                base += len(use)
+                tables.append((rows.values, rows.variance))
+            begun, done, late = measure <= go_to, use <= go_to, slot > 0
+            now, new = done & ~late, begun & late & (rows.slot == 0)
+            parts += [
+                (use[now], AT_ONCE, kind, row[now], 0),
+                (measure[new], MEASURE, kind, row[new], slot[new]),
+                (use[done & late], USE, kind, row[done & late], slot[done & late]),
+            ]
+            left[kind] = rows._replace(slot=slot).take(~done)
+        outputs, at, ahead = self._answers(steps, go_to)
+        parts.append((at, OUTPUT, 99, np.arange(len(at)), 0))
+        if not self.last:
+            parts.append((np.array([go_to]), GO_ON, 100, 0, 0))
+        schedule = np.concatenate([np.column_stack(np.broadcast_arrays(*part)) for part in parts])
+        schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
+        wide, variance = (np.concatenate(one) for one in zip(*tables, strict=True))
+        entries, values = np.ascontiguousarray(schedule), wide[:, :6]
+        return Plan(steps, entries, ahead, most, wide, values, variance, outputs, left, go_to)
+
+    def _forget_late(self) -> None:
+        """Leave out what waited and never arrives."""
+        for kind, rows in self._kinds.items():
+            outside = rows.arrival - TIME_TOLERANCE > self._last_sample
+            if outside.any():
+                self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
+                self._kinds[kind] = rows.take(~outside)
+
+    def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
+        t = self.output_t
+        if self._cut or self._as_sampled:
+            inside = (t >= self.start - TIME_TOLERANCE) & (t <= self.end + TIME_TOLERANCE)
+            step = self._step_at(steps.t, t)
+            due = np.flatnonzero(inside & (step <= go_to))
+            return due, step[due], np.zeros(len(due))
+        at = np.searchsorted(steps.t, t - TIME_TOLERANCE)
+        last = at >= len(steps.t)
+        there, span = np.zeros(len(t), np.bool_), np.ones(len(t))
+        there[~last] = np.abs(steps.t[at[~last]] - t[~last]) <= TIME_TOLERANCE
+        span[~last] = steps.span[at[~last]]
+        begun = np.where(at > 0, steps.t[at - 1], self.t) if len(steps.t) else np.full(len(t), self.t)
+        at_start = np.abs(t - self.t) <= TIME_TOLERANCE
+        step = np.where(at_start, -1, np.where(there, at, at - 1))
+        there |= at_start
+        known = (t >= self.start - TIME_TOLERANCE) & (there | ~last)
+        due = np.flatnonzero(known & ((step < go_to) | (there & (step == go_to))))
+        ahead = np.where(there, 0.0, (t - begun) / span)[due]
+        at = step[due]
+        return due, at, ahead
+
+    def advance(self, plan: Plan) -> FloatArray:
+        """Forget what a filter has done by a plan; return the instants (M,) of the answers that are final."""
+        final = self.last | (self.output_t < self.start - TIME_TOLERANCE)
+        final[plan.outputs] = True
+        answered, self.output_t = self.output_t[final], self.output_t[~final]
+        self._kinds = plan.left
+        if self.last:
+            return answered
+        if plan.go_to >= 0:
+            self.t = float(plan.steps.t[plan.go_to])
+        done = int(np.searchsorted(self.imu_t, self.t, side="right"))
+        past = np.concatenate([self._earlier, self.rows[:done]])
+        if len(past):
+            past = timeline.needed_rows(self.imu, past)
+        self.imu = take_rows(self.imu, np.concatenate([past, self.rows[done:]]))
+        self._earlier, self.rows = np.split(np.arange(len(self.imu)), [len(past)])
+        self.span, self.imu_t = self.span[done:], self.imu_t[done:]
+        if SATELLITE_ROWS in self._kinds:
+            waiting = self._kinds[SATELLITE_ROWS]
+            self.sky = ranging.take_epochs(self.sky, waiting.number)
+            self._kinds[SATELLITE_ROWS] = waiting._replace(number=np.arange(len(waiting.t)))
+        return answered
+
+    def _step_at(self, steps_t: FloatArray, t: FloatArray) -> IntArray:
+        """Return the step that ends at each instant t (M,) [s], -1 at the start."""
+        at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
+        return np.where(t < self.t + TIME_TOLERANCE, -1, at)
+
+
+def _whole(parts: list[IntArray]) -> IntArray:
+    return np.concatenate([np.empty(0, np.int64), *parts])

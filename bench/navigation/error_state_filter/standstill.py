@@ -1,0 +1,92 @@
+"""Standstill, detected from the IMU alone.
+
+Over windows of a second the gyros and accelerometers show only their noise, and their means are the rate of
+the Earth and gravity. Steady flight in calm air looks the same: the gate of the filter, which knows the
+velocity, decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import ImuData
+from bench.earth import EARTH_RATE, GAMMA_E
+from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
+from bench.specs import ImuSpec, TriadSpec
+
+WINDOW = 1.0  # [s]
+VELOCITY_SD = 0.02  # of an aircraft that stands and rocks in the wind [m/s]
+RATE_SD = 2e-5  # the same [rad/s]
+_NOISY = 1.5  # sd of the samples over that of their noise: 200 samples stay below 1.2
+_FEWEST = 4  # samples that tell their noise
+_SIGMAS = 4.0  # of the biases, granted to the means
+_GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2]
+
+
+class StandstillDetector(ImuSampler):
+    """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
+
+    Values are the measured mean rate [rad/s] and force [m/s^2] over each window, b; variances those of the
+    velocity, which is zero, and of the rate.
+
+    Parameters
+    ----------
+    start : float
+        From where the windows count [s].
+    spec : ImuSpec
+        The unit assumed.
+    """
+
+    def __init__(self, start: float, spec: ImuSpec) -> None:
+        super().__init__(start, WINDOW)
+        self.spec = spec
+
+    def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return in which windows it stood, the mean rates and forces (W, 6) and the variances (6,)."""
+        spec, end = self.spec, last + 1
+        first = np.append(0, end)[: len(last)]
+        variance = np.repeat([VELOCITY_SD**2, rate_variance(spec)], 3)
+        if not len(last):
+            return np.zeros(0, np.bool_), np.empty((0, 6)), variance
+        count = end - first
+        total = sum_segments(imu.dt[:, None], first, end)
+        spans = imu.t[last] - (imu.t[first] - imu.dt[first])
+        still = (np.abs(spans - total[:, 0]) < 0.5 * imu.dt[first]) & (count >= _FEWEST)  # no gap in it
+        inside, means = slice(0, end[-1]), []
+        for increment, triad, extra in (
+            (imu.dtheta_b, spec.gyro, spec.vibration.engine_gyro),
+            (imu.dvel_b, spec.accel, spec.vibration.engine_accel),
+        ):
+            rate = increment[inside] / imu.dt[inside, None]
+            mean = sum_segments(rate, first, end) / count[:, None]
+            square = np.square(rate - np.repeat(mean, count, axis=0))
+            sd = np.sqrt(sum_segments(square, first, end) / count[:, None])
+            still &= (sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)).all(axis=1)
+            means.append(mean)
+        turn, force = means
+        by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
+        still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
+        size = np.linalg.norm(force, axis=1)
+        allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
+        still &= np.abs(size - GAMMA_E) < allowed
+        return still, np.hstack(means), variance
+
+    def first_needed(self, imu: ImuData, last: IntArray) -> int:
+        """Return the first sample of the window that has not ended."""
+        return int(last[-1]) + 1 if len(last) else 0
+
+
+def rate_variance(spec: ImuSpec) -> float:
+    """Return the variance of a window's mean rate about that of the Earth and the bias [rad^2/s^2]."""
+    return spec.gyro.random_walk**2 / WINDOW + RATE_SD**2
+
+
+def _sample_sd(triad: TriadSpec, dt: FloatArray, vibration: float) -> FloatArray:
+    """Return the sd of a sample's rate at rest; 1e-9 of the unit where there is no noise at all."""
+    lsb = triad.quantization / dt
+    return np.asarray(np.sqrt(triad.random_walk**2 / dt + lsb**2 / 6.0 + vibration**2) + 1e-9)
+
+
+def _bias_sd(triad: TriadSpec) -> float:
+    return float(np.hypot(triad.turn_on_bias_sd, triad.instability_sd))

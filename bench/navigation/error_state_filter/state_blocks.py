@@ -1,0 +1,342 @@
+"""The states of a filter in blocks; each block says once how its states are called, begin and move.
+
+A state beyond position, velocity, attitude and IMU biases is a :class:`Block` here and its column of H
+(`measurement_rows`, `ranging`), found by :class:`Index`. A state that adds to the
+errors of the IMU needs no column: ``drives`` says how it acts. All figures come from the datasheets that the
+estimator assumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray, IntArray
+from bench.data import InitialState
+from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
+from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
+from bench.navigation.error_state_filter.state_processes import (
+    ABSOLUTE,
+    SQUARE,
+    STEADY,
+    WARMTH,
+    Block,
+    States,
+)
+from bench.navigation.options import FusionOptions
+from bench.signals.orbits import C
+from bench.specs import AssumedSpecs
+
+CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
+
+WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
+WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
+
+
+class Index(NamedTuple):
+    """The first state of each block that a kernel asks for by name; -1 where it is absent."""
+
+    baro_bias: int
+    gnss_pos: int  # gnss_vel follows
+    clock_offset: int  # clock_drift and glonass_offset follow
+    antenna_b: int
+    wind_north: int  # wind_east follows
+    radar_bias: int
+    odometer_scale: int
+    axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
+    axle_b: int
+    gust_n: int
+
+
+class Process(NamedTuple):
+    """How n states move between measurements; columns as in :class:`States`."""
+
+    q: FloatArray  # (n,) density
+    decay_time: FloatArray  # (n,)
+    decay_distance: FloatArray  # (n,)
+    stationary: FloatArray  # (n,)
+    drives: IntArray  # (D, 3) a state, the bias it acts like, and what it multiplies, in order of correction
+    thermal: (
+        FloatArray  # (4,) IMU above reference at the start [K]; in the end at height 0 [K], per m [K/m]; s
+    )
+    range: FloatArray  # (2,) of the gyros [rad/s] and accelerometers [m/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class StateModel:
+    """A layout of n states, their covariance at the start and the processes they follow."""
+
+    layout: StateLayout
+    P: FloatArray  # (n, n) at the start
+    values: FloatArray  # (n,) at the start, from the gyro bias on
+    process: Process
+    index: Index
+
+
+def state_model(
+    initial: InitialState, specs: AssumedSpecs, blocks: Iterable[Block], gyro_sd: float | None = None
+) -> StateModel:
+    """Return the model of position, velocity, attitude, IMU biases and the given blocks.
+
+    Parameters
+    ----------
+    initial : InitialState
+        Covariance of position, velocity and attitude at the start, and theirs with the biases.
+    specs : AssumedSpecs
+        The datasheets that the estimator assumes.
+    blocks : iterable of Block
+        The further states, in the order of the layout.
+    gyro_sd : float or None
+        How well the error of the gyros at the start is known as a whole [rad/s]; None: by the datasheet.
+
+    Raises
+    ------
+    ValueError
+        If a block needs the datasheet of a sensor that has none.
+    """
+    every = _list_states(specs, list(blocks))
+    layout = StateLayout(*((states.name, states.unit, states.size) for states in every[len(CORE_BLOCKS) :]))
+    n = layout.size
+    P, values = np.zeros((n, n)), np.zeros(n)
+    q, decay_time, decay_distance, stationary = np.zeros((4, n))
+    drives: list[tuple[int, int, int]] = []
+    for states in every:
+        at = layout.slice(states.name)
+        np.fill_diagonal(P[at, at], states.variance)
+        values[at] = states.value
+        q[at], stationary[at] = states.density, states.stationary
+        decay_time[at], decay_distance[at] = states.decay_time, states.decay_distance
+        drives += [(at.start + own, GYRO + error, rate) for own, error, rate in states.drives]
+    P[:9, :9] = initial.cov
+    P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
+    table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
+    thermal = thermal_figures(initial, specs.imu)
+    if gyro_sd is not None:
+        _know_gyro_biases(P, table, gyro_sd, float(thermal[0]), initial)
+    full = np.array([specs.imu.gyro.range, specs.imu.accel.range])
+    process = Process(q, decay_time, decay_distance, stationary, table, thermal, full)
+    return StateModel(layout, P, values, process, index_of(layout))
+
+
+def _correction_order(drive: tuple[int, int, int]) -> tuple[int, ...]:
+    """Return by what rows of drives are sorted, so that each factor is a motion without larger errors.
+
+    Forces come before rates, for rates are corrected by forces; of each, what does not depend on the motion
+    comes first, then what goes by the force on a gyro, by the axis itself, and by the axes across.
+    """
+    _, error, by = drive
+    own, axis = error - GYRO, by if by < STEADY else (by - ABSOLUTE) % 6
+    kind = 0 if by in (STEADY, WARMTH) else 1 if own < 3 <= axis else 2 if axis == own else 3
+    return int(own < 3), kind, *drive
+
+
+def _know_gyro_biases(
+    P: FloatArray, drives: IntArray, sd: float, warmth: float, initial: InitialState
+) -> None:
+    """Let P (n, n) say that biases, and all that adds to them in steady motion, are known to sd [rad/s]."""
+    f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
+    steady = {3: f_b[0], 4: f_b[1], 5: f_b[2], STEADY: 1.0, WARMTH: warmth}
+    steady |= {SQUARE + 3 + axis: f_b[axis] ** 2 for axis in range(3)}
+    L = np.zeros((3, len(P)))
+    for state, bias, by in drives:
+        if bias < GYRO + 3:
+            L[bias - GYRO, state] = steady.get(int(by), 0.0)
+    own = slice(GYRO, GYRO + 3)
+    P[own], P[:, own] = 0.0, 0.0
+    P[own], P[:, own] = -L @ P, -(L @ P).T
+    P[own, own] = sd**2 * np.eye(3) - P[own] @ L.T
+
+
+def moving_states(specs: AssumedSpecs, blocks: Iterable[Block]) -> tuple[tuple[object, ...], ...]:
+    """Return name, figures and drives of the states that :func:`state_model` lets differ from 0."""
+    return tuple(
+        (states.name, *figures, states.decay_time, states.decay_distance, states.drives)
+        for states in _list_states(specs, list(blocks))
+        if np.any(figures := _figures(states))
+    )
+
+
+def _figures(states: States) -> tuple[tuple[float, ...], ...]:
+    """Return value and variance at the start, density and stationary variance of each of the states."""
+    figures = (states.value, states.variance, states.density, states.stationary)
+    return tuple(tuple(np.broadcast_to(figure, states.size).tolist()) for figure in figures)
+
+
+def _list_states(specs: AssumedSpecs, blocks: list[Block]) -> list[States]:
+    """Return the core and the states of blocks; beside `EVERY_ERROR`, an error of size 0 has none."""
+    full = EVERY_ERROR in blocks
+    found = core_states(specs, changing=full)
+    for block in blocks:
+        states = block.states(specs)
+        if not (full and block.takes) or any(np.any(_figures(one)) for one in states):
+            found += states
+    return found
+
+
+def index_of(layout: StateLayout) -> Index:
+    """Return where the kernels find the blocks of a layout."""
+    return Index(*(layout.slice(name).start if layout.has(name) else -1 for name in Index._fields))
+
+
+def assumed(specs: AssumedSpecs, name: str) -> Any:
+    """Return the datasheet of a sensor in use.
+
+    Raises
+    ------
+    ValueError
+        If the estimator was given none.
+    """
+    spec = getattr(specs, name)
+    if spec is None:
+        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+    return spec
+
+
+def _baro_bias(specs: AssumedSpecs) -> list[States]:
+    baro = assumed(specs, "baro")
+    return [States("baro_bias", "m", 1, baro.bias_sd**2, baro.bias_walk**2)]
+
+
+BARO_BIAS = Block("baro", _baro_bias, records=("baro",))
+"""Bias of the barometric height, a random walk (A-5.3.2)."""
+
+
+def _gnss_markov(specs: AssumedSpecs) -> list[States]:
+    gnss = assumed(specs, "gnss")
+    pos = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
+    vel = gnss.vel_markov_sd**2
+    return [
+        States("gnss_pos", "m", 3, pos, 0.0, gnss.pos_decay_time, gnss.pos_decay_distance, pos),
+        States("gnss_vel", "m_s", 3, vel, 0.0, gnss.vel_decay_time, stationary=vel),
+    ]
+
+
+GNSS_MARKOV = Block(
+    "gnss_markov",
+    _gnss_markov,
+    takes=("time-correlated GNSS position error", "time-correlated GNSS velocity error"),
+    records=("fixes",),
+)
+"""Gauss-Markov part of the position and velocity errors of a fix (A-5.2.2, A-5.4.2)."""
+
+
+def _gnss_jumps(specs: AssumedSpecs) -> list[States]:
+    """Return the Markov states with the jumps that last, shot noise: variance ``rate jump^2 / (2 decay)``."""
+    gnss = assumed(specs, "gnss")
+    jumps = np.square([gnss.pos_h_jump_markov_sd, gnss.pos_h_jump_markov_sd, gnss.pos_v_jump_markov_sd])
+    pos, vel = _gnss_markov(specs)
+    longest = 1.0 / 86400.0
+    pos_more = jumps * CHANGES / (2.0 * max(gnss.pos_decay_time, longest))
+    vel_more = gnss.vel_jump_markov_sd**2 * CHANGES / (2.0 * max(gnss.vel_decay_time, longest))
+    return [
+        replace(states, variance=states.variance + more, stationary=states.stationary + more)
+        for states, more in ((pos, pos_more), (vel, vel_more))
+    ]
+
+
+GNSS_JUMPS = replace(
+    GNSS_MARKOV,
+    states=_gnss_jumps,
+    takes=(*GNSS_MARKOV.takes, "jumps of the GNSS error where the satellites change"),
+)
+"""The same with the jumps that last, for `EVERY_ERROR`; those of one epoch are in R: `measurements.jumps`."""
+
+
+def _clock(specs: AssumedSpecs) -> list[States]:
+    sky = assumed(specs, "gnss").sky
+    return [
+        States("clock_offset", "m", 1, sky.clock_offset_sd**2, 0.5 * C**2 * sky.clock_h_0),
+        States("clock_drift", "m_s", 1, sky.clock_drift_sd**2, 2.0 * np.pi**2 * C**2 * sky.clock_h_m2),
+        States("glonass_offset", "m", 1, sky.glonass_offset_sd**2),
+    ]
+
+
+CLOCK = Block("tight", _clock, records=("observations",))
+"""Offset and drift of the receiver's clock, and its offset for GLONASS.
+
+``c^2 h_0 / 2`` drives the offset and ``2 pi^2 c^2 h_-2`` the drift (Brown and Hwang); flicker, h_-1, has no
+state of finite size. The offset grows by the drift: `propagation`.
+"""
+
+
+def antenna(sd: float) -> Block:
+    """Return the place of the GNSS antenna, known to ``sd`` [m] along each axis of b."""
+    states = (States("antenna_b", "m", 3, sd**2),)
+    return Block("lever_arm_sd", lambda _: states, records=("fixes", "observations"))
+
+
+WIND = Block(
+    "airspeed",
+    lambda _: [States(name, "m_s", 1, WIND_SD**2, WIND_WALK**2) for name in ("wind_north", "wind_east")],
+    records=("airspeed",),
+)
+"""Horizontal wind, random walks."""
+
+
+def _radar_bias(specs: AssumedSpecs) -> list[States]:
+    radar = assumed(specs, "radar")
+    return [States("radar_bias", "m", 1, radar.bias_sd**2)] if radar.bias_sd > 0 else []
+
+
+RADAR_BIAS = Block("radar", _radar_bias, takes=("radar altimeter bias",), records=("radar",))
+"""Bias of the radar altimeter, constant."""
+
+
+def _odometer_scale(specs: AssumedSpecs) -> list[States]:
+    sd = assumed(specs, "odometer").scale_factor_sd
+    return [States("odometer_scale", "1", 1, sd**2)] if sd > 0 else []
+
+
+ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale factor",), records=("odometer",))
+"""Error of the odometer's scale factor, constant."""
+
+
+SQUAT_SD = 0.006  # pitch of a body by its forward specific force: 3.4 deg by g [rad s^2/m]
+LIFT_SD = 0.01  # angle of attack by the load on the wings: 5.6 deg by g [rad s^2/m]
+SIDESLIP_SD, SIDESLIP_TIME = (
+    float(np.deg2rad(1.5)),
+    1.0,
+)  # of an aircraft between gusts and its fin [rad], [s]
+GUST_TIME = 5.0  # in which an aircraft of 25 m/s crosses an eddy of 125 m [s]
+
+
+def _axis(at: tuple[float, float], sd: float, slip_sd: float, slip_s: float, gain_sd: float) -> list[States]:
+    """Return the axis along which a vehicle moves: its mean yaw and pitch, slip, and pitch by a force."""
+    mean, slip, rate = sd**2, slip_sd**2, 1.0 / slip_s
+    return [
+        States("axis_yaw", "rad", 1, mean, value=at[0]),
+        States("axis_pitch", "rad", 1, mean, value=at[1]),
+        States("slip_yaw", "rad", 1, slip, decay_time=rate, stationary=slip),
+        States("slip_pitch", "rad", 1, slip, decay_time=rate, stationary=slip),
+        States("pitch_by_force", "rad_per_m_s2", 1, gain_sd**2),
+    ]
+
+
+def vehicle(options: FusionOptions) -> list[Block]:
+    """Return the states of a vehicle on wheels and of coordinated flight (`vehicle_motion`)."""
+    mounting, slip, alpha, sd = np.deg2rad(
+        [options.mounting_sd_deg, options.slip_sd_deg, options.alpha_deg, options.alpha_sd_deg]
+    )
+    wheels = [
+        *_axis((0.0, 0.0), mounting, slip, options.slip_s, SQUAT_SD),
+        States("axle_b", "m", 3, options.axle_sd**2, value=np.array(options.axle_b)),
+    ]
+    gust = options.gust_sd**2
+    wings = [
+        *_axis((0.0, -alpha), sd, SIDESLIP_SD, SIDESLIP_TIME, LIFT_SD),
+        States("gust_n", "m_s", 3, gust, decay_time=1.0 / GUST_TIME, stationary=gust),
+    ]
+    return [Block("nonholonomic", lambda _: wheels), Block("coordinated", lambda _: wings)]
+
+
+def chosen_blocks(options: FusionOptions) -> list[Block]:
+    """Return the blocks that the options of a compiled filter ask for, in the order of the layout."""
+    arm, ride = antenna(options.lever_arm_sd), vehicle(options)
+    wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
+    markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
+    every = (BARO_BIAS, markov, MEMS, EVERY_ERROR, CLOCK, arm, wind, RADAR_BIAS, *ride, ODOMETER_SCALE)
+    return [block for block in every if getattr(options, block.option)]

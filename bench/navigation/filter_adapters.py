@@ -1,0 +1,65 @@
+"""Around a filter of another library: fixes in the order they arrive, and its states as a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import InitialState, NavSolution, SensorData
+from bench.navigation.engine import timeline
+
+
+def fix_steps(
+    sensors: SensorData, initial: InitialState
+) -> Iterator[tuple[float, list[tuple[FloatArray, FloatArray]]]]:
+    """Yield, for each instant of ``sensors.output_t``, the time since the one before [s] and the new fixes.
+
+    A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), what its
+    receiver claims. It is that of the antenna, in the order of arrival; what is flagged, not finite,
+    repeated, overtaken or without velocity is left out. The start has to be given, not found by an alignment.
+    """
+    now, fixes, next_fix = initial.t, sensors.fixes, 0
+    rows, at = np.empty((2, 0), np.int64)
+    if fixes is not None:
+        rows, at, _ = timeline.fix_rows(fixes, sensors.output_t, initial.t)
+        sound = np.isfinite(fixes.vel_n[rows]).all(axis=1)
+        sound &= np.isfinite(fixes.cov_pos_n[rows] + fixes.cov_vel_n[rows]).all(axis=(1, 2))
+        rows, at = rows[sound], at[sound]
+    for k, instant in enumerate(sensors.output_t.tolist()):
+        new = []
+        while fixes is not None and next_fix < len(rows) and at[next_fix] <= k:
+            row = rows[next_fix]
+            z, R = np.empty((6, 1)), np.zeros((6, 6))
+            z[:3, 0], z[3:, 0] = earth.difference_n(fixes.lla[row], initial.lla), fixes.vel_n[row]
+            R[:3, :3], R[3:, 3:] = fixes.cov_pos_n[row], fixes.cov_vel_n[row]
+            new.append((z, R))
+            next_fix += 1
+        yield max(instant - now, 0.0), new
+        now = max(instant, now)
+
+
+def track_solution(
+    sensors: SensorData, initial: InitialState, states: Sequence[tuple[FloatArray, FloatArray]]
+) -> NavSolution:
+    """Return the solution of a filter that estimates position and velocity; attitude and biases are NaN.
+
+    Parameters
+    ----------
+    sensors, initial : SensorData, InitialState
+        As they were given to the estimator.
+    states : sequence of (x, P)
+        One for each instant of ``sensors.output_t``: x (6 or more, 1) or (6 or more,) begins with position
+        from ``initial.lla`` [m] and velocity [m/s], n, and P with their covariance.
+    """
+    m = len(sensors.output_t)
+    x, cov = np.full((m, 6), np.nan), np.full((m, 9, 9), np.nan)
+    for k, (state, P) in enumerate(states):
+        x[k], cov[k, :6, :6] = np.ravel(state)[:6], P[:6, :6]
+    none = np.full((m, 4), np.nan)
+    lla = earth.displace(initial.lla, x[:, :3])
+    return NavSolution(
+        sensors.output_t, lla, x[:, 3:], none, none[:, :3], none[:, :3], cov, (), none[:, :0], none[:, :0]
+    )

@@ -1,0 +1,205 @@
+"""The estimate of the 22 states and its covariance, in each form of the step and of the update.
+
+`FilterLoop` says what moves (Phi, Q) and what was measured (Y, H, R); a form keeps x (22,) and P (22, 22) as
+it likes, in double or single precision: P itself, a square root of it, or U and D. The answers are the same
+to rounding. R is diagonal, so that roots take a row at a time (A-5.4.8R).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from copy import copy, deepcopy
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from bench.arrays import FloatArray
+from bench.navigation.models.classic import square_root
+from bench.navigation.models.classic.navigator import Nav
+from bench.navigation.models.classic.observation_model import pseudo_inverse
+from bench.navigation.models.classic.square_root import Floats
+from bench.navigation.options import ClassicOptions
+
+
+class Form(ABC):
+    """What every form does; ``x`` is the estimate (n,), in the form's own precision."""
+
+    carried: tuple[str, ...] = ("x",)  # from one step to the next
+
+    def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
+        self.x: Floats = np.zeros(len(P), dtype)
+
+    def copy(self) -> Self:
+        """Return a form that goes on from here by itself."""
+        other = copy(self)
+        other.restore(deepcopy(self.state()))
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, by name."""
+        return {name: getattr(self, name) for name in self.carried}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        for name in self.carried:
+            setattr(self, name, state[name])
+
+    @property
+    @abstractmethod
+    def covariance(self) -> FloatArray:
+        """The covariance (n, n)."""
+
+    @abstractmethod
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x and P over T [s] (A-5.4.4)."""
+
+    @abstractmethod
+    def add(self, E: FloatArray) -> None:
+        """Add E E' to P, E (n, k)."""
+
+    @abstractmethod
+    def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
+        """Use measurements Y (m,), rows H (m, n) and noise R (m, m) (A-5.4.5).
+
+        ``rows`` are their numbers in (A-5.4.3), and ``nav`` is the navigator whose errors x are.
+        """
+
+
+class Joseph(Form):
+    """P as it is, with the step and the update of `filterpy`."""
+
+    def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
+        from filterpy.kalman import KalmanFilter
+
+        super().__init__(P, dtype)
+        self.kf: Any = KalmanFilter(dim_x=len(P), dim_z=7)
+        self.kf._I = np.eye(len(P), dtype=dtype)  # the rest keeps the type of what it is given
+        self.kf.P = P.astype(dtype)
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, by name."""
+        return {"x": self.x, "P": self.kf.P}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.x, self.kf = state["x"], copy(self.kf)
+        self.kf.P = state["P"]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (n, n)."""
+        return np.asarray(self.kf.P, float)
+
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x and P."""
+        self.kf.x = self.x[:, None]
+        self.kf.predict(F=Phi.astype(self.x.dtype), Q=Q.astype(self.x.dtype))
+        self.x = self.kf.x[:, 0]
+
+    def add(self, E: FloatArray) -> None:
+        """Add E E' to P."""
+        self.kf.P = (self.kf.P + E @ E.T).astype(self.x.dtype)
+
+    def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
+        """Use all rows at once; eight are singular and take a pseudo-inverse (A-5.4.8R)."""
+        self.kf.inv = pseudo_inverse if len(rows) == 8 else np.linalg.inv
+        dtype = self.x.dtype
+        self.kf.x = self.x[:, None]
+        self._use(Y[:, None].astype(dtype), H.astype(dtype), R.astype(dtype))
+        self.x = self.kf.x[:, 0]
+
+    def _use(self, Y: Floats, H: Floats, R: Floats) -> None:
+        self.kf.update(Y, R=R, H=H)
+
+
+class Conventional(Joseph):
+    """P - K H P, as printed for the generic filter (B-19b): the form that the others stand against."""
+
+    def _use(self, Y: Floats, H: Floats, R: Floats) -> None:
+        x, P = self.kf.x, self.kf.P
+        K = P @ H.T @ self.kf.inv(H @ P @ H.T + R)
+        self.kf.x, self.kf.P = x + K @ (Y - H @ x), P - K @ (H @ P)
+
+
+class Root(Form):
+    """A square root S of P, stepped as a triangle; Potter's update or Carlson's."""
+
+    carried = ("x", "S")
+
+    def __init__(self, P: FloatArray, dtype: DTypeLike, step: Callable[..., tuple[Floats, Floats]]) -> None:
+        super().__init__(P, dtype)
+        self.step = step
+        self.S: Floats = square_root.triangular_root(square_root.root_columns(P)).astype(dtype)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (n, n)."""
+        S = self.S.astype(float)
+        return np.asarray(S @ S.T)
+
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x and S."""
+        step = Phi.astype(self.x.dtype)
+        self.x, self.S = step @ self.x, step @ self.S
+        self.add(square_root.root_columns(Q))
+
+    def add(self, E: FloatArray) -> None:
+        """Add E E' to P."""
+        self.S = square_root.triangular_root(np.hstack([self.S, E.astype(self.x.dtype)]))
+
+    def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
+        """Use a row at a time."""
+        for h, z, r in zip(H.astype(self.x.dtype), Y.tolist(), np.diag(R).tolist(), strict=True):
+            self.x, self.S = self.step(self.x, self.S, h, z, r)
+
+
+class Factors(Form):
+    """U and D of P = U D U': Thornton's step, Bierman's update."""
+
+    carried = ("x", "U", "D")
+
+    def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
+        super().__init__(P, dtype)
+        self.U: Floats = np.eye(len(P), dtype=dtype)
+        self.D: Floats = np.zeros(len(P), dtype)
+        self.add(square_root.root_columns(P))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (n, n)."""
+        U = self.U.astype(float)
+        return np.asarray(U * self.D.astype(float) @ U.T)
+
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x, U and D."""
+        G = square_root.root_columns(Q).astype(self.x.dtype)
+        self.x = Phi.astype(self.x.dtype) @ self.x
+        self.U, self.D = square_root.thornton(self.U, self.D, Phi.astype(self.x.dtype), G)
+
+    def add(self, E: FloatArray) -> None:
+        """Add E E' to P."""
+        same = np.eye(len(self.U), dtype=self.x.dtype)
+        self.U, self.D = square_root.thornton(self.U, self.D, same, E.astype(self.x.dtype))
+
+    def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
+        """Use a row at a time."""
+        for h, z, r in zip(H.astype(self.x.dtype), Y.tolist(), np.diag(R).tolist(), strict=True):
+            self.x, self.U, self.D = square_root.bierman(self.x, self.U, self.D, h, z, r)
+
+
+def make_form(options: ClassicOptions, P: FloatArray) -> Form:
+    """Return the form of the options with P (n, n) at the start."""
+    dtype = np.float32 if options.covariance_precision == "single" else np.float64
+    match options.form:
+        case "joseph":
+            return Joseph(P, dtype)
+        case "conventional":
+            return Conventional(P, dtype)
+        case "ud":
+            return Factors(P, dtype)
+        case "potter":
+            return Root(P, dtype, square_root.potter)
+        case "carlson":
+            return Root(P, dtype, square_root.carlson)

@@ -1,0 +1,449 @@
+"""Navigator and filter of the source over one record: A-5.4.4 to A-5.4.11."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy, deepcopy
+from dataclasses import asdict, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench import rotation
+from bench.arrays import FloatArray
+from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
+from bench.navigation.engine import integrity, timeline
+from bench.navigation.engine.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.models.classic import process_model
+from bench.navigation.models.classic.covariance_forms import Form, make_form
+from bench.navigation.models.classic.extrapolation import extrapolate
+from bench.navigation.models.classic.navigator import (
+    FRD_OF_FUR,
+    NED_OF_ENU,
+    R3,
+    Earth,
+    Nav,
+    Vector,
+    axes_turned,
+    body_increments,
+    corrected,
+    ellipsoid,
+    mechanize,
+    reduced,
+)
+from bench.navigation.models.classic.observation_model import (
+    Fix,
+    antenna_matrix,
+    antenna_sweep,
+    measurement_matrix,
+    measurement_noise,
+    ned_matrix,
+    pair_measurements,
+)
+from bench.navigation.models.stepped_filters import Measured
+from bench.navigation.options import ClassicOptions
+
+SENSORS = ("gnss_position", "gnss_velocity", "baro")
+_CURVE = 8  # estimates that a curve needs
+_ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
+_LAYOUT = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
+_CARRIED = (
+    "eps", "da", "scale", "elapsed", "lost", "B_sum", "dv_sum", "w_b", "before", "next_correction",
+    "satellites", "misses", "refused",
+)  # fmt: skip
+_STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
+
+
+class FilterLoop:
+    """The navigator, its filter and their book-keeping (`stepped_filters.Flight`)."""
+
+    shapes: tuple[tuple[int, ...], ...] = (3,), (3,), (4,), (13,), (13,), (9, 9)
+    one_antenna = True
+
+    def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
+        self.options, self.interval, self.began = options, (1.0 - 1e-6) / options.covariance_hz, initial.t
+        self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
+        self.sig = replace(
+            process_model.sigmas(sensors.specs),
+            jump_white=options.jump_white_sd,
+            jump_markov=options.jump_markov_sd,
+        )
+        self.fix_interval = 1.0 / sensors.specs.gnss.rate if sensors.specs.gnss else math.inf
+        self.antenna = FRD_OF_FUR.T @ sensors.antenna_b
+        lat, lon, h = initial.lla.tolist()
+        B = NED_OF_ENU @ rotation.matrix(initial.q_nb) @ FRD_OF_FUR
+        self.nav = Nav(lat, lon, h, NED_OF_ENU @ initial.vel_n, B)
+        self.eps, self.da = np.zeros(3), np.zeros(3)  # accumulated calibration, A-5.4.11
+
+        sig, earth = self.sig, ellipsoid(lat, h)
+        east, north = reduced(self.nav, earth)
+        P = np.zeros((process_model.SIZE, process_model.SIZE))
+        of_ned = np.linalg.inv(ned_matrix(self.nav, earth))
+        P[:9, :9] = of_ned @ initial.cov @ of_ned.T
+        unit = np.array([east, north, 1.0, 1.0, 1.0, 1.0])
+        rest = [sig.eps] * 3 + [sig.da] * 3 + [sig.bb] + (unit * process_model.per_axis(sig.markov)).tolist()
+        P[np.arange(9, process_model.SIZE), np.arange(9, process_model.SIZE)] = np.square(rest)
+        P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
+        P[9:15, :9] = P[:9, 9:15].T
+        self.floor = options.floor**2 * np.diag(P)
+        self.form: Form = make_form(options, P)
+        self.scale = (east, north)  # of the reduced Markov states
+
+        self.elapsed, self.lost = 0.0, np.zeros(2)  # time and what a gap adds since the last prediction
+        self.B_sum, self.dv_sum = np.zeros((3, 3)), np.zeros(3)
+        self.start = self.nav
+        self.w_b = np.zeros(3)
+        self.before: tuple[float, Vector, Vector] | None = None
+
+        self.next_correction = -np.inf
+        self.satellites: int | None = None
+        self.misses = dict.fromkeys(_ROWS, 0)
+        self.refused: dict[str, tuple[float, float, str]] = {}
+        self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
+        self.drifted = False  # while there were no fixes: so says the one in use
+        self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
+        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.events: list[EventRow] = []
+
+    def increments(self, increments_b: FloatArray) -> list[list[float]]:
+        """Return increments in the axes of the source."""
+        turned: list[list[float]] = (increments_b @ FRD_OF_FUR).tolist()
+        return turned
+
+    def begin(self, dt: float, dtheta: list[float]) -> None:
+        """Take the rate of the first step: what is measured at the start sees it."""
+        self.w_b = np.array(dtheta) / dt
+
+    def step(
+        self, now: float, dt: float, dtheta: list[float], dvel: list[float], unknown: FloatArray, due: bool
+    ) -> None:
+        """Go a step on; the filter follows at its own rate, and where something is ``due``."""
+        self.advance(dt, dtheta, dvel, unknown)
+        if due or self.elapsed >= self.interval:
+            self.predict()
+
+    def measure(self, now: float, arrived: list[Measured]) -> None:
+        """Use what has arrived, a fix with a reading of the barometer."""
+        for fix, alt_baro in pair_measurements(arrived):
+            self.update(now, fix, alt_baro)
+
+    # -- the navigator
+
+    def advance(self, dt: float, dtheta: list[float], dvel: list[float], unknown: FloatArray) -> None:
+        """One IMU sample: increments less the calibration (A-5.4.11), then the mechanization.
+
+        ``unknown`` (2,) is the variance of velocity and attitude that a gap adds.
+        """
+        self.lost += unknown
+        (e0, e1, e2), (d0, d1, d2) = self.eps.tolist(), self.da.tolist()
+        dth = (dtheta[0] - e0 * dt, dtheta[1] - e1 * dt, dtheta[2] - e2 * dt)
+        dv = (dvel[0] - d0 * dt, dvel[1] - d1 * dt, dvel[2] - d2 * dt)
+        turn, dv_start = body_increments(dt, dth, dv, self.before)
+        self.B_sum += self.nav.B * dt
+        self.nav, dv_n = mechanize(self.nav, dt, turn, dv_start)
+        self.dv_sum += dv_n
+        self.elapsed += dt
+        self.before = (dt, dth, dv)
+        self.w_b = np.array(dth) / dt
+
+    def predict(self) -> None:
+        """Carry the filter over the time since the last prediction (A-5.4.4)."""
+        T = self.elapsed
+        if T == 0.0:
+            return
+        earth = ellipsoid(self.start.lat, self.start.h)
+        mean = replace(self.start, B=self.B_sum / T)
+        a = self.dv_sum / T
+        if self.options.discretization == "euler":
+            Phi, G = process_model.model(mean, earth, a, self.sig, T)
+            Q = G @ G.T
+        else:
+            Phi, Q = process_model.model_van_loan(mean, earth, a, self.sig, T)
+        # the Markov states keep their metres while the reduced ones change (A-5.2.2, caveat)
+        scale = reduced(self.nav, ellipsoid(self.nav.lat, self.nav.h))
+        Phi[16, 16] *= scale[0] / self.scale[0]
+        Phi[17, 17] *= scale[1] / self.scale[1]
+        self.form.predict(Phi, Q, T)
+        if self.lost.any():
+            self._grow(range(3, 9), np.repeat(self.lost, 3))
+        self.scale = scale
+        self._keep_floor()
+        self.elapsed = 0.0
+        self.B_sum, self.dv_sum, self.start = np.zeros((3, 3)), np.zeros(3), self.nav
+        self.lost = np.zeros(2)
+
+    def _grow(self, states: Iterable[int], variance: ArrayLike) -> None:
+        """Add a variance to each of some states."""
+        added = np.zeros(process_model.SIZE)
+        added[list(states)] = variance
+        self.form.add(np.diag(np.sqrt(added)))
+
+    def _keep_floor(self) -> None:
+        """Raise the diagonal of P to at least the floor (A-5.4.F)."""
+        if self.options.floor > 0:
+            self._grow(range(process_model.SIZE), np.maximum(self.floor - np.diag(self.form.covariance), 0.0))
+
+    # -- the measurements
+
+    def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
+        """Use what has arrived: the rows of Y, their tests, the update and the correction."""
+        earth = ellipsoid(self.nav.lat, self.nav.h)
+        east, north = reduced(self.nav, earth)
+        jump = fix is not None and self._satellites_changed(fix.satellites)
+        if jump:
+            self._grow(
+                range(16, process_model.SIZE),
+                np.square(process_model.per_axis(self.sig.jump_markov) * [east, north, 1, 1, 1, 1]),
+            )
+        H, Q = measurement_matrix(), measurement_noise(self.sig, east, north, jump)
+        antenna_matrix(H, self.nav, earth, self.antenna, self.w_b)
+        R = Q @ Q.T
+        Y = self._measurements(earth, fix, alt_baro)
+        x, PH = self.form.x.astype(float), self.form.covariance @ H.T
+        y, S = Y - H @ x, H @ PH + R  # A-5.4.6
+        metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
+        error = H[:, :15] @ x[:15]  # of the INS, as far as it is known
+        apart = (Y - error) * metres  # corrected INS less measured
+        use = []
+        moving = fix is not None and bool(np.isfinite(fix.vel_n).all())  # a fix may have no velocity
+        y_m, S_m = y * metres, S * np.outer(metres, metres)
+        self.drifted = moving and self._has_drifted(now, y_m, S_m, np.diag(R) * metres**2)
+        given = ("gnss_position", fix is not None), ("gnss_velocity", moving), ("baro", alt_baro is not None)
+        for name, there in given:
+            if there and self._is_sound(now, name, apart, y_m, S_m, PH * metres):
+                use += _ROWS[name]
+        if fix is not None and alt_baro is not None:
+            ratio = abs(y[7]) / math.sqrt(S[7, 7])
+            if ratio > self.options.monitor_sigmas:
+                text = f"barometer and GNSS height differ by {ratio:.1f} sigma"
+                self.events.append((now, now, "integrity", text, "gnss_position baro"))
+        use.sort()
+        if not use:
+            return
+        if self.options.rows == 8 and len(use) == 7:
+            use = list(range(8))
+        self.form.update(Y[use], H[use], R[np.ix_(use, use)], use, self.nav)
+        self._keep_floor()
+        found = H[:, :15] @ self.form.x[:15].astype(float) - error
+        for name, (at, offset) in self.accepted.items():  # the correction moves the INS, not the last fix
+            self.accepted[name] = (at, offset - (found * metres)[_ROWS[name]])
+        for name in ("gnss_position", "gnss_velocity"):
+            if set(_ROWS[name]) <= set(use):
+                self.accepted[name] = (now, (apart - found * metres)[_ROWS[name]])
+        if set(_ROWS["gnss_position"]) <= set(use):
+            self._remember(now)
+        self._correct(now)
+
+    def _satellites_changed(self, count: int) -> bool:
+        changed = self.satellites is not None and count != self.satellites
+        self.satellites = count
+        return changed
+
+    def _measurements(self, earth: Earth, fix: Fix | None, alt_baro: float | None) -> FloatArray:
+        """Return Y (8,), INS less measured (A-5.4.3), NaN in the rows of what has not arrived."""
+        Y = np.full(8, np.nan)
+        nav = self.nav
+        if alt_baro is not None:
+            Y[0] = nav.h - alt_baro
+        if fix is not None:
+            east, north = reduced(nav, earth)
+            arm = nav.B @ self.antenna
+            dlon = nav.lon - fix.lon
+            dlon -= 2.0 * math.pi * round(dlon / (2.0 * math.pi))
+            Y[1] = dlon * R3 + arm[0] * east
+            Y[2] = (nav.lat - fix.lat) * R3 + arm[1] * north
+            Y[3] = nav.h - fix.h + arm[2]
+            swept = nav.B @ antenna_sweep(nav, self.antenna, self.w_b)
+            Y[4:7] = nav.V + swept - NED_OF_ENU @ fix.vel_n
+        Y[7] = Y[3] - Y[0]
+        return Y
+
+    def _is_sound(
+        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, PH: FloatArray
+    ) -> bool:
+        """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals.
+
+        S and PH are those before any of an instant is used; the compiled filter uses one after the other.
+        """
+        rows, options = _ROWS[name], self.options
+        y, S = y[rows], S[np.ix_(rows, rows)]
+        value = nis(y, S)
+        failed = [
+            test for test in options.integrity if self._fails(test, now, name, apart[rows], y, S, value)
+        ]
+        refused = PH[:, rows] @ np.linalg.solve(S, y)  # as `kalman.stretch_kernel`
+        if self.drifted and name != "baro" and failed == ["nis"]:
+            self.form.add(refused[:, None])
+            failed = []
+        readmitted = bool(failed) and self.misses[name] >= options.readmit_after
+        use = not failed or readmitted
+        if readmitted:
+            earth = ellipsoid(self.nav.lat, self.nav.h)
+            unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
+            states = _STATES[name]
+            self.form.add(refused[:, None])  # as `kalman.open_kernel`
+            self._grow(states, np.square(y * unit))
+        if failed and not readmitted:
+            self.misses[name] += 1
+            start = self.refused.get(name, (now, now, failed[0]))[0]
+            self.refused[name] = (start, now, failed[0])
+        else:
+            self.misses[name] = 0
+            self.close(name)
+        along_n = -(NED_OF_ENU @ y) if len(rows) == 3 else -y  # measured less predicted
+        variance = np.diag(S)[[1, 0, 2]] if len(rows) == 3 else np.diag(S)
+        for i, (z, s) in enumerate(zip(along_n.tolist(), variance.tolist(), strict=True)):
+            self.innovations.append((now, SENSORS.index(name), i, z, s, value, use))
+        return use
+
+    def _has_drifted(self, now: float, y: FloatArray, S: FloatArray, r: FloatArray) -> bool:
+        """Return whether a fix comes after an outage, its position beyond the gate by a drift."""
+        used = max((at for at, _ in self.accepted.values()), default=self.began)
+        if self.misses["gnss_position"] + self.misses["gnss_velocity"] or now - used < integrity.OUTAGE:
+            return False
+        return integrity.tells_of_drift(y[1:7], S[1:7, 1:7], r[1:4], self.gates["gnss_position"])
+
+    def _fails(
+        self, test: str, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, value: float
+    ) -> bool:
+        options = self.options
+        if test == "nis":
+            return value > self.gates[name]
+        if test == "trace":
+            return trace_ratio(y, S) > options.trace_limit
+        if name not in self.accepted:  # no fix to carry on yet, or the barometer
+            return False
+        at, offset = self.accepted[name]
+        decay = process_model.gnss_decay(self.sig, math.hypot(self.nav.V[0], self.nav.V[1]), now - at)
+        part = slice(0, 3) if name == "gnss_position" else slice(3, 6)
+        wander = (1.0 - decay[part]) * np.square(process_model.per_axis(self.sig.markov)[part])
+        sd = np.sqrt(2.0 * (np.square(process_model.per_axis(self.sig.white)[part]) + wander))
+        bound = tolerance(
+            now - at,
+            sd,
+            order=2 if name == "gnss_position" else 1,
+            max_acceleration=options.max_acceleration,
+            sigmas=options.tolerance_sigmas,
+        )
+        return bool((np.abs(apart - offset) > bound).any())
+
+    def close(self, name: str) -> None:
+        """Report a stretch of refusals that has ended."""
+        if name in self.refused:
+            start, end, test = self.refused.pop(name)
+            self.events.append((start, end, "integrity", f"{name} refused by {test}", name))
+
+    def _correct(self, now: float) -> None:
+        """Feed the estimate back when it is due (A-5.4.8, A-5.4.9, A-5.4.11)."""
+        options = self.options
+        if not options.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
+            return
+        x = self.form.x.astype(float)
+        self.nav = corrected(self.nav, x)
+        self.start = self.nav
+        self.eps = self.eps + x[9:12]
+        self.da = self.da + x[12:15]
+        self.form.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 are kept
+        self.form.predict(axes_turned(x), np.zeros((process_model.SIZE, process_model.SIZE)), 0.0)
+        self._keep_floor()
+        period = options.correction_period
+        if isinstance(period, str):
+            spread = 3.0 * np.sqrt(np.diag(self.form.covariance))
+            attitude, gyro, accel = (spread[first : first + 3].max() for first in (6, 9, 12))
+            period = correction_period(math.radians(options.admissible_deg), attitude, gyro, accel)
+        self.next_correction = now + period
+
+    def _remember(self, now: float) -> None:
+        """Keep the errors of the navigator for the curve that goes on without fixes (#46)."""
+        if self.options.outage != "prediction":
+            self.known.append((now, self.form.x[:9].astype(float)))
+            while self.known[0][0] < now - self.options.outage_window:
+                self.known.popleft()
+
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
+        """Return lla, vel_n, q_nb, states, their sd and the covariance of the corrected output."""
+        x, P = self.form.x.astype(float), self.form.covariance
+        if len(self.known) >= _CURVE and now - self.known[-1][0] > 2.5 * self.fix_interval:
+            t, errors = zip(*self.known, strict=True)
+            assert self.options.outage != "prediction"
+            x[:9] = extrapolate(self.options.outage, t, errors, now)
+        nav = corrected(self.nav, x)
+        earth = ellipsoid(nav.lat, nav.h)
+        J = ned_matrix(nav, earth) @ axes_turned(x)[:9, :9]
+        east, north = reduced(nav, earth)
+        to_ned = np.zeros((13, 13))
+        to_ned[0:3, 0:3] = to_ned[3:6, 3:6] = FRD_OF_FUR
+        to_ned[6, 6] = 1.0
+        to_ned[7:10, 7:10] = NED_OF_ENU @ np.diag([1 / east, 1 / north, 1.0])
+        to_ned[10:13, 10:13] = NED_OF_ENU
+        states = x[9:].copy()
+        states[:3] += self.eps
+        states[3:6] += self.da
+        return (
+            np.array([nav.lat, nav.lon, nav.h]),
+            NED_OF_ENU @ nav.V,
+            rotation.from_matrix(NED_OF_ENU @ nav.B @ FRD_OF_FUR.T),
+            to_ned @ states,
+            np.sqrt(np.diag(to_ned @ P[9:, 9:] @ to_ned.T)),
+            J @ P[:9, :9] @ J.T,
+        )
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return answers at instants (M,) [s], with innovations and events since this was called last."""
+        if last:
+            for name in list(self.refused):
+                self.close(name)
+        lla, vel_n, q_nb, states, sd, cov = answers
+        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        events, self.events = events + self.events, []
+        return NavSolution(
+            t=t,
+            lla=lla,
+            vel_n=vel_n,
+            q_nb=q_nb,
+            gyro_bias_b=states[:, :3],
+            accel_bias_b=states[:, 3:6],
+            cov=cov,
+            extra_names=_LAYOUT.labels(),
+            extra=states,
+            extra_sd=sd,
+            innovations=table,
+            events=Events.from_rows(events),
+        )
+
+    # -- from one piece of a record to the next
+
+    def copy(self) -> Self:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.form = self.form.copy()
+        other.innovations, other.events = list(self.innovations), list(self.events)
+        other.restore(deepcopy(self.state()))
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays, numbers and words by name."""
+        known_t, errors = zip(*self.known, strict=True) if self.known else ((), np.empty((0, 9)))
+        return {
+            "form": self.form.state(),
+            "nav": asdict(self.nav),
+            "start": asdict(self.start),
+            **{name: getattr(self, name) for name in _CARRIED},
+            "known": {"t": np.array(known_t), "errors": np.array(errors)},
+            "accepted": {name: {"t": t, "offset": offset} for name, (t, offset) in self.accepted.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.form.restore(state["form"])
+        self.nav, self.start = Nav(**state["nav"]), Nav(**state["start"])
+        for name in _CARRIED:
+            setattr(self, name, state[name])
+        self.known = deque(zip(state["known"]["t"].tolist(), state["known"]["errors"], strict=True))
+        self.accepted = {name: (one["t"], one["offset"]) for name, one in state["accepted"].items()}

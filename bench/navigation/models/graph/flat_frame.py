@@ -1,0 +1,141 @@
+"""The Cartesian frame t of gtsam, fixed to the Earth with the axes of n at the start, and what it leaves out.
+
+In t, v' = C_tb f + g(p) - 2 w_ie x v, and C_tb turns with w_ib less the rate of the Earth: the same as in any
+frame fixed to the Earth. gtsam knows a constant g and no w_ie; both are supplied with the measurements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.data import EventRow, InitialState, SensorData
+from bench.earth import EARTH_RATE
+from bench.errors import EstimatorError
+from bench.navigation.error_state_filter.aiding_sensors import FIXES
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.schedule import Plan, Schedule
+from bench.navigation.start import alignment
+
+
+def load_gtsam() -> Any:
+    """Return the module gtsam.
+
+    Raises
+    ------
+    EstimatorError
+        If it is not installed.
+    """
+    if find_spec("gtsam") is None:
+        raise EstimatorError("it needs the package gtsam: pip install 'ins-gnss-bench[graph]'")
+    return import_module("gtsam")
+
+
+@dataclass(frozen=True, slots=True)
+class FlatFrame:
+    """The frame t of a start; with ``supply`` false the Earth is flat and rests."""
+
+    origin_e: FloatArray  # (3,) [m], e
+    C_et: FloatArray  # (3, 3)
+    w_t: FloatArray  # (3,) rate of the Earth [rad/s], t
+    g_t: FloatArray  # (3,) gravity at the origin [m/s^2], t
+    supply: bool
+
+    @classmethod
+    def at(cls, lla: FloatArray, supply: bool) -> FlatFrame:
+        """Return the frame with its origin at a place (3,)."""
+        C_et = earth.matrix_en(lla[0], lla[1])
+        w_t = C_et.T @ np.array([0.0, 0.0, EARTH_RATE if supply else 0.0])
+        return cls(earth.to_ecef(lla), C_et, w_t, earth.gravity_n(lla[0], lla[2]), supply)
+
+    def place(self, p_t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return latitude, longitude, height (3,) of a position and C_tn (3, 3) there."""
+        lla = earth.to_geodetic(self.origin_e + self.C_et @ p_t)
+        return lla, self.C_et.T @ earth.matrix_en(lla[0], lla[1])
+
+    def locate(self, lla: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the position (3,) of a place and C_tn (3, 3) there."""
+        C_tn = self.C_et.T @ earth.matrix_en(lla[0], lla[1])
+        return self.C_et.T @ (earth.to_ecef(lla) - self.origin_e), C_tn
+
+    def gravity(self, p_t: FloatArray) -> FloatArray:
+        """Return gravity (3,) at a position, t; that of the origin if nothing is supplied."""
+        if not self.supply:
+            return self.g_t
+        lla, C_tn = self.place(p_t)
+        return np.asarray(C_tn @ earth.gravity_n(lla[0], lla[2]))
+
+    def answer(
+        self, C_tb: FloatArray, p_t: FloatArray, v_t: FloatArray, P: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Return a state (10,) of place, velocity and attitude, and its covariance (9, 9) in n.
+
+        ``P`` (9, 9) is that of the errors of gtsam: attitude, position, velocity along the body axes, true
+        state = state * exp(error).
+        """
+        lla, C_tn = self.place(p_t)
+        C_nb = C_tn.T @ C_tb
+        J = np.zeros((9, 9))
+        J[0:3, 3:6] = J[3:6, 6:9] = J[6:9, 0:3] = -C_nb
+        return np.concatenate([lla, C_tn.T @ v_t, rotation.from_matrix(C_nb)]), J @ P @ J.T
+
+    def begin(self, initial: InitialState) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return attitude, position, velocity of a start and P (9, 9), as :meth:`answer` takes them."""
+        p_t, C_tn = self.locate(initial.lla)
+        C_nb = rotation.matrix(initial.q_nb)
+        J = np.zeros((9, 9))
+        J[3:6, 0:3] = J[6:9, 3:6] = J[0:3, 6:9] = -C_nb.T
+        return C_tn @ C_nb, p_t, C_tn @ initial.vel_n, J @ initial.cov @ J.T
+
+
+def schedule_fixes(first: SensorData, initial: InitialState, events: list[EventRow]) -> Schedule:
+    """Return a schedule from a complete start, with what went before; a step ends at every answer.
+
+    Raises
+    ------
+    ValueError
+        If there are fixes and no datasheet of a receiver.
+    """
+    if first.fixes is not None and first.specs.gnss is None:
+        raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
+    schedule = Schedule(initial.t, first.specs.imu, compensate=False, cut=True)
+    schedule.events += events
+    return schedule
+
+
+class Work(NamedTuple):
+    """What there is to do in a record."""
+
+    initial: InitialState  # complete
+    plan: Plan  # steps, fixes and answers in order
+    dtheta: FloatArray  # (K, 3) rotation over each step [rad], b
+    dvel: FloatArray  # (K, 3) integral of the specific force over each step [m/s], b
+    events: list[EventRow]
+
+
+def plan_fixes(sensors: SensorData, initial: InitialState) -> Work:
+    """Return steps, fixes and answers of a record in order; the barometer is not used.
+
+    Raises
+    ------
+    EstimatorError
+        If the record does not allow the alignment.
+    ValueError
+        If there are fixes and no datasheet of a receiver.
+    """
+    initial, aligned = alignment.complete(sensors, initial)
+    schedule = schedule_fixes(sensors, initial, aligned)
+    schedule.take(sensors, last=True)
+    if sensors.fixes is not None:
+        schedule.add(FIXES, sensors, initial, StateLayout())
+    plan = schedule.plan()
+    row, share = plan.steps.row, plan.steps.share[:, None]
+    return Work(
+        initial, plan, plan.steps.dtheta_b[row] * share, plan.steps.dvel_b[row] * share, schedule.events
+    )

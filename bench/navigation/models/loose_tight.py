@@ -1,0 +1,415 @@
+"""The compiled filters, loose and tight: state layouts, aiding and options as data for one kernel.
+
+An error-state extended Kalman filter in closed loop: the strapdown navigator runs on increments less the
+estimated errors, the covariance follows its linear dynamics (`propagation`), and every accepted
+measurement (`measurement_rows`, `ranging`) is fed back at once. Loose coupling takes
+position and velocity of the GNSS antenna, tight coupling every satellite by itself.
+
+A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
+to the instant of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
+the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The change of P by the turn of the frame at
+feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations
+section 10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine import long_records
+from bench.navigation.engine.imu_sampler import ImuSampler
+from bench.navigation.engine.integrity import nis_limit
+from bench.navigation.engine.piecewise import InPieces, answer_now
+from bench.navigation.engine.timeline import empty_epochs
+from bench.navigation.engine.velocity_consistency import MovedFixes
+from bench.navigation.error_state_filter import measurement_rows, ranging
+from bench.navigation.error_state_filter.aiding_sensors import (
+    AIDING,
+    FIXES,
+    LATENCY,
+    MAGNETOMETER,
+    SATELLITES,
+    AidingSensor,
+    magnetic_map,
+    records_needed,
+    unmodelled,
+)
+from bench.navigation.error_state_filter.filter_run import ForwardRun, Nodes
+from bench.navigation.error_state_filter.gate import Gate
+from bench.navigation.error_state_filter.measurement_rows import OPENS, PSEUDORANGE, RANGE_RATE, SENSORS
+from bench.navigation.error_state_filter.schedule import Schedule
+from bench.navigation.error_state_filter.standstill import StandstillDetector
+from bench.navigation.error_state_filter.state_blocks import (
+    StateModel,
+    assumed,
+    chosen_blocks,
+    moving_states,
+    state_model,
+)
+from bench.navigation.error_state_filter.state_processes import Block
+from bench.navigation.error_state_filter.vehicle_motion import VehicleSampler
+from bench.navigation.options import FusionOptions, TightOptions, read_options
+from bench.navigation.start import alignment, headings, turn_on
+from bench.navigation.start.headings import ManyHeadings
+from bench.navigation.start.restart import between_gaps
+from bench.navigation.start.turn_on import FromTurnOn
+from bench.specs import AssumedSpecs, ImuSpec
+
+_NEVER = np.iinfo(np.int64).max
+_STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
+_LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]
+
+
+class Fusion:
+    """What loose and tight coupling share: options, records, the run.
+
+    The bias states are random walks with ``P0 = turn_on_sd^2 + instability_sd^2`` and
+    ``q = 2 instability_sd^2 / correlation``; for a unit without turn-on bias they are Gauss-Markov processes
+    whose mean decays too. Q, R and P0 come from the assumed specs (`state_blocks`): R is the
+    white variance of the GNSS datasheet with Markov states, and the white and Markov variance together,
+    taken as white, without.
+
+    Options: `bench.navigation.options.FusionOptions`; ``bench list estimators`` shows them.
+    """
+
+    _model: type[FusionOptions] = FusionOptions
+
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(self._model, options)
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate position, velocity, attitude, biases and their covariance."""
+        initial, events = alignment.complete(sensors, initial)
+        filter_ = self.in_pieces(sensors, initial, events)
+        if not long_records.is_long(sensors):
+            return filter_.feed(sensors, 0.0, last=True)
+        joined, wait = long_records.JoinedSolution(sensors.output_t), long_records.longest_wait(sensors)
+        for piece, last in long_records.cut_record(sensors):
+            joined.add(filter_.feed(piece, wait, last=last))
+        return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
+
+    def forward(
+        self, sensors: SensorData, initial: InitialState, *, gyro_sd: float | None = None
+    ) -> tuple[NavSolution, list[Nodes]]:
+        """Return a solution and the nodes a smoother goes back over.
+
+        They come in stretches, in their order; a record that is not long is one. There are none where the
+        heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro biases are known at the
+        start; None: as the datasheet says.
+        """
+        initial, events = alignment.complete(sensors, initial)
+        if not headings.heading_is_unknown(initial):
+            return self._forward(sensors, initial, events, gyro_sd)
+        search = ManyHeadings(self._passage, sensors, initial, events)
+        solution = search.feed(sensors, 0.0, last=True)
+        if not search.complete:
+            return solution, []
+        return solution, self._forward(sensors, search.starts[0], [], None)[1]
+
+    def _forward(
+        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
+    ) -> tuple[NavSolution, list[Nodes]]:
+        """Return what :meth:`forward` does, from a complete initial state with a known heading."""
+        passage = Passage(self, sensors, initial, events, keep=True, gyro_sd=gyro_sd)
+        if not long_records.is_long(sensors):
+            passage.take(sensors, last=True)
+            solution, nodes = passage.go()
+            return solution, [nodes]
+        joined, wait = long_records.JoinedSolution(sensors.output_t), long_records.longest_wait(sensors)
+        stretches = list[Nodes]()
+        for piece, last in long_records.cut_record(sensors):
+            passage.take(piece, last=last)
+            if last or passage.can_go(wait):
+                solution, nodes = passage.go(wait)
+                joined.add(solution)
+                stretches.append(nodes)
+        return joined.solution(self._empty_epochs(sensors, initial.t, passage.end)), stretches
+
+    def _empty_epochs(self, sensors: SensorData, start: float, end: float) -> list[EventRow]:
+        """Return the event of the epochs without satellites in a record that is cut in blocks."""
+        seen = sensors.observations
+        if seen is None or SATELLITES not in self.aiding():
+            return []
+        return empty_epochs(seen.t, seen.epoch_start, start, end)
+
+    def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
+        return between_gaps(self._from_start, first, initial, events, self.options.accuracy)
+
+    def _from_start(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
+        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU."""
+        if self.options.every_error and turn_on.may_be_learnt(first, initial):
+            return FromTurnOn(self._known, first, initial, events)
+        return self._known(first, initial, events, None)
+
+    def _known(
+        self, first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
+    ) -> InPieces:
+        """Return what :meth:`_from_start` does, for gyro biases known to a sd; None: by the datasheet."""
+        if headings.heading_is_unknown(initial):
+            return ManyHeadings(self._passage, first, initial, events)
+        return Passage(self, first, initial, events, gyro_sd=gyro_sd)
+
+    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
+        return Passage(self, first, initial, events)
+
+    def blocks_for(self, sensors: SensorData) -> list[Block]:
+        """Return the blocks whose record is there."""
+        records = {sensor.record for sensor in self.aiding() if getattr(sensors, sensor.record) is not None}
+        return [block for block in self.blocks() if not block.records or records & set(block.records)]
+
+    def identity(self, sensors: SensorData) -> tuple[object, ...]:
+        """Return what a solution follows from: filters of equal identity are the same on this record.
+
+        Options that only choose states count by the states that the datasheets give a size.
+        """
+        options = self.options.model_dump(exclude={"gnss_markov", "mems", "every_error"})
+        states = moving_states(sensors.specs, self.blocks_for(sensors))
+        more = [self.more(sensor, sensors.specs) for sensor in self.aiding()]
+        return type(self), tuple(options.items()), states, tuple(float(np.sum(one)) for one in more)
+
+    def more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
+        """Return the variance of what else errs in a row of a sensor, where every error is asked for."""
+        spec = getattr(specs, sensor.spec)
+        if not self.options.every_error or sensor.short is None or spec is None:
+            return np.zeros(1)
+        return sensor.short(spec)
+
+    def gate(self, channels: int, start: float, model: StateModel) -> Gate:
+        """Return the tests asked for, with empty memories."""
+        options, bounds = self.options, np.full(4, np.inf)
+        if "nis" in options.integrity:
+            bounds[1:] = [nis_limit(m, options.gate_probability) for m in (1, 2, 3)]
+        readmit, opens = np.full(len(SENSORS), _NEVER), np.zeros((len(SENSORS), 2), np.int64)
+        readmit[[PSEUDORANGE, RANGE_RATE]] = options.readmit_after  # of many satellites: one opens nothing
+        for code, names in OPENS.items():
+            if model.layout.has(names[0]):
+                first, last = (model.layout.slice(name) for name in (names[0], names[-1]))
+                readmit[code], opens[code] = options.readmit_after, (first.start, last.stop - first.start)
+        return Gate(
+            nis=bounds,
+            trace=options.trace_ratio if "trace" in options.integrity else np.inf,
+            max_acceleration=options.max_acceleration if "tolerance" in options.integrity else np.inf,
+            sigmas=options.tolerance_sigmas,
+            memory=0.0 if options.adaptive_noise is None else 1.0 / options.adaptive_noise,
+            readmit_after=readmit,
+            opens=opens,
+            misses=np.zeros(channels, np.int64),
+            used=np.full(channels, start),
+            level=np.ones(len(SENSORS)),
+        )
+
+    def samplers(self, start: float, imu: ImuSpec) -> dict[int, ImuSampler]:
+        """Return what makes measurements from the samples of the IMU, by their kind."""
+        options, found = self.options, dict[int, ImuSampler]()
+        if options.standstill:
+            found[measurement_rows.STANDSTILL_ROWS] = StandstillDetector(start, imu)
+        if options.nonholonomic or options.coordinated:
+            found[measurement_rows.VEHICLE_ROWS] = VehicleSampler(start, flying=options.coordinated)
+        return found
+
+    def aiding(self) -> list[AidingSensor]:
+        """Return the aiding sensors that the options ask for."""
+        other = FIXES if self.options.tight else SATELLITES
+        return [sensor for sensor in AIDING if sensor is not other and getattr(self.options, sensor.option)]
+
+    def blocks(self) -> list[Block]:
+        """Return the states beyond position, velocity, attitude and biases, as the options ask for them.
+
+        A block whose record is not there is left out of a run.
+        """
+        return chosen_blocks(self.options)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The records it cannot work without; a barometer beside GNSS is used if there is one."""
+        return records_needed(self.aiding())
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the estimator has no state for, in words."""
+        taken = {words for block in self.blocks() for words in block.takes}
+        if self.options.compensate_latency:
+            taken.add(LATENCY)
+        found = unmodelled(specs, self.aiding(), taken)
+        if not self.options.gnss and specs.imu.gyro.turn_on_bias_sd > _LINEAR_DRIFT:
+            found += ("second order of a free drift by degrees of tilt",)
+        return found
+
+
+class Passage:
+    """A filter on its way through a record that comes in pieces, from a complete start.
+
+    Parameters
+    ----------
+    filter_ : Fusion
+        Options.
+    first : SensorData
+        The first piece: its records say which sensors there are.
+    initial : InitialState
+        Start.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    keep : bool
+        Store the nodes of a smoother.
+    gyro_sd : float or None
+        As in :meth:`Fusion.forward`.
+    """
+
+    def __init__(
+        self,
+        filter_: Fusion,
+        first: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        *,
+        keep: bool = False,
+        gyro_sd: float | None = None,
+    ) -> None:
+        self.filter, self.initial, self.antenna_b = filter_, initial, first.antenna_b
+        options, specs = filter_.options, first.specs
+        self.used = [sensor for sensor in filter_.aiding() if getattr(first, sensor.record) is not None]
+        if SATELLITES in self.used and specs.gnss is not None and specs.gnss.sky is None:
+            raise ValueError(
+                f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
+            )
+        model = state_model(initial, specs, filter_.blocks_for(first), gyro_sd)
+        watch = None
+        if "velocity" in options.integrity and specs.gnss is not None:
+            watch = MovedFixes(specs.gnss, options.gate_probability)
+        self.schedule = Schedule(
+            initial.t,
+            specs.imu,
+            compensate=options.compensate_latency,
+            accuracy=options.fix_accuracy,
+            watch=watch,
+            cut=keep,
+        )
+        self.schedule.events += events
+        self.samplers = filter_.samplers(initial.t, specs.imu)
+        self.channels = ranging.Channels()
+        field = np.zeros((4, 3))
+        if MAGNETOMETER in self.used:
+            field = magnetic_map(initial.lla, first.date)
+        self.run = ForwardRun(
+            initial,
+            model,
+            first.antenna_b,
+            field,
+            filter_.gate(len(SENSORS), initial.t, model),
+            0.0 if options.covariance_hz is None else (1.0 - 1e-6) / options.covariance_hz,
+            keep,
+        )
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.schedule.end
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
+        if not np.array_equal(self.antenna_b, piece.antenna_b):
+            self._go_over(piece.antenna_b)
+        self.take(piece, last=last)
+        if not last and not self.can_go(look_back):
+            return self.run.nothing()
+        return self.go(look_back)[0]
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
+        self.schedule.output_t = np.empty(0)
+        return answer_now(self, head)
+
+    def take(self, piece: SensorData, *, last: bool) -> None:
+        """Take the next piece; nothing comes after the ``last``."""
+        specs, schedule = piece.specs, self.schedule
+        samples = schedule.take(piece, last=last)
+        if SATELLITES in self.used and piece.observations is not None:
+            seen, lat = piece.observations, float(self.initial.lla[0])
+            channel = self.channels.of_satellites(seen)
+            schedule.add_satellites(seen, assumed(specs, "gnss"), lat, channel)
+        for sensor in self.used:
+            if sensor is not SATELLITES:
+                more = self.filter.more(sensor, specs)
+                schedule.add(sensor, piece, self.initial, self.run.model.layout, more)
+        for kind, sampler in self.samplers.items():
+            schedule.add_samples(kind, *sampler.take(samples))
+        if last:
+            schedule.events += self._absent(piece)
+
+    def can_go(self, look_back: float) -> bool:
+        """Return whether there is enough to go over before the last piece."""
+        return self.schedule.end - self.schedule.t >= look_back + _STRIDE
+
+    def go(self, look_back: float = 0.0) -> tuple[NavSolution, Nodes]:
+        """Return the answers that are final, and the nodes of a smoother.
+
+        After the last piece all are; before, what may still come up to ``look_back`` [s] late decides which.
+        """
+        return self.run.go(self.schedule, self.channels.names, look_back)
+
+    def _go_over(self, antenna_b: FloatArray) -> None:
+        """Take what comes from now on for that of another antenna (3,) [m], b."""
+        options = self.filter.options
+        if options.gnss and options.tight:
+            raise EstimatorError("'tight' cannot go over to another antenna: the filters of fixes can")
+        if options.lever_arm_sd > 0:
+            raise EstimatorError(
+                f"lever_arm_sd = {options.lever_arm_sd:g} estimates one antenna and cannot go over "
+                "to another; leave it out"
+            )
+        self.antenna_b = self.run.antenna_b = antenna_b
+
+    def copy(self) -> Passage:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.schedule, other.run, other.channels = self.schedule.copy(), self.run.copy(), copy(self.channels)
+        other.channels.names = list(self.channels.names)
+        other.samplers = {kind: copy(sampler) for kind, sampler in self.samplers.items()}
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "schedule": self.schedule.state(),
+            "run": self.run.state(),
+            "channels": self.channels.names,
+            "samplers": {str(kind): sampler.state() for kind, sampler in self.samplers.items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.schedule.restore(state["schedule"])
+        self.run.restore(state["run"])
+        self.channels.names = list(state["channels"])
+        for kind, sampler in self.samplers.items():
+            sampler.restore(state["samplers"][str(kind)])
+
+    def _absent(self, piece: SensorData) -> list[EventRow]:
+        """Return an event for each sensor that is asked for and not there."""
+        asked, start = self.filter.aiding(), self.initial.t
+        absent = [sensor.option for sensor in asked if sensor.on_request and sensor not in self.used]
+        if SATELLITES in asked and piece.observations is None and piece.fixes is not None:
+            absent.append("tight coupling")
+        text = "asked for, but the record holds nothing for it"
+        return [(start, self.schedule.end, "aiding", f"{what}: {text}") for what in absent]
+
+
+class Loose(Fusion):
+    """Loosely coupled INS/GNSS/baro filter: position and, if any, velocity of a receiver's fixes."""
+
+
+class Tight(Fusion):
+    """Tightly coupled INS/GNSS/baro filter: range and range rate of each satellite, the receiver's clock.
+
+    With the clock, its drift and the offset of its GLONASS as states it goes on with any number of
+    satellites, and refuses one without the others.
+    """
+
+    _model = TightOptions

@@ -1,0 +1,218 @@
+"""Rauch-Tung-Striebel smoother over a stored forward run.
+
+The forward run is an error-state filter in closed loop. Between two nodes its state moves from x_j (after the
+updates of node j) to x_{j+1}^- (before those of node j+1), with the error transition Phi. Going back,
+
+    C_j   = P_j Phi' (P_{j+1}^-)^-1
+    x_j^s = x_j - C_j (x_{j+1}^- - x_{j+1}^s)
+    P_j^s = P_j + C_j (P_{j+1}^s - P_{j+1}^-) C_j'
+
+where the difference of two states is an error state: metres in n, the turns from one attitude to the other,
+and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3 (8), 1965). Tilts are
+those of the axes of each state (`error_state`): P_{j+1}^s is turned to those of x_{j+1}^-,
+and P_j^s to those of x_j^s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import disk_arrays
+from bench.arrays import FloatArray
+from bench.compiled import inner, kernel
+from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.navigation.engine import long_records
+from bench.navigation.error_state_filter.error_state import (
+    PHI,
+    difference_kernel,
+    feedback_kernel,
+    reset_kernel,
+)
+from bench.navigation.error_state_filter.filter_run import Nodes, answers, spread
+from bench.navigation.error_state_filter.rough_heading import add_arm
+from bench.navigation.models.loose_tight import Loose, Tight
+from bench.navigation.options import SmootherOptions, read_options
+from bench.navigation.start.turn_on import smooth_from_turn_on
+from bench.navigation.start.whole_records import run_between_gaps
+from bench.specs import AssumedSpecs
+from bench.wide_rows import LANES, add_row, set_row, wide
+
+_ROUNDING = 1e-14  # of a scaled variance: what is left of it is rounding
+
+
+class Smoother:
+    """A loose or tight filter, then back over its record.
+
+    Innovations and events are those of the forward run.
+
+    Options: `bench.navigation.options.SmootherOptions`, those of the forward filter among them.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        self.options = read_options(SmootherOptions, options)
+        forward = Tight if self.options.tight else Loose
+        self.filter = forward(**self.options.model_dump(exclude={"over"}))
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        """Estimate each instant from all measurements of the record, earlier and later."""
+
+        def between(piece: SensorData, start: InitialState) -> NavSolution:
+            large = self.options.every_error
+            return smooth_from_turn_on(self._run, piece, start) if large else self._run(piece, start, None)
+
+        return run_between_gaps(between, sensors, initial, self.options.accuracy)
+
+    def _run(self, sensors: SensorData, initial: InitialState, gyro_sd: float | None) -> NavSolution:
+        forward, stretches = self.filter.forward(sensors, initial, gyro_sd=gyro_sd)
+        if not any(len(nodes.t) for nodes in stretches):
+            return forward
+        smooth(stretches)
+        found, begin = long_records.JoinedSolution(forward.t), 0
+        for nodes in stretches:
+            end = begin + len(nodes.output)
+            found.add(_answer(forward.t[begin:end], nodes, sensors.antenna_b))
+            begin = end
+            if len(stretches) > 1:
+                disk_arrays.release()
+        return replace(found.solution(), innovations=forward.innovations, events=forward.events)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What its forward run needs."""
+        return self.filter.needs
+
+    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the estimator has no state for, in words."""
+        return self.filter.unmodelled(specs)
+
+
+def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
+    """Return smoothed nodes as answers at the instants t (M,) that they serve."""
+    rows = np.flatnonzero(nodes.output >= 0)
+    at = nodes.output[rows]
+    state, cov = nodes.state[at, 1], nodes.P[at, 1, :9, :9]
+    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:]
+    if len(rows) != len(t):
+        state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
+    add_arm(cov, antenna_b)
+    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]))
+
+
+class SmootherWork(NamedTuple):
+    """Memory of the kernels; matrices are wide."""
+
+    scale: FloatArray  # (n,) one over the standard deviations of P^-, 0 for a state without variance
+    inverse: FloatArray  # (n,) one over the diagonal of R, 0 where no variance is left
+    R: FloatArray  # (n, n) upper Cholesky factor of P^-, scaled: R'R
+    P: FloatArray  # (n, n)
+    D: FloatArray  # (n, n) P^s - P^-
+    gain: FloatArray  # (n, n) C'
+    product: FloatArray  # (n, n) D C'
+    d: FloatArray  # (n,) error of x^- if x^s is true
+    e: FloatArray  # (n,) C d
+
+
+def smooth(stretches: list[Nodes]) -> None:
+    """Smooth the states and covariances after the measurements at the nodes of a forward run, in place."""
+    stretches = [nodes for nodes in stretches if len(nodes.t)]
+    n = stretches[0].layout.size
+    square = (n, n)
+    work = SmootherWork(
+        np.zeros(n), np.zeros(n), wide(square), wide(square), wide(square), wide(square), wide(square),
+        np.zeros(n), np.zeros(n),
+    )  # fmt: skip
+    later: Nodes | None = None
+    for nodes in reversed(stretches):
+        if later is not None:  # the last node from the one that follows on it
+            state, P, Phi = (
+                np.concatenate([a[-1:], b[:1]])
+                for a, b in ((nodes.state, later.state), (nodes.P, later.P), (nodes.Phi, later.Phi))
+            )
+            _smooth_kernel(state, P, Phi, work)
+            nodes.state[-1], nodes.P[-1] = state[0], P[0]
+            disk_arrays.release()
+        _smooth_kernel(nodes.state, nodes.P, nodes.Phi, work)
+        later = nodes
+
+
+@kernel
+def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: SmootherWork) -> None:
+    """Smooth states (N, 2, n + 1) and P (N, 2, n, n) after the measurements, all but the last, going back."""
+    n, d, e, D = work.d.shape[0], work.d, work.e, work.D
+    for j in range(state.shape[0] - 2, -1, -1):
+        later, before = P[j + 1, 1], P[j + 1, 0]
+        difference_kernel(state[j + 1, 0], state[j + 1, 1], d)
+        _gain_kernel(before, Phi[j + 1], P[j, 1], work)
+        for i in range(n):
+            e[i] = 0.0
+        for k in range(n):
+            for i in range(n):
+                e[i] += work.gain[k, i] * d[k]
+        turn = e[PHI + 2]
+        feedback_kernel(state[j, 1], e)
+        for i in range(n):
+            for k in range(n):
+                D[i, k] = later[i, k]
+        reset_kernel(D, -d[PHI + 2])
+        for i in range(n):
+            for k in range(n):
+                D[i, k] -= before[i, k]
+        _correct_kernel(P[j, 1], work)
+        reset_kernel(P[j, 1], turn)
+
+
+@inner
+def _gain_kernel(before: FloatArray, Phi: FloatArray, P: FloatArray, work: SmootherWork) -> None:
+    """Fill the gain C' = (P^-)^-1 Phi P, solved with each state scaled by its standard deviation.
+
+    A state without variance (a process that is switched off) has no gain; nor has one that is, but for
+    rounding, the sum of others. The factor R comes row by row, and with it what it solves.
+    """
+    scale, inverse, R, gain = work.scale, work.inverse, work.R, work.gain
+    n, width = P.shape[0], gain.shape[1]
+    for i in range(n):
+        scale[i] = 1.0 / np.sqrt(before[i, i]) if before[i, i] > 0.0 else 0.0
+    for i in range(n):
+        for k in range(n):
+            gain[i, k] = 0.0
+            work.P[i, k] = P[i, k]
+            R[i, k] = before[i, k] * scale[i] * scale[k]
+        R[i, i] = 1.0
+    for k in range(n):
+        for i in range(n):
+            if Phi[i, k] != 0.0:
+                add_row(gain, i, Phi[i, k] * scale[i], work.P, k, 0, width)
+    for k in range(n):
+        inverse[k] = 1.0 / np.sqrt(R[k, k]) if R[k, k] > _ROUNDING else 0.0
+        set_row(R, k, inverse[k], R, k, k - k % LANES, width)
+        set_row(gain, k, inverse[k], gain, k, 0, width)
+        for i in range(k + 1, n):
+            add_row(R, i, -R[k, i], R, k, i - i % LANES, width)
+            add_row(gain, i, -R[k, i], gain, k, 0, width)
+    for k in range(n - 1, -1, -1):
+        set_row(gain, k, inverse[k], gain, k, 0, width)
+        for i in range(k):
+            add_row(gain, i, -R[i, k], gain, k, 0, width)
+    for i in range(n):
+        set_row(gain, i, scale[i], gain, i, 0, width)
+
+
+@inner
+def _correct_kernel(P: FloatArray, work: SmootherWork) -> None:
+    """Add C D C' to P (n, n); ``work`` holds a wide copy of it, of which the upper part is made."""
+    gain, product, copy = work.gain, work.product, work.P
+    n, width = P.shape[0], gain.shape[1]
+    for i in range(n):
+        set_row(product, i, work.D[i, 0], gain, 0, 0, width)
+    for k in range(1, n):
+        for i in range(n):
+            add_row(product, i, work.D[i, k], gain, k, 0, width)
+    for k in range(n):
+        for i in range(n):
+            add_row(copy, i, gain[k, i], product, k, i - i % LANES, width)
+    for i in range(n):
+        for k in range(i, n):
+            P[i, k], P[k, i] = copy[i, k], copy[i, k]

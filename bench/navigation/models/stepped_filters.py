@@ -1,0 +1,201 @@
+"""Filters in Python, a step at a time, on their way through a record that comes in pieces.
+
+They compare a measurement with the state at its arrival, however late: all answers are final up to the last
+sample, and nothing waits for what may come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine.piecewise import answer_now
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.error_state_filter.aiding_sensors import AidingSensor
+from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.schedule import GO_ON, OUTPUT, Schedule
+
+_STRIDE = 0.1  # so far a filter goes at once: planning costs as much as taking some samples [s]
+
+
+class Measured(NamedTuple):
+    """One measurement."""
+
+    kind: int  # as `measurement_rows` numbers them
+    values: FloatArray  # (9,), of a fix with its antenna
+    variance: FloatArray  # (6,)
+
+
+class Flight(Protocol):
+    """What a filter knows, and how it goes on."""
+
+    shapes: tuple[tuple[int, ...], ...]  # of what it answers
+    one_antenna: bool  # for all of a record
+
+    def increments(self, increments_b: FloatArray) -> Sequence[Any] | FloatArray:
+        """Return increments (K, 3), b, as :meth:`step` takes them, one by one."""
+        ...
+
+    def begin(self, dt: float, dtheta: Any) -> None:
+        """Take the rate of the first step, which is not taken yet, for what is measured at the start."""
+        ...
+
+    def step(self, now: float, dt: float, dtheta: Any, dvel: Any, unknown: FloatArray, due: bool) -> None:
+        """Go a step on.
+
+        ``unknown`` (2,) is the variance of velocity and attitude that a gap adds. After a step that is
+        ``due`` something is measured or answered.
+        """
+        ...
+
+    def measure(self, now: float, arrived: list[Measured]) -> None:
+        """Use what has arrived."""
+        ...
+
+    def answer(self, now: float) -> tuple[FloatArray, ...]:
+        """Return arrays of the :attr:`shapes`; they are kept."""
+        ...
+
+    def solution(
+        self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
+    ) -> NavSolution:
+        """Return answers (M, ...) at instants t (M,) [s], with the innovations since this was called last."""
+        ...
+
+    def copy(self) -> Self:
+        """Return a filter that goes on from here by itself."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays, numbers and words by name."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        ...
+
+
+class SteppedPassage:
+    """A filter on its way through a record that comes in pieces (`piecewise.InPieces`).
+
+    Parameters
+    ----------
+    flight : Flight
+        The filter at its start.
+    schedule : Schedule
+        From the same start; measurements are not compensated for their latency.
+    aiding : sequence of AidingSensor
+        The sensors in use.
+    first, initial : SensorData, InitialState
+        The first piece and the start.
+    layout : StateLayout
+        Of the filter, as the sensors are read for it.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        schedule: Schedule,
+        aiding: Sequence[AidingSensor],
+        first: SensorData,
+        initial: InitialState,
+        layout: StateLayout,
+    ) -> None:
+        self.flight, self.schedule, self.aiding = flight, schedule, aiding
+        self.initial, self.layout, self.antenna_b = initial, layout, first.antenna_b
+        self.begun = False
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.schedule.end
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers to all that has come with it."""
+        if not np.array_equal(self.antenna_b, piece.antenna_b):
+            if self.flight.one_antenna:
+                raise EstimatorError("it cannot go over to another antenna: loose-* and ukf can")
+            self.antenna_b = piece.antenna_b
+        self._take(piece, last=last)
+        if not last and self.schedule.end - self.schedule.t < _STRIDE:
+            return self._solution(np.empty(0), np.empty(0, np.int64), (), last=False)
+        return self._go()
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record."""
+        wanted = self.schedule.output_t
+        self.schedule.output_t = wanted[wanted < self.end - TIME_TOLERANCE]
+        return answer_now(self, head)
+
+    def copy(self) -> SteppedPassage:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.schedule, other.flight = self.schedule.copy(), self.flight.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {"schedule": self.schedule.state(), "flight": self.flight.state(), "begun": self.begun}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.schedule.restore(state["schedule"])
+        self.flight.restore(state["flight"])
+        self.begun = state["begun"]
+
+    def _take(self, piece: SensorData, *, last: bool) -> None:
+        self.schedule.take(piece, last=last)
+        for sensor in self.aiding:
+            self.schedule.add(sensor, piece, self.initial, self.layout)
+
+    def _go(self) -> NavSolution:
+        """Go over what has come; return the answers that are final."""
+        schedule, flight = self.schedule, self.flight
+        last, plan = schedule.last, schedule.plan()
+        steps, count = plan.steps, plan.go_to + 1
+        arrived: dict[int, list[Measured]] = {}
+        asked: dict[int, int] = {}
+        for k, action, kind, row, _ in plan.entries.tolist():
+            if action == OUTPUT:
+                asked[k] = asked.get(k, 0) + 1
+            elif action != GO_ON:
+                arrived.setdefault(k, []).append(Measured(kind, plan.measured[row], plan.variance[row]))
+        answers = list[tuple[FloatArray, ...]]()
+
+        def serve(k: int, now: float) -> None:
+            if k in arrived:
+                flight.measure(now, arrived[k])
+            if k in asked:
+                answers.extend([flight.answer(now)] * asked[k])
+
+        rows, share = steps.row[:count], steps.share[:count, None]
+        turns, gains = (flight.increments(one[rows] * share) for one in (steps.dtheta_b, steps.dvel_b))
+        spans = steps.span[:count].tolist()
+        if count and not self.begun:
+            flight.begin(spans[0], turns[0])
+            self.begun = True
+        serve(-1, schedule.t)
+        unknown = steps.unknown
+        for k, now in enumerate(steps.t[:count].tolist()):
+            flight.step(now, spans[k], turns[k], gains[k], unknown[k], k in arrived or k in asked)
+            serve(k, now)
+        wanted, due = schedule.output_t, plan.outputs
+        t = schedule.advance(plan)
+        at = np.arange(len(t)) if len(due) == len(t) else np.searchsorted(t, wanted[due])
+        return self._solution(t, at, answers, last=last)
+
+    def _solution(
+        self, t: FloatArray, at: IntArray, answers: Sequence[tuple[FloatArray, ...]], *, last: bool
+    ) -> NavSolution:
+        """Return answers as the rows ``at`` (A,) of a solution at instants t (M,) [s], NaN in the others."""
+        columns = [np.full((len(t), *shape), np.nan) for shape in self.flight.shapes]
+        for column, values in zip(columns, zip(*answers, strict=True), strict=False):
+            column[at] = values
+        events, self.schedule.events = self.schedule.events, []
+        return self.flight.solution(t, columns, events, last=last)

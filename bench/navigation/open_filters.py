@@ -1,0 +1,234 @@
+"""A filter that takes a record in pieces, of a hundredth of a second or an hour, and ends as on the whole.
+
+A measurement arrives after the instant it is valid at. A filter that has gone past that instant cannot
+compare it with its state there. So it takes a piece up to ``look_back`` before its last sample and leaves
+the rest of the samples waiting. What it is asked between goes over these on a copy and leaves no trace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine.kept_rows import columns
+from bench.navigation.engine.piecewise import InPieces, RunsInPieces
+from bench.navigation.engine.record_cuts import (
+    aiding_records,
+    as_plain,
+    from_plain,
+    join_pieces,
+    newest_sample,
+    nothing_known,
+    take_head,
+    without_orbits,
+)
+from bench.navigation.start import alignment
+from bench.specs import AssumedSpecs
+
+
+class PieceFilter:
+    """A filter on its way through a record; `bench.open_filter` makes one.
+
+    Parameters
+    ----------
+    use : str
+        Its name, for messages.
+    options : mapping
+        Its options, as they were given.
+    estimator : object
+        The estimator, one that has `piecewise.RunsInPieces`.
+    initial : InitialState
+        Start. Where its alignment is not "given", the filter waits until the pieces allow it.
+    look_back : float
+        Longest time from the validity of a measurement to its arrival [s].
+
+    Raises
+    ------
+    EstimatorError
+        If the estimator cannot run in pieces with these options.
+    """
+
+    def __init__(
+        self,
+        use: str,
+        options: Mapping[str, Any],
+        estimator: object,
+        initial: InitialState,
+        look_back: float,
+    ) -> None:
+        if not (np.isfinite(look_back) and look_back >= 0):
+            raise EstimatorError(f"look_back = {look_back!r} must be 0 or more, in seconds")
+        if not isinstance(estimator, RunsInPieces):
+            raise EstimatorError(
+                f"{use!r} cannot run in pieces: it has no method in_pieces; all built-in filters have one, "
+                "smoothers do not"
+            )
+        self.use, self.options, self.estimator = use, options, estimator
+        self.initial, self.look_back = initial, look_back
+        self.head: SensorData | None = None
+        self.waiting: SensorData | None = None  # until the start is known
+        self.search = alignment.StartSearch(initial)
+        self.start: InitialState | None = None  # that was found
+        self.passage: InPieces | None = None
+        self.finished = False
+
+    @property
+    def t(self) -> float:
+        """Instant of the last IMU sample that was taken [s]."""
+        if self.passage is not None:
+            return self.passage.end
+        return self.initial.t if self.waiting is None else newest_sample(self.waiting)
+
+    def feed(self, piece: SensorData) -> NavSolution:
+        """Take the next piece of the record.
+
+        Parameters
+        ----------
+        piece : SensorData
+            The IMU samples of the next stretch, all measurements that arrived during it, and in ``output_t``
+            the instants of it at which an answer is wanted. A boundary may fall anywhere. The first piece
+            says which sensors there are: one that has said nothing yet is a record without rows. A receiver
+            that has gone over to another antenna gives its fixes from then on in a piece with another
+            ``antenna_b``; those of earlier pieces that still wait keep theirs.
+
+        Returns
+        -------
+        NavSolution
+            The answers wanted that nothing can change any more, of this piece and earlier ones, with the
+            innovations and events since the last piece. Of all pieces together, and of :meth:`finish`, they
+            are the solution that ``run`` gives of the whole record, bit for bit.
+
+        Raises
+        ------
+        EstimatorError
+            If the piece does not follow on those before, or something comes later than ``look_back`` allows.
+            The filter is then as before the piece.
+        """
+        if self.finished:
+            raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
+        after = self._copy()
+        after._check(piece)
+        solution = after._take(piece, last=False)
+        self.__dict__.update(after.__dict__)
+        return solution
+
+    def answer(self) -> NavSolution:
+        """Return state and covariance at the last IMU sample, by all that has arrived; no bit changes.
+
+        One row; NaN while the start is not known. It is the answer of the whole record, were this its end.
+        """
+        if self.passage is None:
+            return nothing_known(np.array([self.t]))
+        assert self.head is not None
+        return self.passage.copy().answer(self.head)
+
+    def finish(self) -> NavSolution:
+        """Return the answers that are left; nothing comes any more.
+
+        Raises
+        ------
+        EstimatorError
+            If the record ends before the alignment that was asked for.
+        """
+        if self.head is None:
+            raise EstimatorError(f"{self.use!r} has been given nothing: feed a piece first")
+        solution = self._take(self.head, last=True)
+        self.finished = True
+        return solution
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the filter carries, as arrays, numbers and words by name; no options or datasheets.
+
+        Raises
+        ------
+        EstimatorError
+            If it has been given no piece.
+        """
+        if self.head is None:
+            raise EstimatorError(f"{self.use!r} has been given nothing to save: feed a piece first")
+        return {
+            "look_back": self.look_back,
+            "finished": self.finished,
+            "initial": columns(self.initial),
+            "head": as_plain(self.head),
+            "waiting": None if self.waiting is None else as_plain(self.waiting),
+            "start": None if self.start is None else columns(self.start),
+            "passage": None if self.passage is None else self.passage.state(),
+        }
+
+    @classmethod
+    def restore(
+        cls,
+        use: str,
+        options: Mapping[str, Any],
+        estimator: object,
+        specs: AssumedSpecs,
+        state: Mapping[str, Any],
+    ) -> PieceFilter:
+        """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes."""
+        found = cls(use, options, estimator, InitialState(**state["initial"]), state["look_back"])
+        found.head, found.finished = from_plain(state["head"], specs), state["finished"]
+        if state["waiting"] is not None:
+            found.waiting = from_plain(state["waiting"], specs)
+        if state["passage"] is not None:
+            found.start = InitialState(**state["start"])
+            found.passage = found.estimator.in_pieces(found.head, found.start, [])
+            found.passage.restore(state["passage"])
+        return found
+
+    def _check(self, piece: SensorData) -> None:
+        """Check that a piece has the sensors of the first."""
+        if self.head is None:
+            self.head = take_head(piece)
+            return
+        head = self.head
+        have, has = aiding_records(head), aiding_records(piece)
+        if have.keys() != has.keys():
+            raise EstimatorError(
+                f"the piece holds {', '.join(has) or 'no aiding'}, the first {', '.join(have) or 'none'}; "
+                "a sensor that is silent is a record without rows"
+            )
+        if not (head.date == piece.date and head.ground_alt == piece.ground_alt):
+            raise EstimatorError("ground height and date must be those of the first piece")
+        if head.specs != without_orbits(piece.specs):
+            raise EstimatorError("the datasheets assumed must be those of the first piece")
+        if not np.array_equal(head.antenna_b, piece.antenna_b):
+            if self.passage is None:
+                raise EstimatorError(
+                    f"{self.use!r} cannot go over to another antenna before it has found its start"
+                )
+            self.head = replace(head, antenna_b=piece.antenna_b)
+
+    def _copy(self) -> PieceFilter:
+        """Return a filter that goes on from here by itself."""
+        copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
+        copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
+        copy.search.tried, copy.start = self.search.tried, self.start
+        copy.passage = None if self.passage is None else self.passage.copy()
+        return copy
+
+    def _take(self, piece: SensorData, *, last: bool) -> NavSolution:
+        """Take a piece; of the ``last`` one all answers are final."""
+        if self.passage is None:
+            self.waiting = piece if self.waiting is None else join_pieces(self.waiting, piece)
+            begun = self._begin(self.waiting, last)
+            if begun is None:
+                return nothing_known(np.empty(0))
+            self.passage, piece, self.waiting = begun, self.waiting, None
+        return self.passage.feed(piece, self.look_back, last=last)
+
+    def _begin(self, record: SensorData, last: bool) -> InPieces | None:
+        """Return the filter at its start, None while the record may still change that."""
+        initial, events = self.initial, list[EventRow]()
+        if initial.alignment != "given" and not getattr(self.estimator, "finds_start", False):
+            found = self.search.find(record, self.look_back, last=last)
+            if found is None:
+                return None
+            initial, events = found
+        self.start = initial
+        return self.estimator.in_pieces(record, initial, events)

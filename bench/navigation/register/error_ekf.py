@@ -1,0 +1,159 @@
+"""The generic filter of the errors of two navigation systems, and the estimator that is one (B-15 to B-22).
+
+The first system (an INS) gives z1 = z1_true + M1 x, the second (GNSS and barometer) z2 = f(z1_true) + M2 x +
+noise, and one vector of errors x holds those of both, x+ = F x + noise (B-17 to B-19, with f where the paper
+prints F). The first system is never touched: its output is corrected by what is known of its errors (B-21).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import InitialState, SensorData
+from bench.navigation.models.classic import Classic22
+from bench.navigation.models.classic.covariance_forms import Form
+from bench.navigation.models.classic.filter_loop import FilterLoop
+from bench.navigation.models.classic.navigator import (
+    NED_OF_ENU,
+    R3,
+    Nav,
+    ellipsoid,
+    reduced,
+    turn_matrix,
+)
+from bench.navigation.models.classic.observation_model import Fix, antenna_sweep
+from bench.navigation.models.classic.process_model import SIZE
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorEkf:
+    """A filter of n errors of m1 quantities of one system and m2 of another."""
+
+    M1: FloatArray  # (m1, n) errors in z1
+    M2: FloatArray  # (m2, n) errors in z2
+    steps: FloatArray  # (m1,) over which f is differentiated
+
+    def predict(
+        self, x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return x (n,) and P (n, n) a step on (B-20, B-22)."""
+        return F @ x, F @ P @ F.T + Q
+
+    def correct(self, z1: FloatArray, x: FloatArray) -> FloatArray:
+        """Return the quantities of the first system less what is known of their errors (B-21)."""
+        return z1 - self.M1 @ x
+
+    def observe(
+        self,
+        x: FloatArray,
+        P: FloatArray,
+        z1: FloatArray,
+        z2: FloatArray,
+        f: Callable[[FloatArray], FloatArray],
+        R: FloatArray,
+        rows: list[int],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return x and P after some rows of z2 (m2,), P by Joseph's form (B-19b).
+
+        ``f`` gives all of z2 for quantities z1; R is the noise of the rows.
+        """
+        corrected = self.correct(z1, x)
+        ends = [[f(corrected + sign * step) for step in np.diag(self.steps)] for sign in (1.0, -1.0)]
+        slope = (np.array(ends[0]) - np.array(ends[1])).T / (2.0 * self.steps)
+        H = (self.M2 - slope @ self.M1)[rows]
+        expected = (f(corrected) + self.M2 @ x)[rows]
+        gain = np.asarray(np.linalg.solve(H @ P @ H.T + R, H @ P).T, float)
+        left = np.eye(len(x)) - gain @ H
+        return x + gain @ (z2[rows] - expected), left @ P @ left.T + gain @ R @ gain.T
+
+
+_M1 = np.eye(15, SIZE)
+_M2 = np.zeros((7, SIZE))
+_M2[0, 15] = 1.0
+_M2[1:, 16:] = np.eye(6)
+_STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)
+
+
+class _Errors(Form):
+    """x and P of an :class:`ErrorEkf` on what a loop was given."""
+
+    carried = ("x", "_P")
+
+    def __init__(self, P: FloatArray, loop: _Loop) -> None:
+        super().__init__(P, np.float64)
+        self.loop, self.ekf, self._P = loop, ErrorEkf(_M1, _M2, _STEPS), P
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (n, n)."""
+        return self._P
+
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x and P."""
+        self.x, self._P = self.ekf.predict(np.asarray(self.x, float), self._P, Phi, Q)
+
+    def add(self, E: FloatArray) -> None:
+        """Add E E' to P."""
+        self._P = self._P + E @ E.T
+
+    def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
+        """Observe what has arrived; Y and H are the other filter's."""
+        z1 = np.concatenate([np.zeros(3), nav.V, np.zeros(9)])
+        x = np.asarray(self.x, float)
+        z2 = self.loop.measured()
+        self.x, self._P = self.ekf.observe(x, self._P, z1, z2, self.loop.expect, R, rows)
+
+
+class _Loop(FilterLoop):
+    """Navigator and measurements; positions are reduced metres from where the navigator is."""
+
+    def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
+        """Use what has arrived."""
+        self.given = (fix, alt_baro)
+        super().update(now, fix, alt_baro)
+
+    def copy(self) -> Self:
+        """Return a loop that goes on from here by itself, and its form with it."""
+        other = super().copy()
+        assert isinstance(other.form, _Errors)
+        other.form.loop = other
+        return other
+
+    def measured(self) -> FloatArray:
+        """Return z2 (7,): height by the barometer, position and velocity of the fix, NaN without one."""
+        z2, nav, (fix, alt_baro) = np.full(7, np.nan), self.nav, self.given
+        if alt_baro is not None:
+            z2[0] = alt_baro - nav.h
+        if fix is not None:
+            z2[1] = np.remainder(fix.lon - nav.lon + np.pi, 2.0 * np.pi) * R3 - np.pi * R3
+            z2[2], z2[3] = (fix.lat - nav.lat) * R3, fix.h - nav.h
+            z2[4:] = NED_OF_ENU @ fix.vel_n
+        return z2
+
+    def expect(self, z: FloatArray) -> FloatArray:
+        """Return f(z) (7,): what barometer and antenna show for the quantities z (15,) of the navigator."""
+        nav = self.nav
+        B = turn_matrix(*(-z[6:9]).tolist()) @ nav.B
+        moved = Nav(nav.lat + z[1] / R3, nav.lon, nav.h + z[2], z[3:6], B)
+        unit = np.array([*reduced(nav, ellipsoid(nav.lat, nav.h)), 1.0])
+        antenna = z[:3] + unit * (B @ self.antenna)
+        swept = B @ antenna_sweep(moved, self.antenna, self.w_b + z[9:12])
+        return np.concatenate([z[2:3], antenna, z[3:6] + swept])
+
+
+class ErrorEkfEstimator(Classic22):
+    """The errors of an INS that is never corrected, by the generic filter; the states are those of A-5.4.1.
+
+    Options: `bench.navigation.options.ClassicOptions`.
+    """
+
+    def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
+        """Return the loop with the generic filter."""
+        loop = _Loop(self.options, sensors, initial)
+        loop.form = _Errors(loop.form.covariance, loop)
+        return loop

@@ -1,0 +1,110 @@
+"""Initial alignment: the part of the initial state that the profile does not give, found from the sensors.
+
+``level``, at rest: roll and pitch from the mean specific force, heading from the mean rate of the gyros
+(gyrocompassing). With db the accelerometer and dw the gyro error, resolved in n,
+
+    phi_N = -db_E / g      phi_E = db_N / g      phi_D = -dw_E / (w_ie cos lat) - phi_N tan lat
+
+(section 10: heading sd 0.59 deg for 0.1 deg/h at 50 deg). ``course``, moving: heading is the course of the
+last fix of a stretch, roll and pitch are those that make the strapdown gain the velocity the fixes gained
+(fixes without velocity: the mean velocity between two of them, at both ends of the stretch);
+with F the mean specific force in n and e the error of the gain over its time,
+
+    phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D
+
+The covariances hold the biases, noise and misalignments of the datasheet; ``bias_cov`` is the covariance of
+attitude and biases. Without it the filter treats tilt and accelerometer bias as independent, and halves the
+tilt variance at the first zero-velocity update, which observed nothing new. What follows when the heading is
+unknown: `headings`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.data import InitialState, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine.record_cuts import newest_sample
+from bench.navigation.start.course import align_on_the_move
+from bench.navigation.start.leveling import Rows, align_at_rest
+
+SETTLED = 2.0  # time after an alignment until which the record may still change it [s]
+UNKNOWN_SPEED_SD = 300.0  # of a velocity that may be any, each axis: above the airspeed of airliners [m/s]
+
+
+def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
+    """Return a complete initial state, and the events that say how it was found.
+
+    Parameters
+    ----------
+    sensors : SensorData
+        The record; only data that has arrived by the end of the alignment is used. The end of a standstill
+        shows only in the next window or fix, so the filter starts up to a second late.
+    initial : InitialState
+        ``alignment`` says what has to be found; "given" is returned unchanged.
+
+    Returns
+    -------
+    initial : InitialState
+        At the end of the alignment.
+    events : list of (t, t_end, kind, text)
+        One "alignment" event; none if the whole state is given.
+
+    Raises
+    ------
+    EstimatorError
+        If the record does not allow the alignment.
+    """
+    if initial.alignment == "given":
+        return initial, []
+    if initial.alignment == "level":
+        return align_at_rest(sensors, initial)
+    if initial.alignment == "course":
+        return align_on_the_move(sensors, initial)
+    raise EstimatorError(f"alignment = {initial.alignment!r} must be 'given', 'level' or 'course'")
+
+
+class StartSearch:
+    """Looks for the start in a record that goes on.
+
+    Parameters
+    ----------
+    initial : InitialState
+        As for :func:`complete`.
+    """
+
+    def __init__(self, initial: InitialState) -> None:
+        self.initial = initial
+        self.tried = -np.inf  # last sample when it was looked for last [s]
+
+    def find(self, record: SensorData, look_back: float, *, last: bool) -> tuple[InitialState, Rows] | None:
+        """Return what :func:`complete` finds in the record so far, None while more may change that.
+
+        Parameters
+        ----------
+        record : SensorData
+            All that has come.
+        look_back : float
+            Longest time from the validity of a measurement to its arrival [s].
+        last : bool
+            No more comes.
+
+        Raises
+        ------
+        EstimatorError
+            If the record does not allow the alignment, whatever comes.
+        """
+        initial, newest = self.initial, newest_sample(record)
+        enough = self.tried + SETTLED
+        if initial.alignment == "level":
+            enough = initial.t + initial.align_for + SETTLED + look_back
+        if not last and newest < enough:
+            return None
+        self.tried = newest
+        try:
+            found = complete(record, initial)
+        except EstimatorError:
+            if last or initial.alignment == "level":
+                raise
+            return None
+        return found if last or newest >= found[0].t + SETTLED + look_back else None

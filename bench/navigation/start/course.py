@@ -1,0 +1,255 @@
+"""Initial alignment on the move: equations in `alignment`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import GnssFixes, InitialState, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine import timeline
+from bench.navigation.error_state_filter.aiding_sensors import fix_variance
+from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.mechanization import propagate
+from bench.navigation.start.leveling import WINDOW, Rows, bias_sd, common_variance, mean_sd
+
+LEAST_SPEED = 5.0  # over ground, for a course [m/s]
+SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
+
+
+def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
+    """Return the state at the end of a course, and what was done (`alignment.complete`)."""
+    fixes, specs = sensors.fixes, sensors.specs
+    if fixes is None:
+        raise EstimatorError("alignment course needs GNSS fixes; the record has none")
+    gnss = assumed(specs, "gnss")
+    rows, span, _ = timeline.imu_rows(sensors.imu, initial.t, specs.imu)
+    if not len(rows):
+        raise EstimatorError(
+            f"alignment course needs IMU samples; the record has no sound one after {initial.t:.6g} s"
+        )
+    t = np.concatenate([[initial.t], sensors.imu.t[rows]])
+    usable, arrival, _ = timeline.fix_rows(fixes, t[1:], initial.t)
+    inside = fixes.t[usable] > initial.t - timeline.TIME_TOLERANCE
+    moving: BoolArray = np.asarray(np.isfinite(fixes.vel_n[usable]).all(axis=1))
+    by_velocity = bool(2 * np.count_nonzero(moving) >= len(moving))
+    if by_velocity:
+        inside &= moving
+    usable, arrival = usable[inside], arrival[inside]
+    speed = np.hypot(*fixes.vel_n[usable, :2].T) if by_velocity else _speeds(fixes, usable)
+    long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
+    edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
+    first, last = _moving(fixes.t[usable], speed, initial.align_for, edges)
+    i, j = usable[first], usable[last]
+    ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else _quartet(fixes, usable[first : last + 1])
+    samples = [int(np.argmin(np.abs(t - fixes.t[k]))) for k in ends]  # next to them
+    a, b = samples[0], samples[-1]
+    stop = min(int(arrival[last]) + 2, len(t) - 1)  # after it has arrived, so that nobody uses it again
+    scale = (span / sensors.imu.dt[rows])[:, None]
+    dtheta, dvel = sensors.imu.dtheta_b[rows] * scale, sensors.imu.dvel_b[rows] * scale
+    match = _matched if by_velocity else _followed
+    states, F = match(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b])
+    end = states[-1]
+    T = float(span[a:b].sum())
+
+    r = fix_variance(gnss, gnss_markov=False)
+    r_first, r_last = r[3:], r[3:]
+    share, common = 0.0, np.zeros(3)
+    T_gain = T  # over which the velocity is gained
+    if not by_velocity:
+        # mean velocities of the ends; what slow errors cancel between two fixes is not counted
+        early, late = fixes.t[ends[1]] - fixes.t[i], fixes.t[j] - fixes.t[ends[2]]
+        r_first, r_last = 2.0 * r[:3] / early**2, 2.0 * r[:3] / late**2
+        T_gain = T - 0.5 * float(early + late)
+        share = 0.5 * float(late) / T_gain  # of the error of the gain, from the middle of the end to its last
+        common = fix_variance(gnss, gnss_markov=True)[:3] / late  # by the last fix
+    g = float(earth.gravity_n(end[0], end[2])[2])
+    speed = float(np.hypot(end[3], end[4]))
+    across = np.array([-end[4], end[3]]) / speed**2
+    force_sd, _ = mean_sd(sensors, T, g)
+    gyro = specs.imu.gyro
+    tilt_sd = np.hypot(bias_sd(gyro, 0.0) * T / 2, gyro.random_walk * np.sqrt(T / 3))
+    # phi by: velocity of the first fix and of the last, nose against course, db, tilt by the gyros
+    V = np.zeros((2, 9))  # the velocity at the end by the same
+    V[:, :2], V[:, 2:4] = -share * np.eye(2), (1.0 + share) * np.eye(2)
+    J = np.zeros((3, 9))
+    J[2, :4], J[2, 4] = across @ V[:, :4], 1.0
+    e = np.zeros((2, 9))
+    e[:, :2], e[:, 2:4], e[:, 5:7] = -np.eye(2) / T_gain, np.eye(2) / T_gain, -np.eye(2)
+    J[1] = (e[0] + J[2] * F[1]) / F[2]
+    J[0] = (J[2] * F[0] - e[1]) / F[2]
+    J[:2, 7:] = np.eye(2)
+    noise = np.array(
+        [*r_first[:2], *r_last[:2], initial.drift_sd**2, force_sd**2, force_sd**2, *[tilt_sd**2] * 2]
+    )
+    cov = np.diag(np.concatenate([r, np.zeros(3)]))
+    cov[6:, 6:] = J @ np.diag(noise) @ J.T
+    cov[3:5, 6:] = (V * noise) @ J.T
+    if not by_velocity:
+        cov[3:5, 3:5] = (V * noise) @ V.T
+        cov[5, 5] = (1.0 + share) ** 2 * r_last[2] + share**2 * r_first[2]
+        cov[:2, 3:5], cov[2, 5] = common[:2, None] * V[:, 2:4], (1.0 + share) * common[2]
+        cov[:2, 6:] = common[:2, None] * J[:, 2:4].T
+        cov[3:6, :3] = cov[:3, 3:6].T
+        cov[6:, :3] = cov[:3, 6:].T
+    cov[6:, 3:5] = cov[3:5, 6:].T
+    C = rotation.matrix(states[:, 6:]).mean(axis=0)  # a bias turned with the aircraft while it was felt
+    bias_cov = np.zeros((9, 6))
+    bias_cov[6:, 3:] = -J[:, 5:7] @ C[:2] * common_variance(specs.imu.accel, T)
+    bias_cov[6:, :3] = -T / 2 * J[:, 7:] @ C[:2] * common_variance(gyro, T)
+    rest = propagate(end[:3], end[3:6], end[6:], span[b:stop], dtheta[b:stop], dvel[b:stop])[-1]
+    sd = np.rad2deg(np.sqrt(np.diag(cov)[6:]))
+    text = (
+        f"heading by the course of {T:.3g} s at {speed:.3g} m/s, sd {sd[2]:.2g} deg, "
+        f"{np.rad2deg(initial.drift_sd):.2g} deg of it wind and sideslip; tilt sd {max(sd[:2]):.2g} deg"
+    )
+    found = replace(
+        initial,
+        t=float(t[stop]),
+        lla=rest[:3],
+        vel_n=rest[3:6],
+        q_nb=rest[6:],
+        cov=cov,
+        bias_cov=bias_cov,
+        alignment="given",
+    )
+    return found, [(float(fixes.t[i]), found.t, "alignment", text)]
+
+
+def _moving(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
+    """Return the first and last fix of the first stretch of a length [s] that moves throughout.
+
+    ``edges`` are where long gaps of the IMU begin and end: no stretch reaches over one.
+    """
+    start, passed = 0, np.searchsorted(edges, t)
+    for k in range(len(t)):
+        if passed[k] != passed[start]:
+            start = k
+        if speed[k] < LEAST_SPEED:
+            start = k + 1
+        elif t[k] - t[start] >= length - timeline.TIME_TOLERANCE:
+            return start, k
+    fastest = (
+        f"the fastest of {len(t)} fixes has {speed.max():.3g} m/s" if len(t) else "there is no sound fix"
+    )
+    raise EstimatorError(
+        f"alignment course needs {length:g} s of fixes above {LEAST_SPEED:g} m/s over ground; {fastest}"
+    )
+
+
+def _speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
+    """Return the speed (K,) over ground between each fix and the place a window before it [m/s]."""
+    t = fixes.t[rows]
+    if len(t) == 0:
+        return np.empty(0)
+    place = earth.difference_n(fixes.lla[rows], fixes.lla[rows[0]])
+    before = np.maximum(t - WINDOW, t[0])
+    way = np.hypot(*(place[:, k] - np.interp(before, t, place[:, k]) for k in range(2)))
+    passed = t - before
+    return np.asarray(np.where(passed > 0, way / np.where(passed > 0, passed, 1.0), 0.0))
+
+
+def _quartet(fixes: GnssFixes, rows: IntArray) -> tuple[int, int, int, int]:
+    """Return the first and last fix of a stretch, between them those a share of it away from each."""
+    t = fixes.t[rows]
+    away = SHARE * (t[-1] - t[0])
+    after = max(int(np.searchsorted(t, t[0] + away + timeline.TIME_TOLERANCE)) - 1, 1)
+    before = min(int(np.searchsorted(t, t[-1] - away - timeline.TIME_TOLERANCE)), len(t) - 2)
+    if before < after:
+        raise EstimatorError(
+            f"alignment course by fixes without velocity needs more than the {len(t)} there are in "
+            f"{t[-1] - t[0]:.3g} s; a longer [alignment] duration_s has more"
+        )
+    return int(rows[0]), int(rows[after]), int(rows[before]), int(rows[-1])
+
+
+def _followed(
+    sensors: SensorData,
+    ends: tuple[int, ...],
+    samples: Sequence[int],
+    dt: FloatArray,
+    dtheta: FloatArray,
+    dvel: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what :func:`_matched` returns, from four fixes without velocity.
+
+    The strapdown gains the velocity by which the mean between the last two exceeds that between the first.
+    """
+    assert sensors.fixes is not None
+    lla, arm_b = sensors.fixes.lla[list(ends)], sensors.antenna_b
+    span = np.concatenate([[0.0], np.cumsum(dt)])[list(samples)]
+    early, late = span[1], span[3] - span[2]
+    gain_time = span[3] - 0.5 * (early + late)
+    vel = earth.difference_n(lla[1], lla[0]) / early
+    q = rotation.from_euler(0.0, 0.0, np.arctan2(vel[1], vel[0]))
+    for _ in range(30):
+        states = propagate(earth.displace(lla[0], -rotation.rotate(q, arm_b)), vel, q, dt, dtheta, dvel)
+        at = states[list(samples)]
+        off = earth.difference_n(earth.displace(at[:, :3], rotation.rotate(at[:, 6:], arm_b)), lla)
+        first, last = (off[1] - off[0]) / early, (off[3] - off[2]) / late  # of the mean velocities
+        end = at[3]
+        wanted = end[3:6] - last - (last - first) / gain_time * (0.5 * late)
+        F = (end[3:6] - vel) / span[3] - earth.gravity_n(end[0], end[2])
+        e = (last - first) / gain_time
+        turn = rotation.to_euler(end[6:])[2] - np.arctan2(wanted[1], wanted[0])
+        down = np.pi - np.mod(np.pi - turn, 2 * np.pi)
+        phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
+        q = rotation.multiply(rotation.from_rotvec(-phi), q)
+        vel = vel - first + 0.5 * early * e
+        if np.abs(phi).max() < 1e-9:
+            states[-1, :3] = earth.displace(lla[3], -rotation.rotate(end[6:], arm_b))
+            states[-1, 3:6] = wanted
+            return states, F
+    raise EstimatorError(
+        "alignment course: no attitude makes the inertial path follow the fixes; do they belong together?"
+    )
+
+
+def _matched(
+    sensors: SensorData,
+    ends: tuple[int, ...],
+    _samples: Sequence[int],
+    dt: FloatArray,
+    dtheta: FloatArray,
+    dvel: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the strapdown between two fixes that gains their velocity and ends along their course, and F.
+
+    Newton's iteration on the attitude at the start; the antenna's lever arm is taken off both fixes.
+    """
+    assert sensors.fixes is not None
+    v_1, v_2 = sensors.fixes.vel_n[list(ends)]
+    T = float(dt.sum())
+    q = rotation.from_euler(0.0, 0.0, np.arctan2(v_1[1], v_1[0]))
+    lla = sensors.fixes.lla[ends[0]]
+    for _ in range(30):
+        swept = _swept(sensors.antenna_b, q, dtheta[0] / dt[0], lla[0])
+        place = earth.displace(lla, -rotation.rotate(q, sensors.antenna_b))
+        states = propagate(place, v_1 - swept, q, dt, dtheta, dvel)
+        end = states[-1]
+        wanted = v_2 - _swept(sensors.antenna_b, end[6:], dtheta[-1] / dt[-1], end[0])
+        F = (end[3:6] - states[0, 3:6]) / T - earth.gravity_n(end[0], end[2])
+        e = (end[3:6] - wanted) / T
+        turn = rotation.to_euler(end[6:])[2] - np.arctan2(wanted[1], wanted[0])
+        down = np.pi - np.mod(np.pi - turn, 2 * np.pi)
+        phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
+        q = rotation.multiply(rotation.from_rotvec(-phi), q)
+        if np.abs(phi).max() < 1e-9:
+            last = earth.displace(sensors.fixes.lla[ends[1]], -rotation.rotate(end[6:], sensors.antenna_b))
+            states[-1, :3], states[-1, 3:6] = last, wanted
+            return states, F
+    raise EstimatorError(
+        "alignment course: no attitude makes the inertial velocity follow the fixes; do they belong together?"
+    )
+
+
+def _swept(antenna_b: FloatArray, q_nb: FloatArray, w_ib_b: FloatArray, lat: float) -> FloatArray:
+    """Return the velocity (3,) of the antenna against the IMU, n."""
+    earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    w_eb_b = w_ib_b - rotation.rotate(rotation.conjugate(q_nb), earth_n)
+    swept: FloatArray = rotation.rotate(q_nb, np.cross(w_eb_b, antenna_b))
+    return swept

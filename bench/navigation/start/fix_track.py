@@ -1,0 +1,135 @@
+"""A track of position and velocity by GNSS fixes alone, carried between them by how aircraft manoeuvre.
+
+The model, and the filter as a kernel: `singer`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import FloatArray, IntArray, read_only
+from bench.data import GnssFixes, Innovations
+from bench.navigation.engine.integrity import nis_limit
+from bench.navigation.options import GnssOnlyOptions
+from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
+from bench.navigation.start.singer import Fixes, FixLog, Manoeuvres, Track, track_kernel, track_work
+
+SENSORS = ("gnss_position", "gnss_velocity")
+SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
+
+
+def unknown_arm(antenna_b: FloatArray) -> FloatArray:
+    """Return the variance (6,) of position and velocity of an antenna about an IMU of unknown attitude."""
+    arm2 = float(antenna_b @ antenna_b) / 3.0
+    return np.array([arm2] * 3 + [SWING**2 * arm2] * 3)
+
+
+class FixTrack:
+    """The filter at the instant of its last fix.
+
+    Parameters
+    ----------
+    options : GnssOnlyOptions
+        How it manoeuvres, and the gate.
+    t : float
+        Start [s].
+    lla, vel_n : (3,) arrays
+        Position and velocity there.
+    cov : (6, 6) array
+        Their covariance [m, m/s], n.
+    """
+
+    def __init__(
+        self, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, cov: FloatArray
+    ) -> None:
+        P = np.diag(np.repeat([0.0, 0.0, options.acceleration**2], 3))
+        P[:6, :6] = cov
+        self._now = Track(
+            np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, np.zeros(2, np.int64)
+        )
+        self._model = Manoeuvres(
+            float(options.acceleration),
+            float(options.correlation_s),
+            nis_limit(3, options.gate_probability),
+            options.readmit_after,
+        )
+        self._work = track_work()
+        self._rows = [(np.empty((0, 4)), np.empty((0, 3), np.int64))]
+
+    @classmethod
+    def begin(
+        cls, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, r: FloatArray
+    ) -> FixTrack:
+        """Begin with a fix of variance r (6,); without a velocity its covariance is wide."""
+        cov = np.diag(r)
+        if not np.isfinite(vel_n).all():
+            vel_n, cov[3:, 3:] = np.zeros(3), UNKNOWN_SPEED_SD**2 * np.eye(3)
+        return cls(options, t, lla, vel_n, cov)
+
+    def run(
+        self, fixes: GnssFixes, rows: IntArray, r: FloatArray, at: IntArray, output_t: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Use fixes and return the states (M, 9) and P (M, 9, 9) at the outputs, NaN before the track.
+
+        Parameters
+        ----------
+        fixes : GnssFixes
+            Record; one that is not later than the track is left out.
+        rows : (K,) int array
+            Those to use, in this order.
+        r : (N, 6) array
+            Their variance, of every row of the record.
+        at : (K,) int array
+            The first output after each.
+        output_t : (M,) array
+            Instants [s].
+        """
+        return self._run(Fixes(fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], r[rows], at), output_t)
+
+    def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the states (M, 9) and P (M, 9, 9) carried to instants (M,) [s], NaN before the track."""
+        none, rows = np.empty(0), np.empty((0, 3))
+        return self._run(Fixes(none, rows, rows, np.empty((0, 6)), np.empty(0, np.int64)), t)
+
+    def _run(self, fixes: Fixes, output_t: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        output_t = np.asarray(output_t, float)
+        count, m = 6 * len(fixes.t), len(output_t)
+        log = FixLog(np.empty((count, 4)), np.empty((count, 3), np.int64), np.zeros(1, np.int64))
+        x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
+        track_kernel(self._now, fixes, read_only(output_t), self._model, log, x, P, self._work)
+        if filled := int(log.filled[0]):
+            self._rows.append((log.numbers[:filled], log.marks[:filled]))
+        return x, P
+
+    @property
+    def t(self) -> float:
+        """Instant of the last fix, or of the start [s]."""
+        return float(self._now.t[0])
+
+    def copy(self) -> FixTrack:
+        """Return a track that goes on from here by itself."""
+        other, now = copy(self), self._now
+        other._now = Track(now.t.copy(), now.x.copy(), now.P.copy(), now.misses.copy())
+        other._rows = list(self._rows)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return the filter as arrays by name; innovations not taken are left out."""
+        return self._now._asdict()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self._now = Track(**state)
+
+    def take_innovations(self) -> Innovations:
+        """Return the innovations of the fixes since this was called last."""
+        numbers, marks = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))
+        self._rows = self._rows[:1]
+        code, component, accepted = marks.T
+        t, z, S, nis = numbers.T
+        return Innovations(t, SENSORS, code, component, z, S, nis, accepted.astype(np.bool_))

@@ -1,0 +1,158 @@
+"""Position and velocity by the fixes alone, and an attitude that is held: what is left without an IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.data import Events, GnssFixes, Innovations, NavSolution, SensorData, no_innovations
+from bench.navigation.engine import timeline
+from bench.navigation.engine.kept_rows import columns, join_rows, take_rows
+from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.options import FixAccuracy, GnssOnlyOptions
+from bench.navigation.start.fix_track import SENSORS, FixTrack, unknown_arm
+
+_HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
+_TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
+
+
+class End(NamedTuple):
+    """The last answer of a filter."""
+
+    t: float  # [s]
+    lla: FloatArray  # (3,)
+    vel_n: FloatArray  # (3,)
+    q_nb: FloatArray  # (4,)
+    cov: FloatArray  # (9, 9)
+    gyro_bias_b: FloatArray  # (3,)
+    accel_bias_b: FloatArray  # (3,)
+    extra: FloatArray  # (n,)
+    extra_sd: FloatArray  # (n,)
+
+
+class Coast:
+    """Goes on from the end of a filter by fixes, in order of time.
+
+    Parameters
+    ----------
+    head : SensorData
+        Datasheets and antenna.
+    end : End
+        From where.
+    names : tuple of str
+        Of the further states of the filter; they are held.
+    accuracy : str
+        How the filter weighs fixes.
+    """
+
+    def __init__(self, head: SensorData, end: End, names: tuple[str, ...], accuracy: FixAccuracy) -> None:
+        self.end, self._names, self._accuracy = end, names, accuracy
+        self._white = fix_variance(assumed(head.specs, "gnss"), gnss_markov=False)
+        self._arm = unknown_arm(head.antenna_b)  # it follows the antenna
+        self._fixes: GnssFixes | None = None  # not yet used
+        self._track: FixTrack | None = None
+        if np.isfinite(np.concatenate([end.lla, end.vel_n, end.q_nb, end.cov[:6, :6].ravel()])).all():
+            antenna = earth.displace(end.lla, rotation.rotate(end.q_nb, head.antenna_b))
+            self._track = FixTrack(GnssOnlyOptions(), end.t, antenna, end.vel_n, end.cov[:6, :6])
+
+    def take(self, fixes: GnssFixes) -> None:
+        """Take the next fixes, in the order of their arrival."""
+        self._fixes = fixes if self._fixes is None else join_rows(self._fixes, fixes)
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position (3,), velocity (3,) and covariance (9, 9) at an instant, in order of time."""
+        if self._fixes is not None:
+            self._use(int(np.searchsorted(self._fixes.t_arrival, t + timeline.TIME_TOLERANCE, side="right")))
+        cov = np.full((9, 9), np.nan)
+        if self._track is None:
+            return np.full(3, np.nan), np.full(3, np.nan), cov
+        ((state,), (P,)) = self._track.at([t])
+        cov[:6, :6], cov[:6, 6:], cov[6:, :6] = P[:6, :6] + np.diag(self._arm), 0.0, 0.0
+        elapsed = np.array([t - self.end.t])
+        turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
+        most = np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD])
+        held = np.diag(self.end.cov)[6:]
+        cov[6:, 6:] = np.diag(np.maximum(held, np.minimum(held + turned, most)))
+        return state[:3], state[3:6], cov
+
+    def _use(self, count: int) -> None:
+        """Use the first fixes that wait."""
+        assert self._fixes is not None
+        used, self._fixes = (take_rows(self._fixes, rows) for rows in (slice(count), slice(count, None)))
+        r = weigh_fixes(used, self._white, self._accuracy)
+        for k in range(count):
+            if self._track is None:
+                self._track = FixTrack.begin(
+                    GnssOnlyOptions(), float(used.t[k]), used.lla[k], used.vel_n[k], r[k]
+                )
+            else:
+                self._track.run(used, np.array([k]), r, np.zeros(1, np.int64), np.empty(0))
+
+    def answers(self, t: FloatArray, sensor: tuple[str, ...]) -> NavSolution:
+        """Return the answers at instants t (M,), in order of time; innovations name their ``sensor``."""
+        m, end = len(t), self.end
+        lla, vel_n, cov = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 9, 9))
+        for k in range(m):
+            lla[k], vel_n[k], cov[k] = self.at(float(t[k]))
+        return NavSolution(
+            t=t,
+            lla=lla,
+            vel_n=vel_n,
+            cov=cov,
+            extra_names=self._names,
+            innovations=self.innovations(sensor),
+            events=Events.from_rows([]),
+            **{name: np.tile(getattr(end, name), (m, 1)) for name in _HELD},
+        )
+
+    def innovations(self, sensor: tuple[str, ...]) -> Innovations:
+        """Return the innovations since this was asked last; their codes are of ``sensor``."""
+        if self._track is None:
+            return no_innovations()
+        own = self._track.take_innovations()
+        return replace(own, sensor=sensor, code=np.array([sensor.index(name) for name in SENSORS])[own.code])
+
+    def copy(self) -> Coast:
+        """Return one that goes on from here by itself."""
+        other = copy(self)
+        other._track = None if self._track is None else self._track.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, by name."""
+        return {
+            "end": self.end._asdict(),
+            "names": list(self._names),
+            "fixes": None if self._fixes is None else columns(self._fixes),
+            "track": None if self._track is None else self._track.state(),
+        }
+
+    @classmethod
+    def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> Coast:
+        """Return the one of :meth:`state`."""
+        found = cls(head, End(**state["end"]), tuple(state["names"]), accuracy)
+        found._fixes = None if state["fixes"] is None else GnssFixes(**state["fixes"])
+        if state["track"] is not None:
+            nowhere = np.zeros(3)
+            found._track = FixTrack(GnssOnlyOptions(), 0.0, nowhere, nowhere, np.zeros((6, 6)))
+            found._track.restore(state["track"])
+        return found
+
+
+def fresh_fixes(fixes: GnssFixes, newest: float) -> tuple[GnssFixes, float]:
+    """Return the sound fixes newer than all before, in the order of their arrival, and the newest time [s].
+
+    ``newest`` is the latest validity of a sound fix before.
+    """
+    sound = fixes.valid & np.isfinite(fixes.t) & np.isfinite(fixes.t_arrival)
+    sound &= np.isfinite(fixes.lla).all(axis=1)
+    rows, _ = timeline.fresh_rows(fixes.t, fixes.t_arrival, sound, "gnss", newest)
+    return fixes.take(rows), max(newest, float(fixes.t[sound].max(initial=-np.inf)))

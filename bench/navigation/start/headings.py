@@ -1,0 +1,329 @@
+"""A start with an unknown heading: several headings, a filter for each, until motion shows which is right.
+
+A filter that is linear in the heading error is good for about 15 deg. With a larger error the products of
+heading and tilt error that it neglects look like information: at rest it becomes sure of a wrong heading and
+a wrong tilt. Here each heading psi_k is a hypothesis with its own filter. Its weight follows from the
+innovations z of covariance S,
+
+    w_k ~ p(psi_k) prod exp(-z' S^-1 z / 2) / sqrt(prod S_ii)
+
+Until one filter stands for all, the estimate is that of one hypothesis, with the mean square of its error
+over all of them. With d the rotation from hypothesis k to the estimate and e the error of hypothesis k, the
+attitude error is log(exp(d) exp(e)) = d + J(d) e, J the inverse right Jacobian of rotations (J. Sola, J.
+Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics, 2018, eq. 144).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from bench import rotation
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.data import (
+    EventRow,
+    Events,
+    InitialState,
+    Innovations,
+    NavSolution,
+    SensorData,
+    no_innovations,
+)
+from bench.earth import EARTH_RATE, difference_n
+from bench.navigation.engine.kept_rows import columns
+from bench.navigation.engine.long_records import longest_wait
+from bench.navigation.engine.piecewise import InPieces, answer_now, join_solutions, join_tables, take_answers
+from bench.navigation.engine.record_cuts import cut_piece, first_sample, newest_sample
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.error_state_filter.error_state import PHI, POS, VEL, less_errors
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD, may_stand
+from bench.navigation.start.leveling import bias_sd
+
+LINEAR = float(np.deg2rad(15.0))  # sd of a heading up to which one linear filter is good [rad]
+COUNT = 16  # hypotheses around the circle
+SD = np.pi / COUNT  # of the heading of each: half the distance to the next, so that their sum is flat to 2 %
+FIRST = 60.0  # length of the first trial [s]; each further one is twice as long
+AHEAD = 2.0  # a hypothesis becomes the estimate when it is this much more likely than the present one
+MOST_NIS = 30.0  # that a measurement counts with: an outlier decides nothing
+ASSUMED = ("zero_velocity", "zero_rate")  # no measurements; wrong in steady flight
+_APART = 0.5  # spread of the hypotheses, over the sd of the best, from which on it stands for all
+
+_PASSED = 2.0  # that a filter is at most behind what may still come late [s]
+
+Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
+
+
+def heading_is_unknown(initial: InitialState) -> bool:
+    """Tell whether the heading is too uncertain for one linear filter."""
+    return bool(initial.cov[8, 8] > LINEAR**2)
+
+
+class ManyHeadings:
+    """A filter from headings around the circle, until one of them stands for all (`InPieces`).
+
+    Innovations are those of the hypothesis that is the estimate, events those of the one that is left.
+
+    Parameters
+    ----------
+    begin : callable
+        Returns the filter before its first piece, from a start whose heading is known.
+    first : SensorData
+        Its records say which sensors there are.
+    initial : InitialState
+        Complete, with a heading for which :func:`heading_is_unknown`.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    """
+
+    def __init__(
+        self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
+    ) -> None:
+        turns = 2.0 * np.pi / COUNT * (np.arange(COUNT) - COUNT // 2)
+        sd = np.sqrt(initial.cov[8, 8])
+        self.log = np.zeros(COUNT) if sd >= UNKNOWN_HEADING_SD else -0.5 * (turns / sd) ** 2
+        self.starts = [turn_heading(initial, turn) for turn in turns]
+        self.members = [begin(first, start, []) for start in self.starts]
+        e_rate = EARTH_RATE * np.cos(initial.lla[0])
+        can_gyrocompass = bias_sd(first.specs.imu.gyro, 0.0) < UNKNOWN_HEADING_SD * e_rate
+        self.by_rest = list(SENSORS) if can_gyrocompass else ["magnetometer"]
+        self.start, self.span = initial.t, FIRST
+        self.best = COUNT // 2  # the estimate at the last answer; the heading that was given before
+        self.complete = False  # one stands for all
+        self.apart = np.inf, SD  # spread of the hypotheses, and the sd of the best, at the last answer [rad]
+        self.events: list[list[EventRow]] = [list(events) for _ in turns]
+        self.tables = [no_innovations() for _ in turns]  # since the last answer
+        self.later = np.empty(0)  # answers wanted after the last sample [s]
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.members[0].end
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
+        if self.complete:
+            return self.members[0].feed(piece, look_back, last=last)
+        wait = max(look_back, longest_wait(piece)) if last else look_back
+        wanted, newest = np.append(self.later, piece.output_t), newest_sample(piece)
+        reached = np.inf if last else max(self.end, newest)
+        self.later = wanted[wanted > reached]
+        rest, found, until = replace(piece, output_t=wanted[wanted <= reached]), list[NavSolution](), -np.inf
+        while not self.complete:  # no further than to where they may be told apart
+            until = max(self.start + self.span + wait + _PASSED, until + FIRST, first_sample(rest))
+            if newest <= until:
+                break
+            ahead = np.flatnonzero(rest.imu.t > until)
+            part = cut_piece(rest, np.setdiff1d(np.arange(len(rest.imu)), ahead), -np.inf, until)
+            rest = cut_piece(rest, ahead, until, np.inf)
+            found += self._step(part, wait, last=False)
+        if self.complete:
+            found.append(self.members[0].feed(rest, look_back, last=last))
+        else:
+            found += self._step(rest, look_back, last=last)
+        return join_solutions(found)
+
+    def _step(self, part: SensorData, look_back: float, *, last: bool) -> list[NavSolution]:
+        """Let all hypotheses take a part; return the estimates, and when one is left what it says."""
+        solutions = [member.feed(part, look_back, last=last) for member in self.members]
+        for k, solution in enumerate(solutions):
+            self.tables[k] = join_tables([one for one in (self.tables[k], solution.innovations) if len(one)])
+            self.events[k] += solution.events.rows()
+        t, found, done = solutions[0].t, list[NavSolution](), 0
+        while True:
+            until = self.start + self.span
+            due = int(np.searchsorted(t, until, side="right"))
+            found.append(self._estimate([take_answers(one, slice(done, due)) for one in solutions]))
+            done = due
+            passed = self.end - (0.0 if last else look_back + _PASSED)
+            if self.end <= until or (done == len(t) and passed <= until):
+                break
+            spread, own = self.apart
+            if spread < _APART * own:
+                text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
+                found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
+                self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
+                self.complete = True
+                return found
+            self.span *= 2.0
+        if last:
+            rest = take_answers(solutions[self.best], slice(done, None))
+            found.append(self._end(rest, self.end, "no motion told it"))
+        return found
+
+    def _end(self, solution: NavSolution, until: float, text: str) -> NavSolution:
+        """Return what the best one says from here on, with its innovations and events that waited."""
+        event = (self.start, until, "alignment", f"heading unknown: {COUNT} hypotheses; {text}")
+        events = Events.from_rows([*self.events[self.best], event])
+        return replace(solution, innovations=self.tables[self.best], events=events)
+
+    def _estimate(self, parts: list[NavSolution]) -> NavSolution:
+        """Return the estimate of all hypotheses at the next answers, with the innovations until the last."""
+        t = parts[0].t
+        if not len(t):
+            return replace(parts[0], innovations=no_innovations(), events=Events.from_rows([]))
+        rest = may_stand(parts[0].vel_n, parts[0].cov)
+        log, tables, rows = np.empty((COUNT, len(t))), list[Innovations](), list[IntArray]()
+        for k, table in enumerate(self.tables):
+            count = int(np.searchsorted(table.t, t[-1] + TIME_TOLERANCE, side="right"))
+            used, self.tables[k] = _take_table(table, slice(count)), _take_table(table, slice(count, None))
+            of = np.searchsorted(t, used.t - TIME_TOLERANCE)
+            total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))
+            log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
+            tables.append(used)
+            rows.append(of)
+        weight = np.exp(log - log.max(axis=0))
+        weight = np.asarray(weight / weight.sum(axis=0))
+        leader = _leading(weight, self.best)
+        self.best = int(leader[-1])
+        self.apart = _heading_spread(parts, weight, self.best)
+        led = [_take_table(tables[k], np.flatnonzero(leader[rows[k]] == k)) for k in range(COUNT)]
+        order = np.argsort(
+            np.concatenate([rows[k][leader[rows[k]] == k] for k in range(COUNT)]), kind="stable"
+        )
+        table = join_tables([one for one in led if len(one)])
+        return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record."""
+        self.later = np.empty(0)
+        return self.members[0].answer(head) if self.complete else answer_now(self, head)
+
+    def copy(self) -> ManyHeadings:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.log, other.tables = self.log.copy(), list(self.tables)
+        other.members = [member.copy() for member in self.members]
+        other.events = [list(rows) for rows in self.events]
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "members": [member.state() for member in self.members],
+            "log": self.log,
+            "span": self.span,
+            "best": self.best,
+            "complete": self.complete,
+            "apart": list(self.apart),
+            "events": [[list(row) for row in rows] for rows in self.events],
+            "tables": [columns(table) for table in self.tables],
+            "later": self.later,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.log, self.span, self.best = state["log"], state["span"], state["best"]
+        self.complete, self.later = state["complete"], state["later"]
+        spread, own = state["apart"]
+        self.apart = spread, own
+        self.events = [[(t, t_end, *texts) for t, t_end, *texts in rows] for rows in state["events"]]
+        self.tables = [Innovations(**one | {"sensor": tuple(one["sensor"])}) for one in state["tables"]]
+        if self.complete:
+            self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
+        for member, own_state in zip(self.members, state["members"], strict=True):
+            member.restore(own_state)
+
+
+def turn_heading(initial: InitialState, turn: float) -> InitialState:
+    """Return an initial state with another heading, known to ``SD``; all else is what it is if that is true.
+
+    A tilt found by the accelerations over ground depends on the heading: the same force is felt along other
+    axes. With m the tilt by a small error of the heading, it is ``m sin(turn) + e_D x m (1 - cos(turn))``
+    less, whatever the turn. What else is not known of the tilts turns with the aircraft.
+    """
+    cov = initial.cov
+    by_heading = cov[:, 8] / cov[8, 8]
+    error = -turn * by_heading
+    m = by_heading[PHI : PHI + 2]
+    error[PHI : PHI + 2] = -np.sin(turn) * m + (1.0 - np.cos(turn)) * np.array([-m[1], m[0]])
+    state = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
+    state = less_errors(state, error)
+    T = np.eye(9)
+    T[PHI : PHI + 2, PHI : PHI + 2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    rest = T @ (cov - cov[8, 8] * np.outer(by_heading, by_heading)) @ T.T
+    bias_cov = T @ (initial.bias_cov - np.outer(by_heading, initial.bias_cov[8]))
+    return replace(
+        initial,
+        lla=state[:3],
+        vel_n=state[3:6],
+        q_nb=state[6:],
+        cov=rest + SD**2 * np.outer(by_heading, by_heading),
+        bias_cov=bias_cov,
+    )
+
+
+def _take_table(table: Innovations, rows: slice | IntArray) -> Innovations:
+    """Return some rows of a table."""
+    names = [f.name for f in fields(Innovations) if f.name != "sensor"]
+    return replace(table, **{name: getattr(table, name)[rows] for name in names})
+
+
+def _gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray:
+    """Return what each innovation (K,) adds to the logarithm of the weight of its hypothesis.
+
+    Until an instant at which the aircraft may stand, ``rest`` (K,), only the sensors ``by_rest`` count: in
+    others noise and the drift of the filter lie along some heading by chance, and the filter would take them
+    for motion.
+    """
+    gain = -0.5 * (np.where(table.component == 0, np.minimum(table.nis, MOST_NIS), 0.0) + np.log(table.S))
+    name = np.array(table.sensor, dtype=str)[table.code]
+    gain[np.isin(name, ASSUMED) | (rest & ~np.isin(name, by_rest))] = 0.0
+    return np.asarray(np.where(np.isfinite(gain), gain, -np.inf))
+
+
+def _leading(weight: FloatArray, now: int) -> IntArray:
+    """Return which hypothesis is the estimate at each instant; it changes only for a much likelier one."""
+    leader = np.empty(weight.shape[1], np.int64)
+    for j, column in enumerate(weight.T):
+        if column.max() > AHEAD * column[now]:
+            now = int(column.argmax())
+        leader[j] = now
+    return leader
+
+
+def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -> NavSolution:
+    """Return the estimate of all hypotheses, which is that of the leading one, without events."""
+    rows = np.arange(weight.shape[1])
+
+    def led(name: str) -> FloatArray:
+        return np.stack([getattr(member, name) for member in members])[leader, rows]
+
+    values = {name: led(name) for name in ("lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "extra")}
+    cov, variance = np.zeros((len(rows), 9, 9)), np.zeros_like(values["extra"])
+    for member, w in zip(members, weight, strict=True):
+        d = np.empty((len(rows), 9))
+        d[:, POS:VEL] = difference_n(values["lla"], member.lla)
+        d[:, VEL:PHI] = values["vel_n"] - member.vel_n
+        turn = rotation.multiply(values["q_nb"], rotation.conjugate(member.q_nb))
+        d[:, PHI:] = rotation.to_rotvec(turn)
+        J = np.tile(np.eye(9), (len(rows), 1, 1))
+        J[:, PHI:, PHI:] = _inverse_jacobian(d[:, PHI:])
+        square = J @ member.cov @ np.swapaxes(J, 1, 2) + d[:, :, None] * d[:, None, :]
+        apart = values["extra"] - member.extra
+        cov += np.where(w > 0, w, 0.0)[:, None, None] * np.where(w[:, None, None] > 0, square, 0.0)
+        variance += np.where(w[:, None] > 0, w[:, None] * (member.extra_sd**2 + apart**2), 0.0)
+    found: dict[str, Any] = {**values, "cov": cov, "extra_sd": np.sqrt(variance)}
+    return replace(members[0], **found, events=Events.from_rows([]))
+
+
+def _inverse_jacobian(d: FloatArray) -> FloatArray:
+    """Return J (M, 3, 3) of rotation vectors d (M, 3) up to pi: log(exp(d) exp(e)) = d + J e."""
+    angle = np.linalg.norm(d, axis=1)
+    half = 0.5 * np.maximum(angle, 1e-3)
+    second = (1.0 - half / np.tan(half)) / (4.0 * half * half)
+    cross = rotation.skew(d)
+    J: FloatArray = np.eye(3) + 0.5 * cross + second[:, None, None] * (cross @ cross)
+    return J
+
+
+def _heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
+    """Return at the last instant how far the hypotheses lie from the best, rms, and its own sd [rad]."""
+    last = [member.q_nb[-1] for member in members]
+    apart = [rotation.to_rotvec(rotation.multiply(last[best], rotation.conjugate(q)))[2] for q in last]
+    spread = np.nansum(weight[:, -1] * np.square(apart))
+    return float(np.sqrt(spread)), float(np.sqrt(members[best].cov[-1, 8, 8]))

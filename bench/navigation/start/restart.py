@@ -1,0 +1,396 @@
+"""Over a long gap in the IMU record a filter with fixes coasts on them, and then starts again.
+
+Over seconds without IMU the tilt may be anything, and the linear error model of a filter breaks: it would
+come back metres off and claim decimetres. So it stops at the last sample before the gap. From there on
+position and velocity come from the fixes alone (`fixes_only`); the attitude is held and its
+covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
+(`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
+all other states begin as at the first start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import EventRow, Events, ImuData, InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError
+from bench.navigation.engine import timeline
+from bench.navigation.engine.imu_range import find_beyond
+from bench.navigation.engine.kept_rows import columns, take_rows
+from bench.navigation.engine.piecewise import InPieces, answer_now, join_solutions, take_answers
+from bench.navigation.engine.record_cuts import (
+    as_plain,
+    cut_piece,
+    from_plain,
+    goes_beyond,
+    join_pieces,
+    nothing_known,
+    take_head,
+)
+from bench.navigation.error_state_filter.state_blocks import WIND_SD
+from bench.navigation.options import FixAccuracy
+from bench.navigation.start import alignment
+from bench.navigation.start.alignment import StartSearch
+from bench.navigation.start.course import LEAST_SPEED
+from bench.navigation.start.fix_track import SENSORS as FIX_SENSORS
+from bench.navigation.start.fixes_only import Coast, End, fresh_fixes
+from bench.navigation.start.learnt_biases import LearntBiases, learn_biases
+from bench.specs import ImuSpec
+
+_ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
+_STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
+_SIGMAS = 5.0  # by which it may seem to have moved in it
+_ALL = "all"
+
+Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
+
+
+@dataclass(slots=True)
+class _Pause:
+    """From the last sample before a gap to where the filter starts again."""
+
+    coast: Coast
+    silent: tuple[float, float]  # [s]
+    because: str  # what it comes from, where that is known
+    wanted: FloatArray  # answers [s]
+    record: SensorData | None  # since the gap, None before its first sample
+    ways: list[StartSearch]  # that have not failed
+    why: list[str]  # the others did
+
+    def copy(self) -> _Pause:
+        """Return one that goes on from here by itself."""
+        ways = [copy(way) for way in self.ways]
+        return replace(self, coast=self.coast.copy(), ways=ways, why=list(self.why))
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, by name."""
+        return {
+            "coast": self.coast.state(),
+            "silent": list(self.silent),
+            "because": self.because,
+            "wanted": self.wanted,
+            "record": None if self.record is None else as_plain(self.record),
+            "ways": [columns(way.initial) | {"tried": way.tried} for way in self.ways],
+            "why": self.why,
+        }
+
+    @classmethod
+    def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> _Pause:
+        """Return the one of :meth:`state`."""
+        coast, (a, b) = Coast.restore(head, accuracy, state["coast"]), state["silent"]
+        record = None if state["record"] is None else from_plain(state["record"], head.specs)
+        ways = []
+        for one in state["ways"]:
+            ways.append(StartSearch(InitialState(**{k: v for k, v in one.items() if k != "tried"})))
+            ways[-1].tried = one["tried"]
+        return cls(coast, (a, b), state["because"], state["wanted"], record, ways, list(state["why"]))
+
+    def due(self, until: float) -> FloatArray:
+        """Return the answers wanted until an instant [s], which are wanted no more."""
+        due = self.wanted <= until
+        found, self.wanted = self.wanted[due], self.wanted[~due]
+        return found
+
+
+class BetweenGaps:
+    """A filter that starts again after each long gap of the IMU (`piecewise.InPieces`).
+
+    Parameters
+    ----------
+    begin : callable
+        Returns the filter before its first piece (`piecewise.RunsInPieces.in_pieces`). It
+        need not go over a gap longer than `timeline.LONGEST_BRIDGE`.
+    first : SensorData
+        Its records say which sensors there are; fixes among them.
+    start : InitialState
+        Start.
+    events : list of (t, t_end, kind, text)
+        What went before.
+    accuracy : str
+        How the filter weighs fixes.
+    """
+
+    def __init__(
+        self,
+        begin: Begin,
+        first: SensorData,
+        start: InitialState,
+        events: list[EventRow],
+        accuracy: FixAccuracy,
+    ) -> None:
+        self._begin, self.head, self.accuracy = begin, take_head(first), accuracy
+        self.filter: InPieces | None = begin(first, start, events)
+        self.start, self.biases = start, LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
+        self.again = False  # it has started again
+        self.intake = timeline.ImuIntake(start.t)
+        self.lost: dict[str, int] = {}  # samples without use since the last, by what was wrong
+        self.held: SensorData | None = None  # what came after the last sample
+        self.newest = -np.inf  # validity of the fixes taken [s]
+        self.sensor: tuple[str, ...] = FIX_SENSORS  # of the innovations
+        self.pause: _Pause | None = None
+        self.stopped: End | None = None  # before the last gap
+        self.names: tuple[str, ...] = ()  # of the further states
+
+    @property
+    def end(self) -> float:
+        """Instant of the last IMU sample taken, or of the start [s]."""
+        return self.intake.newest
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
+        record = self._with_held(piece, look_back)
+        imu, before = record.imu, self.intake.newest
+        rows, span, events, again = self.intake.take(imu, record.specs.imu, last=last)
+        gaps = np.flatnonzero(span - imu.dt[rows] > timeline.LONGEST_BRIDGE).tolist() if events else []
+        found: list[NavSolution] = []
+        first, after = 0, -np.inf
+        for k in gaps:
+            behind, ended = int(rows[k]), float(imu.t[rows[k - 1]]) if k else before
+            sound = first + np.flatnonzero(~(imu.t[first:behind] > imu.t[behind]))  # none with a wild time
+            self._take(cut_piece(record, sound, after, ended), look_back, found, ended=ended)
+            first, after = behind, ended
+            lost = slice(int(rows[k - 1]) + 1 if k else 0, behind)
+            self.lost = _count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
+            self._stop((ended, float(imu.t[behind] - imu.dt[behind])))
+        stop = int(again[0]) if len(again) else len(imu)
+        lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
+        self.lost = _count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
+        until = np.inf if last else self.end
+        rest = record
+        if first or stop < len(imu) or goes_beyond(record, until):
+            rest = cut_piece(record, slice(first, stop), after, until)
+            self.held = None if last else cut_piece(record, slice(stop, None), until, np.inf)
+        else:
+            self.held = None
+        self._take(rest, look_back, found, last=last)
+        return join_solutions(found)
+
+    def _with_held(self, piece: SensorData, look_back: float) -> SensorData:
+        """Return a piece after what was held."""
+        held = self.held
+        if not np.array_equal(self.head.antenna_b, piece.antenna_b):
+            if self.pause is not None:
+                raise EstimatorError("it cannot go over to another antenna before it has started again")
+            if held is not None:  # of the antenna before
+                assert self.filter is not None
+                self.filter.feed(
+                    self._less(cut_piece(held, slice(0), -np.inf, np.inf)), look_back, last=False
+                )
+                held = replace(take_head(held), imu=held.imu)
+            self.head = replace(self.head, antenna_b=piece.antenna_b)
+        return piece if held is None else replace(join_pieces(held, piece), antenna_b=piece.antenna_b)
+
+    def _take(
+        self,
+        part: SensorData,
+        look_back: float,
+        found: list[NavSolution],
+        *,
+        last: bool = False,
+        ended: float | None = None,
+    ) -> None:
+        """Take a part without a long gap; nothing comes after the ``last``, and a gap after ``ended`` [s]."""
+        fixes = part.fixes
+        assert fixes is not None
+        fresh, self.newest = fresh_fixes(fixes, self.newest)
+        if self.pause is not None:
+            self.pause.coast.take(fresh)
+            aligned = self._align(part, look_back, found, last=last, ended=ended)
+            if aligned is None:
+                return
+            part = aligned
+        assert self.filter is not None
+        if ended is None:
+            found.append(self._own(self.filter.feed(self._less(part), look_back, last=last)))
+        else:
+            wanted = np.union1d(part.output_t, ended)
+            solution = self._own(self.filter.feed(self._less(replace(part, output_t=wanted)), 0.0, last=True))
+            asked = len(wanted) == len(part.output_t)
+            found.append(solution if asked else take_answers(solution, slice(-1)))
+            self.stopped, self.names = _last_answer(solution), solution.extra_names
+            self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases)
+            self.filter = None
+        if len(found[-1].innovations.t):
+            self.sensor = found[-1].innovations.sensor
+
+    def _stop(self, silent: tuple[float, float]) -> None:
+        """Go on by the fixes alone from a gap from one instant until another [s]."""
+        if self.pause is None:
+            assert self.stopped is not None
+            coast = Coast(self.head, self.stopped, self.names, self.accuracy)
+            self.pause = _Pause(coast, silent, "", np.empty(0), None, [], [])
+        because = _name_ranges(self.lost)
+        self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
+
+    def _align(
+        self, part: SensorData, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
+    ) -> SensorData | None:
+        """Begin the filter again; return the record since the gap, None while it cannot."""
+        pause = self.pause
+        assert pause is not None
+        (stopped, begin), no_more = pause.silent, last or ended is not None
+        pause.wanted = np.append(pause.wanted, part.output_t)
+        stretch = replace(cut_piece(part, slice(None), begin, np.inf), output_t=np.empty(0))
+        if pause.record is None:
+            found.append(pause.coast.answers(pause.due(begin), self.sensor))
+            pause.record, pause.ways = stretch, _ways(begin, pause.coast)
+        else:
+            pause.record = join_pieces(pause.record, stretch)
+        start, text = None, ""
+        while pause.ways and start is None:
+            try:
+                aligned = pause.ways[0].find(self.biases.taken_off(pause.record), look_back, last=no_more)
+            except EstimatorError as error:
+                pause.why.append(str(error))
+                pause.ways.pop(0)
+                continue
+            if aligned is None:
+                until = pause.ways[0].tried - alignment.SETTLED
+                found.append(pause.coast.answers(pause.due(until), self.sensor))
+                return None
+            start, ((_, _, _, text, *_),) = aligned
+        length = f"{begin - stopped:.6g} s"
+        if start is None:
+            until = self.end if ended is None else ended
+            text = f"not started again: {'; '.join(pause.why)}"
+            coasted = pause.coast.answers(pause.due(until), self.sensor)
+        else:
+            until, text = start.t, f"until {start.t:.6g} s; {text}"
+            coasted = pause.coast.answers(pause.due(until - 2.0 * timeline.TIME_TOLERANCE), self.sensor)
+        text = f"IMU silent for {length}{pause.because}: position and velocity by the fixes alone {text}"
+        events: list[EventRow] = [
+            (stopped, begin, "timeline", f"imu: gap of {length}", "imu"),
+            (stopped, until, "restart", text.replace("alone not", "alone; not"), "imu"),
+        ]
+        found.append(replace(coasted, events=Events.from_rows(events)))
+        if start is None:
+            if last:
+                found.append(_unanswered(pause.wanted, coasted))
+            return None
+        self.pause, self.again, self.start = None, True, start
+        self.filter = self._begin(self._less(self.head), start, [])
+        return replace(pause.record, output_t=pause.wanted)
+
+    def _less(self, piece: SensorData) -> SensorData:
+        """Return a piece as the filter takes it."""
+        return self.biases.taken_off(piece) if self.again else piece
+
+    def _own(self, solution: NavSolution) -> NavSolution:
+        """Return a solution of the filter with the biases that it did not see."""
+        return self.biases.given_back(solution) if self.again else solution
+
+    def answer(self, head: SensorData) -> NavSolution:
+        """Return state and covariance at the end, were that the end of the record."""
+        if self.pause is None:
+            assert self.filter is not None
+            return self._own(self.filter.answer(self._less(head)))
+        self.pause.wanted = np.empty(0)
+        if self.held is not None:
+            self.held = replace(self.held, output_t=np.empty(0))
+        return answer_now(self, head)
+
+    def copy(self) -> BetweenGaps:
+        """Return a filter that goes on from here by itself."""
+        other = copy(self)
+        other.intake = copy(self.intake)
+        other.filter = None if self.filter is None else self.filter.copy()
+        other.pause = None if self.pause is None else self.pause.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
+        return {
+            "start": columns(self.start),
+            "filter": None if self.filter is None else self.filter.state(),
+            "biases": columns(self.biases),
+            "again": self.again,
+            "taken": [self.intake.newest, self.intake.before],
+            "held": None if self.held is None else as_plain(self.held),
+            "lost": self.lost,
+            "newest": self.newest,
+            "sensor": list(self.sensor),
+            "pause": None if self.pause is None else self.pause.state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.start, self.biases = InitialState(**state["start"]), LearntBiases(**state["biases"])
+        self.again, self.newest, self.sensor = state["again"], state["newest"], tuple(state["sensor"])
+        self.intake.newest, self.intake.before = state["taken"]
+        self.lost = dict(state["lost"])
+        self.held = None if state["held"] is None else from_plain(state["held"], self.head.specs)
+        self.filter = None
+        if state["filter"] is not None:
+            self.filter = self._begin(self._less(self.head), self.start, [])
+            self.filter.restore(state["filter"])
+        self.pause = None
+        if state["pause"] is not None:
+            self.pause = _Pause.restore(self.head, self.accuracy, state["pause"])
+
+
+def between_gaps(
+    begin: Begin,
+    first: SensorData,
+    start: InitialState,
+    events: list[EventRow],
+    accuracy: FixAccuracy | None,
+) -> InPieces:
+    """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
+
+    Without fixes, or with an ``accuracy`` of None, it has nothing to start again from and bridges them.
+    """
+    if accuracy is None or first.fixes is None:
+        return begin(first, start, events)
+    return BetweenGaps(begin, first, start, events, accuracy)
+
+
+def _count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
+    """Return counts of samples without use with more of them: of all, and by the words of a range."""
+    if not len(lost):
+        return counts
+    more = {_ALL: len(lost)} | {why: int(rows.sum()) for why, rows in find_beyond(lost, spec)}
+    return {why: counts.get(why, 0) + count for why, count in more.items()}
+
+
+def _name_ranges(lost: dict[str, int]) -> str:
+    """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
+    parts = [f"{n} of {lost[_ALL]} samples have the {why}" for why, n in lost.items() if n and why != _ALL]
+    return f" ({' and '.join(parts)})" if parts else ""
+
+
+def _ways(begin: float, coast: Coast) -> list[StartSearch]:
+    """Return how to look for a start behind a gap that ended at an instant [s]: at rest, then moving."""
+    lla, vel_n, cov = coast.at(begin)
+    before, unknown = coast.end, np.full(4, np.nan)
+    wide = np.diag(np.full(9, np.inf))
+    ways = [
+        InitialState(
+            begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR,
+            drift_sd=float(np.arctan2(WIND_SD, max(np.hypot(*vel_n[:2]), LEAST_SPEED))),
+        )
+    ]  # fmt: skip
+    if np.isfinite(lla).all():
+        wide = wide.copy()
+        wide[:3, :3] = cov[:3, :3]
+        moved = np.linalg.norm(earth.difference_n(lla, before.lla)) > _SIGMAS * np.sqrt(np.trace(cov[:3, :3]))
+        if np.linalg.norm(before.vel_n) < _STILL and not moved:  # the nose points where it did
+            unknown, wide[8, 8] = before.q_nb, before.cov[8, 8]
+        ways.insert(0, InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR))
+    return [StartSearch(way) for way in ways]
+
+
+def _last_answer(solution: NavSolution) -> End:
+    return End(*(getattr(solution, name)[-1] for name in End._fields))
+
+
+def _unanswered(t: FloatArray, like: NavSolution) -> NavSolution:
+    """Return what is not known at instants t (M,), with the further states of another solution."""
+    none = np.full((len(t), len(like.extra_names)), np.nan)
+    return replace(nothing_known(t), extra_names=like.extra_names, extra=none, extra_sd=none)

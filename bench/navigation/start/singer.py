@@ -1,0 +1,288 @@
+"""Singer's model of a manoeuvring aircraft, and the Kalman filter over fixes that follows it, as one kernel.
+
+Along each axis of n the acceleration is a Gauss-Markov process (R. A. Singer, Estimating optimal tracking
+filter performance for manned maneuvering targets, IEEE Trans. AES-6 (4), 1970): constant for a moment, zero
+in the long run. Errors of nine states, position, velocity and acceleration:
+
+    p'' = a      a' = -a / tau + w,   density of w 2 sd^2 / tau
+
+State i of axis a is number 3 i + a, and the axes move by themselves: Phi P Phi' is made of blocks of 3 x 3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner, kernel
+from bench.earth import difference_kernel, displace_kernel
+from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_POINTS = np.append(0.5 * (_NODES + 1.0), 1.0)  # of an interval of 1, and its end
+_SHARES = np.append(_WEIGHTS, 0.0)
+_SMALL = 1e-4  # T / tau below which a series replaces a difference that is rounding
+
+
+class Manoeuvres(NamedTuple):
+    """The model, and the test of a fix."""
+
+    sd: float  # of the acceleration along each axis [m/s^2]
+    tau: float  # its correlation time [s]
+    nis: float  # largest NIS of a position or a velocity
+    readmit_after: int  # refusals in a row after which the next one is used
+
+
+class Track(NamedTuple):
+    """The filter at the instant of its last fix."""
+
+    t: FloatArray  # (1,) [s]
+    x: FloatArray  # (9,) position [rad, rad, m], velocity [m/s] and acceleration [m/s^2], n
+    P: FloatArray  # (9, 9)
+    misses: IntArray  # (2,) refusals in a row of positions and of velocities
+
+
+class Fixes(NamedTuple):
+    """Fixes in the order of their use."""
+
+    t: FloatArray  # (N,) validity [s]
+    lla: FloatArray  # (N, 3)
+    vel_n: FloatArray  # (N, 3); not finite: none
+    r: FloatArray  # (N, 6) variance
+    at: IntArray  # (N,) the first output after each
+
+
+class FixLog(NamedTuple):
+    """Rows of the innovation table."""
+
+    numbers: FloatArray  # (6 N, 4) t, innovation, its variance, NIS
+    marks: IntArray  # (6 N, 3) position 0 or velocity 1, component, accepted
+    filled: IntArray  # (1,) rows written
+
+
+class TrackWork(NamedTuple):
+    """Memory of the kernels."""
+
+    Phi: FloatArray  # (3, 3)
+    Q: FloatArray  # (3, 3)
+    response: FloatArray  # (3,)
+    block: FloatArray  # (3, 3)
+    product: FloatArray  # (3, 3)
+    way: FloatArray  # (3,)
+    H: FloatArray  # (2, 3, 9) of a position and of a velocity
+    z: FloatArray  # (3,)
+    e: FloatArray  # (3,)
+    dx: FloatArray  # (9,)
+    var: FloatArray  # (3,)
+    square: FloatArray  # (3, 4)
+    rows: FloatArray  # (3, 9)
+    row: FloatArray  # (9,)
+    other_row: FloatArray  # (9,)
+    unused: FloatArray  # (9, 9)
+
+
+def track_work() -> TrackWork:
+    """Return the memory of :func:`track_kernel`."""
+    matrix, vector, states = np.zeros((3, 3)), np.zeros(3), np.zeros(9)
+    return TrackWork(
+        Phi=matrix.copy(),
+        Q=matrix.copy(),
+        response=vector.copy(),
+        block=matrix.copy(),
+        product=matrix.copy(),
+        way=vector.copy(),
+        H=np.eye(9)[:6].reshape(2, 3, 9),
+        z=vector.copy(),
+        e=vector.copy(),
+        dx=states.copy(),
+        var=vector.copy(),
+        square=np.zeros((3, 4)),
+        rows=np.zeros((3, 9)),
+        row=states.copy(),
+        other_row=states.copy(),
+        unused=np.zeros((9, 9)),
+    )
+
+
+@inner
+def _turn_kernel(Phi: FloatArray, block: FloatArray, product: FloatArray) -> None:
+    """Replace a block (3, 3) by Phi block Phi'."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = Phi[i, 0] * block[0, j] + Phi[i, 1] * block[1, j] + Phi[i, 2] * block[2, j]
+    for i in range(3):
+        for j in range(3):
+            block[i, j] = product[i, 0] * Phi[j, 0] + product[i, 1] * Phi[j, 1] + product[i, 2] * Phi[j, 2]
+
+
+@inner
+def _singer_kernel(
+    T: float,
+    sd: float,
+    tau: float,
+    Phi: FloatArray,
+    Q: FloatArray,
+    response: FloatArray,
+    block: FloatArray,
+    product: FloatArray,
+) -> None:
+    """Fill Phi and Q (3, 3) of one axis over T seconds; the rest is work memory.
+
+    Q by Gauss-Legendre quadrature of the impulse response, exact to rounding for T below tau; longer ways
+    are made of halves.
+    """
+    halvings = 0
+    while tau < T:
+        T *= 0.5
+        halvings += 1
+    for i in range(3):
+        for j in range(3):
+            Q[i, j] = 0.0
+            Phi[i, j] = 1.0 if i == j else 0.0
+    for k in range(_POINTS.shape[0]):
+        x = T * _POINTS[k] / tau
+        gone = -np.expm1(-x)
+        way = 0.5 * x * x * (1.0 - x / 3.0 * (1.0 - x / 4.0)) if x < _SMALL else x - gone
+        response[0], response[1], response[2] = tau * tau * way, tau * gone, 1.0 - gone
+        share = T * _SHARES[k] * sd * sd / tau
+        for i in range(3):
+            for j in range(3):
+                Q[i, j] += share * (response[i] * response[j])
+    Phi[0, 1] = T
+    for i in range(3):  # the response at the end of the interval
+        Phi[i, 2] = response[i]
+    for _ in range(halvings):
+        for i in range(3):
+            for j in range(3):
+                block[i, j] = Q[i, j]
+        _turn_kernel(Phi, block, product)
+        for i in range(3):
+            for j in range(3):
+                Q[i, j] += block[i, j]
+                product[i, j] = Phi[i, 0] * Phi[0, j] + Phi[i, 1] * Phi[1, j] + Phi[i, 2] * Phi[2, j]
+        for i in range(3):
+            for j in range(3):
+                Phi[i, j] = product[i, j]
+
+
+@kernel
+def _every_singer_kernel(
+    T: FloatArray, sd: float, tau: float, Phi: FloatArray, Q: FloatArray, work: TrackWork
+) -> None:
+    for k in range(T.shape[0]):
+        _singer_kernel(T[k], sd, tau, Phi[k], Q[k], work.response, work.block, work.product)
+
+
+def singer(T: ArrayLike, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
+    """Return Phi and Q (..., 3, 3) of position, velocity and acceleration along one axis over T seconds.
+
+    Parameters
+    ----------
+    T : float or (...) array
+        [s]
+    sd : float
+        Standard deviation of the acceleration [m/s^2].
+    tau : float
+        Its correlation time [s].
+    """
+    T = np.asarray(T, float)
+    Phi, Q = np.empty((2, T.size, 3, 3))
+    _every_singer_kernel(T.reshape(-1), float(sd), float(tau), Phi, Q, track_work())
+    return Phi.reshape(*T.shape, 3, 3), Q.reshape(*T.shape, 3, 3)
+
+
+@inner
+def _carry_kernel(
+    T: float, now: Track, model: Manoeuvres, x: FloatArray, P: FloatArray, work: TrackWork
+) -> None:
+    """Fill x (9,) and P (9, 9) with a track carried on for T seconds; they may be its own."""
+    Phi, Q, block = work.Phi, work.Q, work.block
+    _singer_kernel(T, model.sd, model.tau, Phi, Q, work.response, block, work.product)
+    for i in range(3):
+        velocity, acceleration = now.x[3 + i], now.x[6 + i]
+        work.way[i] = velocity * Phi[0, 1] + acceleration * Phi[0, 2]
+        x[3 + i] = velocity + acceleration * Phi[1, 2]
+        x[6 + i] = acceleration * Phi[2, 2]
+    displace_kernel(now.x, work.way, x)
+    for a in range(3):
+        for b in range(a + 1):
+            for i in range(3):
+                for j in range(3):
+                    block[i, j] = now.P[3 * i + a, 3 * j + b]
+            _turn_kernel(Phi, block, work.product)
+            for i in range(3):
+                for j in range(3):
+                    value = block[i, j] + Q[i, j] if a == b else block[i, j]
+                    P[3 * i + a, 3 * j + b] = value
+                    P[3 * j + b, 3 * i + a] = value
+
+
+@inner
+def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: FixLog, work: TrackWork) -> None:
+    """Use a fix that is valid now, position and velocity (if it has one) each tested by itself."""
+    x, P, z, e, dx = now.x, now.P, work.z, work.e, work.dx
+    vel_n = fixes.vel_n[k]
+    for code in range(2 if np.isfinite(vel_n[0] + vel_n[1] + vel_n[2]) else 1):
+        if code == 0:
+            difference_kernel(fixes.lla[k], x, e)
+        else:
+            for i in range(3):
+                e[i] = vel_n[i] - x[3 + i]
+        for i in range(3):
+            z[i] = -e[i]
+        H, r = work.H[code], fixes.r[k, 3 * code : 3 * code + 3]
+        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
+        sound = nis <= model.nis
+        accepted = sound or now.misses[code] >= model.readmit_after
+        now.misses[code] = 0 if accepted else now.misses[code] + 1
+        for i in range(3):
+            row = log.filled[0]
+            log.numbers[row, 0], log.numbers[row, 1] = now.t[0], e[i]
+            log.numbers[row, 2], log.numbers[row, 3] = work.var[i], nis
+            log.marks[row, 0], log.marks[row, 1], log.marks[row, 2] = code, i, accepted
+            log.filled[0] += 1
+        if accepted:
+            if not sound:
+                open_kernel(P, work.unused, H, e, 3 * code, 3, work.square, work.row)
+            for i in range(3):
+                update_kernel(P, dx, H[i], z[i], r[i], work.row, work.other_row)
+            for i in range(3):
+                work.way[i] = -dx[i]
+                x[3 + i] -= dx[3 + i]
+                x[6 + i] -= dx[6 + i]
+            displace_kernel(x, work.way, x)
+            for i in range(9):
+                dx[i] = 0.0
+
+
+@kernel
+def track_kernel(
+    now: Track,
+    fixes: Fixes,
+    output_t: FloatArray,
+    model: Manoeuvres,
+    log: FixLog,
+    x: FloatArray,
+    P: FloatArray,
+    work: TrackWork,
+) -> None:
+    """Fill x (M, 9) and P (M, 9, 9) at the instants output_t (M,) [s], none before the track.
+
+    Each fix is used before the output ``at`` it, unless it is older than the track.
+    """
+    begin, count = 0, fixes.t.shape[0]
+    for k in range(count + 1):
+        end = fixes.at[k] if k < count else output_t.shape[0]
+        for output in range(begin, end):
+            T = output_t[output] - now.t[0]
+            if T >= -TIME_TOLERANCE:
+                _carry_kernel(T, now, model, x[output], P[output], work)
+        begin = max(begin, end)
+        if k < count and fixes.t[k] > now.t[0]:
+            _carry_kernel(fixes.t[k] - now.t[0], now, model, now.x, now.P, work)
+            now.t[0] = fixes.t[k]
+            _use_kernel(k, now, fixes, model, log, work)

@@ -1,0 +1,82 @@
+"""Estimators that take a record only as a whole, started again after each long gap in its IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from bench import disk_arrays
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.navigation.engine import timeline
+from bench.navigation.engine.kept_rows import join_rows, take_rows
+from bench.navigation.options import FixAccuracy
+from bench.navigation.start import alignment
+from bench.navigation.start.restart import BetweenGaps
+
+Run = Callable[[SensorData, InitialState], NavSolution]
+
+
+def run_between_gaps(
+    run: Run, sensors: SensorData, initial: InitialState, accuracy: FixAccuracy | None
+) -> NavSolution:
+    """Return the solution of a filter of whole records, started again after each long gap of the IMU.
+
+    Parameters
+    ----------
+    run : callable
+        The filter, for a record without gaps longer than `timeline.LONGEST_BRIDGE`.
+    sensors, initial : SensorData, InitialState
+        Record and start. Without a long gap ``run`` gets them as they are.
+    accuracy : str or None
+        How the filter weighs fixes; None: it uses none, and has nothing to start again from.
+
+    Returns
+    -------
+    NavSolution
+        With an event "restart" for every long gap.
+
+    Raises
+    ------
+    bench.errors.EstimatorError
+        If the record does not allow the alignment asked for at the start.
+    """
+    if accuracy is None or sensors.fixes is None or not _has_long_gap(sensors, initial.t):
+        return run(sensors, initial)
+    start, events = alignment.complete(sensors, initial)
+
+    def begin(_: SensorData, start: InitialState, events: list[EventRow]) -> Any:
+        return _WholeRun(run, start, events)
+
+    return BetweenGaps(begin, sensors, start, events, accuracy).feed(sensors, 0.0, last=True)
+
+
+def _has_long_gap(sensors: SensorData, start: float) -> bool:
+    """Return whether any sample in use comes after a long gap."""
+    intake, imu, spec = timeline.ImuIntake(start), sensors.imu, sensors.specs.imu
+    waiting = take_rows(imu, slice(0))
+    for block in disk_arrays.blocks(len(imu)):
+        samples = take_rows(imu, block)
+        if len(waiting):
+            samples = join_rows(waiting, samples)
+        rows, span, events, again = intake.take(samples, spec, last=block.stop == len(imu))
+        if events and (span - samples.dt[rows] > timeline.LONGEST_BRIDGE).any():
+            return True
+        waiting = take_rows(samples, again)
+    return False
+
+
+class _WholeRun:
+    """A filter that takes a record only as a whole, as one that takes pieces."""
+
+    def __init__(self, run: Run, start: InitialState, events: list[EventRow]) -> None:
+        self._run, self._start, self._events = run, start, events
+
+    @property
+    def end(self) -> float:
+        return self._start.t
+
+    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        assert last
+        solution = self._run(piece, self._start)
+        return replace(solution, events=Events.from_rows([*self._events, *solution.events.rows()]))
