@@ -277,7 +277,9 @@ def _measure_change(
     known = find_metric(row.metric)
     fraction = _find_fraction(row.metric)
     positive = bool((before > 0).all() and (after > 0).all())
-    by_draw = np.log(after / before) if positive and fraction is None else after - before
+    oriented = None
+    if row.paired:
+        oriented = np.log(after / before) if positive and fraction is None else after - before
     limit = tolerance * float(np.sqrt(np.mean(before**2)))
     if _is_rms(row.metric):
         before, after = before**2, after**2
@@ -291,13 +293,11 @@ def _measure_change(
         relative = True
     if relative:
         limit = math.log1p(tolerance)
-    if not row.paired:
-        oriented = None
-    elif (before.mean() - target) * (after.mean() - target) > 0:
-        oriented = by_draw * np.sign(after.mean() - target)
-    else:  # the values cross their expectation: only the size of the second test counts
+    if oriented is not None and (before.mean() - target) * (after.mean() - target) > 0:
+        oriented *= np.sign(after.mean() - target)
+    elif oriented is not None:  # the values cross their expectation: only the size of the second test counts
         moved = scale(after.mean()) - scale(before.mean())
-        oriented = by_draw * np.sign(by_draw.mean()) * np.sign(moved)
+        oriented *= np.sign(oriented.mean()) * np.sign(moved)
     change = regression.estimate_change(before, after, scale, paired=row.paired, by_draw=oriented)
     size = change.estimate
     row = replace(row, change=math.expm1(min(size, 700.0)) if relative else size, relative=relative)

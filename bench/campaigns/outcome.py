@@ -13,6 +13,7 @@ from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 from bench.units import SAME_INSTANT
+from bench.wording import format_number
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 """Metrics whose squares are averaged over the runs."""
@@ -40,7 +41,7 @@ class Outcome:
     def sentences(self) -> tuple[str, ...]:
         """What the figures mean."""
         rate, bad = self.converged, self.runs - self.converged_runs
-        least, most = (f"{100 * (1 - end):.2g}" for end in (rate.high, rate.low))
+        least, most = (format_number(100 * (1 - end), 2) for end in (rate.high, rate.low))
         found = [
             f"{self.label}: all {self.runs} runs converged; the share that does not is 0 to {most} %"
             if bad == 0

@@ -6,7 +6,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import ceil
+from math import ceil, isfinite
 from typing import Any
 
 import numpy as np
@@ -62,11 +62,10 @@ def measure(task: RunTask) -> dict[str, Any]:
     try:
         truth = get_truth(task.truth_key, task.profile)
         result = pipeline.run(task.profile, task.run, truth=truth)
+        cpu_s = {name: result.provenance[name] for name in ("cpu_s", "estimator_cpu_s")}
+        found = {label: _collect(result, label, task) for label in result.metrics}
     except Exception as error:
         return {**row, "error": describe_error(error)}
-    cpu_s = {name: result.provenance[name] for name in ("cpu_s", "estimator_cpu_s")}
-    labels = result.metrics
-    found = {label: _collect(result, label, task) for label in labels}
     return {**row, "step": task.step, **cpu_s, "estimators": found}
 
 
@@ -117,18 +116,23 @@ def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
     errors, solution = result.errors[label], result.solutions[label]
     begun = task.profile.evaluation_from - SAME_INSTANT
     nis = nis_by_sensor(solution.innovations, begun)
-    repetition = sum_repetition(solution.innovations, begun)
+    with np.errstate(all="ignore"):  # a filter that is lost may report any innovations
+        repetition = sum_repetition(solution.innovations, begun)
     return {
         "metrics": {name: value for name, value in result.metrics[label].items() if _is_plain(value)},
         "states": errors.states,
         "nis_dof": {sensor: int(series.dof.sum()) for sensor, series in nis.items()},
-        "repetition": {sensor: sums.tolist() for sensor, sums in repetition.items()},
+        "repetition": {
+            sensor: sums.tolist() for sensor, sums in repetition.items() if np.isfinite(sums).all()
+        },
         "instants": encode(_thin(errors, solution, task.step)),
     }
 
 
 def _is_plain(value: object) -> bool:
-    return value is None or isinstance(value, bool | int | float | str)
+    return (
+        isfinite(value) if isinstance(value, float) else value is None or isinstance(value, bool | int | str)
+    )
 
 
 def _thin(errors: ErrorSeries, solution: NavSolution, step: float) -> FloatArray:

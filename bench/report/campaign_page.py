@@ -244,7 +244,7 @@ def _plot_distributions(runs: Mapping[str, Any], colours: Mapping[str, Colour]) 
         known = find_metric(metric)
         lines = []
         for label, colour in colours.items():
-            values = np.array(list(runs.get(metric, ())), float)[runs["estimator"] == label]
+            values = np.array(runs[metric][runs["estimator"] == label] if metric in runs else (), float)
             values = np.sort(values[np.isfinite(values)])
             if len(values):
                 share = 100.0 * np.arange(len(values) + 1) / len(values)

@@ -281,6 +281,15 @@ def test_other_draws_are_compared_unpaired_and_it_is_said(recorded, measure):
     assert words(check(directory=recorded))["pos_rmse_h_m"] == "worse"
 
 
+def test_other_draws_of_which_one_broke_are_compared_all_the_same(recorded, measure):
+    """Before and after there are different numbers of values, and no pairs."""
+    measure(lambda k: usual(k, 3.0), sensors=lambda k: f"other {k}", converged=lambda k: k != 3)
+    rows = {row.metric: row for row in check(directory=recorded)}
+    assert not any(row.paired for row in rows.values())
+    assert (rows["pos_rmse_h_m"].word, rows["pos_rmse_h_m"].draws) == ("worse", 19)
+    assert rows["nees_mean"].word in ("same", "undecided")
+
+
 def test_what_is_not_paired_or_needs_more_draws_is_said_once(measure, tmp_path):
     measure()
     record_baselines(["survey.toml"], directory=tmp_path, runs=20)
