@@ -221,6 +221,7 @@ def measure_allan(
     log: str | Path | None = None,
     seed: int = 1,
     picture: str | Path | None = None,
+    force: bool = False,
 ) -> AllanResult:
     """Measure the Allan deviation of an IMU and compare it with its datasheet.
 
@@ -234,6 +235,8 @@ def measure_allan(
         Seed of the noise of the model.
     picture : str, Path or None
         File to draw the curves into, .png, .svg or .pdf.
+    force : bool
+        Replace the picture if it is there.
 
     Returns
     -------
@@ -248,7 +251,7 @@ def measure_allan(
     from bench.report import allan_picture
 
     if picture is not None:
-        allan_picture.check_picture(Path(picture))
+        allan_picture.check_picture(Path(picture), force=force)
     spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
     if log is not None:
         curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)

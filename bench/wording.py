@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -106,6 +107,17 @@ def format_number(value: Any, digits: int = 4) -> str:
         return "-"
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
+
+
+def quote_toml(text: str) -> str:
+    """Return a text as a string of TOML on one line: only JSON escapes what is outside 16 bits in two halves.
+
+    Examples
+    --------
+    >>> print(quote_toml('a "b"'))
+    "a \\"b\\""
+    """
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def as_toml(value: object) -> str:

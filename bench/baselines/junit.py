@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 from bench import store
 from bench.baselines.verdict_rows import Verdict
+from bench.wording import one_line
 
 
 def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False) -> None:
@@ -25,18 +26,20 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
         rows = [row for row in verdicts if row.profile == profile]
         failed, skipped = (sum(_kind(row, strict) == kind for row in rows) for kind in ("failure", "skipped"))
         counts = {"tests": len(rows), "failures": failed, "skipped": skipped, "errors": 0}
-        suite = ElementTree.SubElement(
-            root, "testsuite", {"name": profile} | {name: str(count) for name, count in counts.items()}
-        )
+        suite = _add(root, "testsuite", name=profile, **counts)
         for row in rows:
-            case = ElementTree.SubElement(
-                suite, "testcase", {"classname": f"{profile}.{row.estimator}", "name": row.metric}
-            )
+            case = _add(suite, "testcase", classname=f"{profile}.{row.estimator}", name=row.metric)
             if kind := _kind(row, strict):
-                ElementTree.SubElement(case, kind, {"message": row.sentence})
+                _add(case, kind, message=row.sentence)
     path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.indent(root)
     store.write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+    """Add an element; XML has no control characters, which the name of a profile's file may hold."""
+    named = {name: one_line(str(value)) for name, value in attributes.items()}
+    return ElementTree.SubElement(parent, tag, named)
 
 
 def _kind(row: Verdict, strict: bool) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from bench.config.checks import is_code
 from bench.config.tables import ROWS, Table, check_table
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
+from bench.wording import quote_toml
 
 Values = Mapping[str, Any]
 """Dotted keys of a profile, as --set takes them, and their values."""
@@ -125,8 +125,10 @@ def _flatten(table: Values, above: str = "") -> dict[str, Any]:
 def format_value(value: Any) -> str:
     """Return a value of TOML as text in one line, with all its digits."""
     if isinstance(value, Mapping):
-        inner = (f"{json.dumps(key)} = {format_value(one)}" for key, one in value.items())
+        inner = (f"{quote_toml(key)} = {format_value(one)}" for key, one in value.items())
         return f"{{{', '.join(inner)}}}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(format_value, value))}]"
-    return json.dumps(value) if isinstance(value, str | bool) else str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return quote_toml(value) if isinstance(value, str) else str(value)

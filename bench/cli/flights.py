@@ -214,7 +214,8 @@ def view(folder: Path | None, web: bool) -> int:
 @click.option("--figures", type=click.Choice(["pdf", "svg", "png"]), help="draw figures for a paper instead")
 @click.option("--width-mm", type=FiniteRange(30, 500), default=88.0, metavar="MM", help="of the figures")
 @click.option("--serif", is_flag=True, help="letters with serifs in the figures")
-def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> int:
+@force_option("page, or folder of figures")
+def report(folder: Path, out: Path | None, figures: str | None, force: bool, **look: Any) -> int:
     """Write the report of a results folder, a campaign or a study as one HTML page.
 
     The page needs no network and no other file: verdicts, figures with their bounds, plots,
@@ -224,9 +225,9 @@ def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> 
     from bench.workbench.record_verbs import write_figures, write_report
 
     if figures is None:
-        write_report(folder, out, console=new_console())
+        write_report(folder, out, force=force, console=new_console())
     else:
-        write_figures(folder, out, figures, console=new_console(), **look)
+        write_figures(folder, out, figures, force=force, console=new_console(), **look)
     return DONE
 
 
@@ -241,7 +242,8 @@ def report(folder: Path, out: Path | None, figures: str | None, **look: Any) -> 
     help="of a campaign: best, median, worst, numbers of runs",
 )
 @code_option("campaign")
-def record(folder: Path, out: Path | None, which: str, allow_code: bool) -> int:
+@force_option("recording")
+def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
     """Make the recording of a results folder, or of some runs of a campaign.
 
     For folders written without one: by --no-rrd, by bench score -o, on a machine without a viewer.
@@ -251,13 +253,13 @@ def record(folder: Path, out: Path | None, which: str, allow_code: bool) -> int:
 
     chosen = record_verbs.find_runs(folder, which.split(","))
     if chosen is None:
-        record_verbs.write_recording(folder, out, console=new_console())
+        record_verbs.write_recording(folder, out, force=options["force"], console=new_console())
         return DONE
-    options = {}
+    runs = {}
     for name, command in chosen.items():
         given = run.make_context("run", shlex.split(command)[2:]).params
-        options[name] = {key: given[key] for key in ("profile", "draw", "seed", "estimators", "overrides")}
-    record_verbs.record_runs(folder, out, options, allow_code=allow_code, console=new_console())
+        runs[name] = {key: given[key] for key in ("profile", "draw", "seed", "estimators", "overrides")}
+    record_verbs.record_runs(folder, out, runs, console=new_console(), **options)
     return DONE
 
 

@@ -121,6 +121,7 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
 )
 @out_option("file for the fixes", "FILE.csv")
 @click.option("--report", type=FILE, metavar="FILE.html", help="write a page with the fixes and their errors")
+@force_option("file")
 @json_option("the figures")
 def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute the fixes of a GNSS receiver from its observations.
@@ -147,7 +148,8 @@ def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **opt
 @click.option("--log", type=FILE, metavar="FILE", help="measure this log of an IMU at rest")
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
 @click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
-def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> int:
+@force_option("picture")
+def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU and compare it with its datasheet.
 
     UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml. Its
@@ -169,7 +171,7 @@ def allan(unit: str | None, log: Path | None, out: Path | None, seed: int) -> in
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
     from bench.workbench.record_verbs import measure_allan
 
-    return DONE if measure_allan(unit, log, out=out, seed=seed, console=new_console()) else NEGATIVE
+    return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE
 
 
 @commands.command(epilog=STATUS)

@@ -74,7 +74,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
             part.unlink(missing_ok=True)
 
 
-def write_recording(folder: str | Path, out: str | Path | None = None) -> Path:
+def write_recording(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:
     """Write the recording of a results folder, also of one that was written without, and return its path.
 
     Parameters
@@ -82,12 +82,14 @@ def write_recording(folder: str | Path, out: str | Path | None = None) -> Path:
     folder : str or Path
         A results folder, of a run or of a log.
     out : str, Path or None
-        The file to write. Default ``flight.rrd`` in the results folder.
+        The file to write. Default ``flight.rrd`` in the results folder, which is made again.
+    force : bool
+        Replace the recording ``out``.
 
     Raises
     ------
     bench.errors.ConfigError
-        If it is not a results folder, or ``out`` is another kind of file.
+        If it is not a results folder, or ``out`` is another kind of file, or there already.
     bench.errors.NothingToShowError
         If no solution has a motion to show.
     OSError
@@ -96,22 +98,25 @@ def write_recording(folder: str | Path, out: str | Path | None = None) -> Path:
     folder = Path(folder)
     result = store.load(folder)
     path = folder / store.RECORDING if out is None else Path(out)
-    check_recording(path)
+    check_recording(path, force=force or out is None)
     write(path, result.name or folder.resolve().name, result)
     if out is None:
         store.add_to_mark(folder, store.RECORDING)
     return path
 
 
-def check_recording(path: Path) -> None:
-    """Raise ConfigError if a recording cannot be written: no folder, or a file of another kind."""
-    store.check_file(path)
+def check_recording(path: Path, *, force: bool) -> None:
+    """Raise ConfigError if a recording cannot be written: no folder, or a file of another kind.
+
+    A recording is replaced with ``force`` only.
+    """
     if path.suffix != ".rrd":
         raise ConfigError(f"{path}: a recording is an .rrd file")
     if path.is_file():
         with path.open("rb") as file:
             if file.read(4) != b"RRF2":
                 raise ConfigError(f"{path}: not replaced, it is not a recording; -o names another file")
+    store.check_file(path, force=force)
 
 
 def column(

@@ -26,11 +26,14 @@ _LINES = {
 _TITLES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 
 
-def check_picture(path: Path) -> None:
-    """Raise ConfigError if a path does not end in .png, .svg or .pdf, or cannot be written."""
+def check_picture(path: Path, *, force: bool) -> None:
+    """Raise ConfigError if a path does not end in .png, .svg or .pdf, or cannot be written.
+
+    With ``force``, a file that is there may be replaced.
+    """
     if path.suffix not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{path}: must end in .png, .svg or .pdf")
-    check_file(path)
+    check_file(path, force=force)
 
 
 def draw_allan(path: Path, measured: AllanResult) -> None:

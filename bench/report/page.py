@@ -69,11 +69,14 @@ class Figure(NamedTuple):
     drawing: str
 
 
-def check_page(path: Path) -> None:
-    """Raise ConfigError if a page cannot be written: no folder, or a file that bench did not write."""
-    store.check_file(path)
+def check_page(path: Path, *, force: bool) -> None:
+    """Raise ConfigError if a page cannot be written: no folder, or a file that bench did not write.
+
+    A page of bench is replaced with ``force`` only.
+    """
     if path.is_file() and b'name="generator" content="bench' not in path.read_bytes()[:2000]:
         raise ConfigError(f"{path}: not replaced, bench did not write it; -o names another file")
+    store.check_file(path, force=force)
 
 
 def make_page(name: str, result: RunResult) -> str:

@@ -13,7 +13,11 @@ from bench.studies.study_folder import load_study
 
 
 def write_report(
-    folder: str | Path, out: str | Path | None = None, say: Callable[[str], object] = lambda text: None
+    folder: str | Path,
+    out: str | Path | None = None,
+    say: Callable[[str], object] = lambda text: None,
+    *,
+    force: bool = False,
 ) -> Path:
     """Write the report of a results folder, a campaign or a study as HTML, or the index of several results.
 
@@ -23,9 +27,11 @@ def write_report(
         A results folder, that of a campaign or a study, or one with results folders in it, two levels deep.
     out : str, Path or None
         The file to write. Default ``report.html`` in the folder, or ``index.html`` in the folder of
-        results, where each results folder without a report gets one.
+        results, where each results folder without a report gets one; that one is made again.
     say : callable
         Called with a message for each results folder that cannot be read.
+    force : bool
+        Replace the page ``out``.
 
     Returns
     -------
@@ -35,7 +41,7 @@ def write_report(
     Raises
     ------
     bench.errors.ConfigError
-        If there are no results, or a file is there that bench did not write.
+        If there are no results, or a file is there that bench did not write, or ``out`` is there.
     OSError
         If a file cannot be written; an existing file is left unchanged.
     """
@@ -45,7 +51,7 @@ def write_report(
     single = of_campaign or of_study or (folder / store.RESULT).is_file()
     folders = [] if single else index.find_folders(folder)
     path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
-    page.check_page(path)
+    page.check_page(path, force=force or out is None)
     if not folders:
         name = folder.resolve().name
         if of_campaign:
@@ -69,7 +75,13 @@ def write_report(
 
 
 def write_figures(
-    folder: str | Path, out: str | Path, form: str = "pdf", *, width_mm: float = 88.0, serif: bool = False
+    folder: str | Path,
+    out: str | Path,
+    form: str = "pdf",
+    *,
+    width_mm: float = 88.0,
+    serif: bool = False,
+    force: bool = False,
 ) -> list[Path]:
     """Draw the figures of a results folder for a paper, one file for each tab and estimator, or of a study.
 
@@ -78,13 +90,15 @@ def write_figures(
     folder : str or Path
         A results folder, or that of a study.
     out : str or Path
-        A new folder for the files.
+        The folder for the files.
     form : {"pdf", "svg", "png"}
         Their format.
     width_mm : float
         Their width [mm].
     serif : bool
         Letters with serifs.
+    force : bool
+        Replace the figures in ``out``.
 
     Returns
     -------
@@ -96,8 +110,8 @@ def write_figures(
     out = Path(out)
     study = load_study(folder) if (Path(folder) / store.STUDY_RESULT).is_file() else None
     result = store.load(folder) if study is None else None
-    store.check_folder(out, force=False)
-    with store.make_folder(out) as partial:
+    store.check_folder(out, force=force, kind=store.FIGURES)
+    with store.make_folder(out, force=force, kind=store.FIGURES) as partial:
         if study is not None:
             drawings = {name: [plot] for name, plot in study.figures.items()}
             written = paper.write_drawings(partial, drawings, (), form, width_mm=width_mm, serif=serif)

@@ -8,6 +8,7 @@ from bench.store.damage import RESULT, TRUTH, open_summary, read_summary, report
 from bench.store.folders import (
     CAMPAIGN,
     EXPORT,
+    FIGURES,
     STUDY,
     add_to_mark,
     check_file,
@@ -59,6 +60,7 @@ __all__ = [
     "CAMPAIGN",
     "CAMPAIGN_RESULT",
     "EXPORT",
+    "FIGURES",
     "LIMIT",
     "RECORDING",
     "REPORT",

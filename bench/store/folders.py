@@ -17,7 +17,8 @@ from bench.store.parquet import PART
 MARK = ".bench.json"
 """File that marks a folder as written by bench: version, kind, and the names of all files written."""
 
-RESULTS, EXPORT, CAMPAIGN, STUDY = "results folder", "export", "campaign", "study"
+RESULTS, EXPORT, CAMPAIGN = "results folder", "export", "campaign"
+STUDY, FIGURES = "study", "folder of figures"
 """Kinds of folders."""
 
 _LONGEST = "x" * 150  # no file in a folder has a longer name [characters]
@@ -58,12 +59,17 @@ def check_folder(folder: Path, *, force: bool, kind: str = RESULTS) -> None:
         raise ConfigError(f"{folder}: no folder can be made in {above}: {error.strerror}") from None
 
 
-def check_file(path: Path) -> None:
-    """Raise ConfigError if a file cannot be written under a path; call it before the work."""
+def check_file(path: Path, *, force: bool) -> None:
+    """Raise ConfigError if a file cannot be written under a path; call it before the work.
+
+    With ``force``, a file that is there may be replaced.
+    """
     if path.is_dir():
         raise ConfigError(f"{path}: is a folder; name a file in it")
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}")
+    if path.exists() and not force:
+        raise ConfigError(f"{path}: exists; --force replaces it")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ConfigError(f"{path}: cannot be written: permission denied")
 

@@ -18,8 +18,8 @@ from bench.campaigns.card import Card, describe_suite, make_card, read_card, wri
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
-from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
+from bench.report import card_page, page
 from bench.report.writing import write_report
 from bench.wording import format_number
 from bench.workbench.console import PlainConsole
@@ -177,11 +177,10 @@ def run_card(
 ) -> Card:
     """Make the card of an estimator, print it and write it; options are those of `bench.make_card`."""
     find_own_estimators()
-    for path in (out, html):
-        if path is not None:
-            store.check_file(path)
-            if path.exists() and not force:
-                raise ConfigError(f"{path}: exists; --force replaces it")
+    if out is not None:
+        store.check_file(out, force=force)
+    if html is not None:
+        page.check_page(html, force=force)
     with _show_progress(f"card of {estimator}") as progress:
         card = make_card(estimator, progress=progress, **options)
     console.print(f"{card.estimator}, beside {card.against}: {describe_suite(card)}", soft_wrap=True)
@@ -192,9 +191,7 @@ def run_card(
         store.write_json(out, card.model_dump())
         console.print(f"Wrote {out}.")
     if html is not None:
-        from bench.report.card_page import write_card
-
-        write_card(html, card)
+        card_page.write_card(html, card)
         console.print(f"Wrote {html}.")
     return card
 

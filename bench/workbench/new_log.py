@@ -17,6 +17,7 @@ from bench.exchange.log_records import read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, Found, find_tables, find_texts
 from bench.files import check_file, read_json
+from bench.wording import one_line, quote_toml
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
@@ -58,6 +59,11 @@ def new_log(name: str, *, console: Console) -> None:
     else:
         found = find_tables(path)
     text = _write_log(path.stem, found, _read_antenna(found["gnss"]))
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:  # a name of the disk that is not UTF-8
+        wrong = one_line(error.object[error.start : error.end + 20])
+        raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
     try:
         log.write_text(text, encoding="utf-8")
         last = float(read_records(load_log(str(log))).imu.t.max())
@@ -106,7 +112,7 @@ def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 def _write_log(title: str, found: Mapping[str, Found], antenna: tuple[list[float], str] | None) -> str:
     """Return the text of the log; what a file cannot say is a comment that asks."""
-    lines = [f"title = {json.dumps(title)}"]
+    lines = [f"title = {quote_toml(title)}"]
     asked = {
         "imu": [
             "# roll, pitch, yaw of its axes against forward, right, down?  mounting_deg = [0.0, 0.0, 0.0]",
@@ -117,22 +123,22 @@ def _write_log(title: str, found: Mapping[str, Found], antenna: tuple[list[float
     }
     if antenna is not None:
         place, says = antenna
-        asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {says}"]
+        asked["gnss"] = [f"position_m = {json.dumps(place)}  # by {one_line(says)}"]
     if found["imu"].path.suffix.lower() in _REP_103:
         text = "# its axes are those of REP 103, forward, left, up?          mounting_deg = [180.0, 0.0, 0.0]"
         asked["imu"][0] = text
     for kind, one in found.items():
-        lines += ["", f"[{kind}]", f"file = {json.dumps(one.path.name)}"]
+        lines += ["", f"[{kind}]", f"file = {quote_toml(one.path.name)}"]
         if one.form:
-            lines.append(f"format = {json.dumps(one.form)}")
+            lines.append(f"format = {quote_toml(one.form)}")
         if one.structure:
-            lines.append(f"topic = {json.dumps(one.structure)}")
-        lines += [f"# or topic = {json.dumps(other)}?" for other in one.others]
+            lines.append(f"topic = {quote_toml(one.structure)}")
+        lines += [f"# or topic = {quote_toml(other)}?" for other in one.others]
         aliases = {ours: theirs for ours, theirs in one.columns.items() if ours != theirs}
         if aliases:
-            listed = ", ".join(f"{ours} = {json.dumps(theirs)}" for ours, theirs in aliases.items())
+            listed = ", ".join(f"{ours} = {quote_toml(theirs)}" for ours, theirs in aliases.items())
             lines.append(f"columns = {{ {listed} }}")
-        lines += [f"# {line}: right?" for line in one.guessed] + asked[kind]
+        lines += [f"# {one_line(line)}: right?" for line in one.guessed] + asked[kind]
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
     lines += [f'{kind} = "{_DATASHEETS[kind]}"' for kind in found]
     lines += ["", "[alignment]", 'kind = "course"  # "level" if it stands for a minute before it moves?']

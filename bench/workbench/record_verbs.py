@@ -76,11 +76,11 @@ def _print_drifts(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     console.print(DRIFT_MEANING, soft_wrap=True)
 
 
-def write_recording(folder: Path, out: Path | None, *, console: Console) -> None:
+def write_recording(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:
     """Make the recording of a results folder, and print the next command."""
     from bench import recording
 
-    path = recording.write_recording(folder, out)
+    path = recording.write_recording(folder, out, force=force)
     console.print(f"Wrote {path}.", soft_wrap=True)
     if out is None:
         console.print(f"Next: bench view {folder}", soft_wrap=True)
@@ -100,6 +100,7 @@ def record_runs(
     out: Path | None,
     runs: Mapping[str, Mapping[str, Any]],
     *,
+    force: bool,
     allow_code: bool,
     console: Console,
 ) -> None:
@@ -112,7 +113,7 @@ def record_runs(
     from bench.plots.overlay import merge_results
 
     path = folder / store.RECORDING if out is None else out
-    recording.check_recording(path)
+    recording.check_recording(path, force=force or out is None)
     find_own_estimators()
     results = {}
     for name, options in runs.items():
@@ -129,11 +130,12 @@ def record_runs(
     console.print(f"Wrote {path}: {'; '.join(results)}.", soft_wrap=True)
 
 
-def write_report(folder: Path, out: Path | None, *, console: Console) -> None:
+def write_report(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:
     """Write the report of a results folder, or the index of a folder of results, and print where it is."""
     from bench.report import writing
 
-    console.print(f"Wrote {writing.write_report(folder, out, console.print)}.", soft_wrap=True)
+    path = writing.write_report(folder, out, console.print, force=force)
+    console.print(f"Wrote {path}.", soft_wrap=True)
 
 
 def write_figures(folder: Path, out: Path | None, form: str, *, console: Console, **look: Any) -> None:
@@ -153,6 +155,7 @@ def solve_fixes(
     datum: str,
     out: Path | None,
     report: Path | None,
+    force: bool,
     **options: Any,
 ) -> dict[str, Any]:
     """Solve RINEX files, print and return the figures, and write the fixes and their report.
@@ -160,11 +163,11 @@ def solve_fixes(
     ``options`` are those of `bench.api.solve_rinex`; ``datum`` is that of the positions in ``out``.
     """
     if out is not None:
-        store.check_file(out)
+        store.check_file(out, force=force)
     if report is not None:
         from bench.report import fixes_page, page
 
-        page.check_page(report)
+        page.check_page(report, force=force)
     solved = api.solve_rinex(observations, navigation, **options)
     figures = solved.figures()
     table = Table("", "")
@@ -184,12 +187,12 @@ def solve_fixes(
 
 
 def measure_allan(
-    unit: str | None, log: Path | None, *, out: Path | None, seed: int, console: Console
+    unit: str | None, log: Path | None, *, out: Path | None, force: bool, seed: int, console: Console
 ) -> bool:
     """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands."""
     source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
     picture = out or Path(f"allan-{source}.png")
-    measured = api.measure_allan(unit, log=log, seed=seed, picture=picture)
+    measured = api.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
     for curve in measured.curves:
         _print_allan_table(curve, console)
         if log is not None:

@@ -325,8 +325,8 @@ def test_runs_are_recorded_side_by_side(here, capsys):
     assert "has no run '7'; best, median, worst, or a number up to 3" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="runs code on this machine; --allow-code permits it"):
         record_verbs.record_runs(
-            Path("two"), Path("some.rrd"), {"run 0": {"estimators": ["lab:Mine"]}}, allow_code=False,
-            console=Console(),
+            Path("two"), Path("some.rrd"), {"run 0": {"estimators": ["lab:Mine"]}},
+            force=True, allow_code=False, console=Console(),
         )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ tests/evaluation/test_regression.py.
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -402,6 +403,19 @@ def test_junit_holds_failures_and_what_is_undecided(recorded, measure, tmp_path)
         (suite,) = ElementTree.parse(path).getroot()
         assert suite.attrib["tests"] == "4"
         assert [case.attrib["name"] for case in suite if case.find("failure") is not None] == failed
+
+
+def test_junit_is_xml_whatever_a_profile_is_called(measure, tmp_path):
+    """Control characters and bytes that are not UTF-8 are in names of files, and not in XML."""
+    measure()
+    record_baselines(["survey.toml"], directory=tmp_path, runs=20)
+    measure(lambda k: usual(k, nees=12.0))
+    name = "a\x01\x1b[31m\n<&\udce9\ufffe"
+    verdicts = [replace(row, profile=name, estimator=name, note=name) for row in check(directory=tmp_path)]
+    write_junit(tmp_path / "check.xml", verdicts)
+    (suite,) = ElementTree.parse(tmp_path / "check.xml").getroot()
+    assert suite.attrib["name"] == "a??[31m <&??"
+    assert any("<&" in case[0].attrib["message"] for case in suite if len(case))
 
 
 def test_the_verdict_survives_80_columns(recorded, measure):

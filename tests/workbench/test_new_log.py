@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import tomllib
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
@@ -10,6 +15,7 @@ from scipy.io import savemat
 import bench
 from bench.cli import main
 from bench.config.log import load_log
+from bench.errors import WRONG
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import make_run
@@ -50,6 +56,52 @@ def test_the_log_reads_what_was_recorded(tmp_path, style, capsys):
     assert "mounting_deg" in text
     assert ("taken as deg_s by the values" in said) == (style == "theirs")
     assert ("taken as ms by the values: right?" in text) == (style == "theirs")
+
+
+STRANGE = '\n[reference]\nfile = "x"\n\x1b\x7f \U0001f6e9'
+
+
+def test_names_of_other_people_stay_within_their_line(tmp_path, capsys):
+    """A line break in the name of a column, or of a file, adds nothing to the log."""
+    made = drives.sensed()
+    imu, fixes = made["imu"], drives.gnss_columns(made["gnss"])
+    columns = {"t_s": imu["t"]}
+    columns |= {f"gyr{a}({STRANGE}": np.rad2deg(imu["gyro"][:, k]) for k, a in enumerate("xyz")}
+    columns |= {f"acc{a}({STRANGE}": imu["accel"][:, k] for k, a in enumerate("xyz")}
+    pq.write_table(pa.table(columns), tmp_path / f"a{STRANGE}.parquet")
+    pq.write_table(pa.table(fixes), tmp_path / "gnss.parquet")
+    assert main(["new", "log", str(tmp_path / f"a{STRANGE}.parquet")]) == 0
+    (log,) = tmp_path.glob("*.toml")
+    found = tomllib.loads(log.read_text(encoding="utf-8"))
+    assert found.keys() == {"title", "imu", "gnss", "sensors", "alignment"}
+    assert found["imu"]["file"] == f"a{STRANGE}.parquet"
+    assert f"accz({STRANGE}" in found["imu"]["columns"].values()
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_the_file_that_names_the_antenna_stays_within_its_comment(tmp_path):
+    make_run(tmp_path / "run")
+    out = tmp_path / "out"
+    bench.export_run(tmp_path / "run", "kf-gins", out=out)
+    (out / "kf-gins.yaml").rename(out / f"kf{STRANGE}.yaml".replace("/", ""))
+    assert main(["new", "log", str(out / "imu.txt")]) == 0
+    assert "reference" not in tomllib.loads((out / "imu.toml").read_text(encoding="utf-8"))
+    assert "# by kf [reference] file" in (out / "imu.toml").read_text(encoding="utf-8")
+
+
+def test_a_name_that_is_no_text_is_refused_in_a_line(tmp_path, capsys):
+    make_run(tmp_path / "run")
+    out = tmp_path / "out"
+    bench.export_run(tmp_path / "run", "kf-gins", out=out)
+    try:
+        (out / "gnss.txt").rename(out / os.fsdecode(b"caf\xe9.txt"))
+    except OSError:
+        pytest.skip("this disk has no names that are not UTF-8")
+    assert main(["new", "log", str(out / "imu.txt")]) == WRONG
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {out / 'imu.txt'}: a log cannot name what is not UTF-8, '?.txt")
+    assert said.count("\n") == 1
+    assert not list(out.glob("*.toml"))
 
 
 def test_an_export_of_the_bench_is_found(tmp_path):
