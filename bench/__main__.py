@@ -9,6 +9,7 @@ import sys
 from types import FrameType
 
 from bench.errors import INTERRUPTED
+from bench.plain_output import let_streams_write_all
 
 
 def main() -> None:
@@ -18,6 +19,7 @@ def main() -> None:
     for number in numbers:
         if signal.getsignal(number) != signal.SIG_IGN:  # ignored: started in the background
             signal.signal(number, _leave)
+    let_streams_write_all()
     from bench import cli
 
     status = cli.main()
