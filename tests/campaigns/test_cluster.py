@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,9 +22,11 @@ import bench
 from bench.campaigns import cluster
 from bench.campaigns.pools import SerialExecutor
 from bench.errors import ConfigError
+from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 
 distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
+psutil = pytest.importorskip("psutil", reason="dask brings it")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 OWN = "from bench.navigation.models.loose_tight import Loose as Own\n"
@@ -31,7 +36,7 @@ OWN = "from bench.navigation.models.loose_tight import Loose as Own\n"
 def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Start a scheduler and workers that cannot import what is in the present folder."""
     address = place / "address.json"
-    common = ["--scheduler-file", str(address), "--no-dashboard"]
+    common = ["--scheduler-file", str(address), "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     commands = [["scheduler", "--host", "127.0.0.1", "--port", "0", *common]]
     worker = ["worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--death-timeout", "60"]
     commands += [[*worker, "--local-directory", str(place), *common] for _ in range(count)]
@@ -78,6 +83,56 @@ def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch)
     bench.campaign("short.toml", 6, executor=SerialExecutor(), out="here", **options)
     assert (tmp_path / "spread/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
     assert pq.read_table("here/runs.parquet").num_rows == 6
+
+
+def find_guide_lines(port: int) -> list[str]:
+    """Return the scripts of the guide that start a scheduler and workers, on this machine and a free port."""
+    text = (guide.FOLDER / "campaigns.md").read_text(encoding="utf-8")
+    scripts = []
+    for block in re.findall(r"^```text\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        if "dask scheduler" in block:
+            started = re.sub(r"^(?!.*dask|export |local=).*\n", "", block, flags=re.MULTILINE)
+            here = re.sub(r"10\.0\.0\.\d", "127.0.0.1", started.replace("8787", "0"))
+            one_port = re.sub(r"dask scheduler( --port 8786)?", "dask scheduler --port 8786", here)
+            behind = re.sub(r"^(dask .*?)( &)?$", r"\1 &", one_port, flags=re.MULTILINE)
+            scripts.append(behind.replace("8786", str(port)).replace("--nworkers 8", "--nworkers 2"))
+    return scripts
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the lines of the guide are those of a POSIX shell")
+@pytest.mark.parametrize("number", [0, 1], ids=["many machines", "one machine"])
+def test_the_lines_of_the_guide_listen_only_where_they_say(tmp_path, number):
+    """What listens takes pickles, so that it must not listen at all addresses of a machine."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    script = find_guide_lines(port)[number]
+    assert script.count("dask worker") == number + 1
+    shell = subprocess.Popen(
+        ["/bin/sh", "-c", f"{script}wait"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"},
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        with distributed.Client(f"tcp://127.0.0.1:{port}", timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+            started = psutil.Process(shell.pid).children(recursive=True)
+            listening = {
+                connection.laddr
+                for one in started
+                for connection in (
+                    one.net_connections if hasattr(one, "net_connections") else one.connections
+                )()
+                if connection.status == psutil.CONN_LISTEN
+            }
+    finally:
+        os.killpg(shell.pid, signal.SIGKILL)
+        shell.wait()
+    assert {address.ip for address in listening} == {"127.0.0.1"}
+    assert port in {address.port for address in listening}
+    assert len(listening) >= 6  # each of the three processes has one for the others and one for its page
 
 
 def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
