@@ -7,7 +7,8 @@ the rest of the samples waiting. What it is asked between goes over these on a c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -27,8 +28,10 @@ from bench.navigation.engine.record_cuts import (
     take_head,
     without_orbits,
 )
+from bench.navigation.saved_state import check_parts, check_state
 from bench.navigation.start import alignment
 from bench.specs import AssumedSpecs
+from bench.wording import one_line
 
 
 class PieceFilter:
@@ -76,6 +79,7 @@ class PieceFilter:
         self.start: InitialState | None = None  # that was found
         self.passage: InPieces | None = None
         self.finished = False
+        self.resumed_from = ""  # the file, if it goes on from a saved state
 
     @property
     def t(self) -> float:
@@ -112,8 +116,9 @@ class PieceFilter:
         if self.finished:
             raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
         after = self._copy()
-        after._check(piece)
-        solution = after._take(piece, last=False)
+        with self._doubt_the_file():
+            after._check(piece)
+            solution = after._take(piece, last=False)
         self.__dict__.update(after.__dict__)
         return solution
 
@@ -125,7 +130,8 @@ class PieceFilter:
         if self.passage is None:
             return nothing_known(np.array([self.t]))
         assert self.head is not None
-        return self.passage.copy().answer(self.head)
+        with self._doubt_the_file():
+            return self.passage.copy().answer(self.head)
 
     def finish(self) -> NavSolution:
         """Return the answers that are left; nothing comes any more.
@@ -137,7 +143,8 @@ class PieceFilter:
         """
         if self.head is None:
             raise EstimatorError(f"{self.use!r} has been given nothing: feed a piece first")
-        solution = self._take(self.head, last=True)
+        with self._doubt_the_file():
+            solution = self._take(self.head, last=True)
         self.finished = True
         return solution
 
@@ -169,17 +176,43 @@ class PieceFilter:
         estimator: object,
         specs: AssumedSpecs,
         state: Mapping[str, Any],
+        path: str,
     ) -> PieceFilter:
-        """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes."""
+        """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes.
+
+        Whatever it raises: the state in the file ``path`` is none of this filter.
+        """
+        check_state(state["finished"], False, "finished")
         found = cls(use, options, estimator, InitialState(**state["initial"]), state["look_back"])
+        found.resumed_from = path
         found.head, found.finished = from_plain(state["head"], specs), state["finished"]
         if state["waiting"] is not None:
             found.waiting = from_plain(state["waiting"], specs)
         if state["passage"] is not None:
             found.start = InitialState(**state["start"])
             found.passage = found.estimator.in_pieces(found.head, found.start, [])
+            again = state["passage"].get("start")  # after a silence of the IMU, or the same
+            begun = found.start if again is None else InitialState(**again)
+            fresh = found.estimator.in_pieces(found.head, begun, []).state()
+            check_state(state["passage"], fresh, "passage")
             found.passage.restore(state["passage"])
+            check_parts(found.passage)
         return found
+
+    @contextmanager
+    def _doubt_the_file(self) -> Iterator[None]:
+        """Name the saved state that the filter goes on from where it ends in an error of another kind."""
+        try:
+            yield
+        except EstimatorError:
+            raise
+        except Exception as error:
+            if not self.resumed_from:
+                raise
+            why = one_line(repr(error))[:200]
+            raise EstimatorError(
+                f"{self.resumed_from}: {self.use!r} cannot go on from this state: {why}"
+            ) from error
 
     def _check(self, piece: SensorData) -> None:
         """Check that a piece has the sensors of the first."""
@@ -209,6 +242,7 @@ class PieceFilter:
         copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
         copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
         copy.search.tried, copy.start = self.search.tried, self.start
+        copy.resumed_from = self.resumed_from
         copy.passage = None if self.passage is None else self.passage.copy()
         return copy
 

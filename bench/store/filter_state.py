@@ -15,11 +15,14 @@ import numpy as np
 
 import bench
 from bench.errors import EstimatorError
+from bench.files import check_file
 from bench.navigation import estimator
 from bench.navigation.open_filters import PieceFilter
 from bench.store.start_document import assumed_document, read_assumed_specs
+from bench.wording import one_line
 
 FORMAT = 1
+_MOST_BYTES = 2_000_000_000
 _NOTES, _SUM = "notes", "sha256"
 
 
@@ -57,27 +60,36 @@ def save_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
     return place
 
 
-def resume_filter(path: str | os.PathLike[str]) -> PieceFilter:
+def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> PieceFilter:
     """Return the filter that :func:`save_filter` wrote: it goes on as if it had never stopped.
+
+    The file is data alone. Its state is held against that of the same filter before its first piece: names,
+    shapes and types, and whatever compiled code takes as a place in memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    allow_code : bool
+        Import the filter that the file names, if it is none of bench. Its code then runs on this machine.
 
     Raises
     ------
     EstimatorError
-        If the file is damaged, holds no filter, or is of another version of bench.
+        If the file is damaged, holds no filter, is of another version of bench, or names code that is not
+        allowed.
     FileNotFoundError
         If there is no such file.
     """
     what = f"{path} holds no filter that bench saved"
-    with open(path, "rb") as file:
-        content = io.BytesIO(file.read())
+    check_file(Path(path), str(path), _MOST_BYTES)
     try:
-        with np.load(content, allow_pickle=False) as found:
-            arrays = {name: found[name] for name in found.files}
+        arrays = _read_arrays(Path(path))
         total = str(arrays.pop(_SUM))
         notes = json.loads(str(arrays[_NOTES]))
-        made, known = notes["bench"], notes["format"]
-    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise EstimatorError(f"{what}: {error}") from error
+        made, known, use, options = (notes[name] for name in ("bench", "format", "use", "options"))
+    except Exception as error:  # nothing but the file is read here
+        raise EstimatorError(f"{what}: {one_line(str(error))[:200]}") from error
     if total != _sum(arrays):
         raise EstimatorError(f"{what}: it has been changed or damaged; save it again")
     if (known, made) != (FORMAT, bench.__version__):
@@ -85,10 +97,29 @@ def resume_filter(path: str | os.PathLike[str]) -> PieceFilter:
             f"{path} was saved by bench {made}; its numbers may mean something else to {bench.__version__}: "
             "run the record again"
         )
-    specs = read_assumed_specs(notes)
-    built = estimator.load(notes["use"], notes["options"])
-    state = _give_arrays(notes["state"], arrays)
-    return PieceFilter.restore(notes["use"], notes["options"], built, specs, state)
+    if use not in estimator.BUILT_IN and not allow_code:
+        raise EstimatorError(
+            f"{path}: names {str(use)[:60]!r}, which runs code on this machine; allow_code=True permits it"
+        )
+    del arrays[_NOTES]
+    try:
+        specs, state = read_assumed_specs(notes), _give_arrays(notes["state"], arrays)
+        if arrays:
+            raise ValueError(f"{next(iter(arrays))} belongs to nothing")
+        return PieceFilter.restore(use, options, estimator.load(use, options), specs, state, str(path))
+    except Exception as error:  # what is restored is made of nothing but the file
+        raise EstimatorError(
+            f"{path}: its state is none of {use!r} with these options: {one_line(str(error))[:300]}"
+        ) from error
+
+
+def _read_arrays(path: Path) -> dict[str, Any]:
+    """Read the arrays of a file; what is packed may be any size, and bench packs nothing."""
+    with zipfile.ZipFile(path) as archive:
+        if any(one.compress_type != zipfile.ZIP_STORED for one in archive.infolist()):
+            raise ValueError("it is compressed")
+    with np.load(path, allow_pickle=False) as found:
+        return {name: found[name] for name in found.files}
 
 
 def _take_arrays(value: Any, name: str, arrays: dict[str, Any]) -> Any:
@@ -103,11 +134,13 @@ def _take_arrays(value: Any, name: str, arrays: dict[str, Any]) -> Any:
     return value
 
 
-def _give_arrays(value: Any, arrays: Mapping[str, Any]) -> Any:
-    """Undo :func:`_take_arrays`."""
+def _give_arrays(value: Any, arrays: dict[str, Any]) -> Any:
+    """Undo :func:`_take_arrays`; each array is taken out once."""
     if isinstance(value, Mapping):
         if value.keys() == {"array"}:
-            return arrays[value["array"]]
+            if value["array"] not in arrays:
+                raise ValueError(f"{value['array']} is missing")
+            return arrays.pop(value["array"])
         return {key: _give_arrays(inner, arrays) for key, inner in value.items()}
     if isinstance(value, list):
         return [_give_arrays(inner, arrays) for inner in value]
