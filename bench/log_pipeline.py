@@ -19,6 +19,7 @@ from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import validity
+from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
@@ -189,7 +190,8 @@ def navigate_log(
             errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
         else:
             errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
-        metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled})
+        coverage = measure_coverage(solution, data)
+        metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled}, coverage)
         solutions[label] = solution
         disk_arrays.release()
     check_starts(raised, len(log.estimators))

@@ -181,6 +181,7 @@ def run(
         used[label] = _read_cpu_clock() - begun
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
+    from bench.evaluation.coverage import measure_coverage
     from bench.evaluation.verdict import add_verdict
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
@@ -195,7 +196,10 @@ def run(
         }
         for label, solution in solutions.items()
     }
-    metrics = {label: add_verdict(label, values) for label, values in metrics.items()}
+    metrics = {
+        label: add_verdict(label, values, measure_coverage(solutions[label], sensed.data))
+        for label, values in metrics.items()
+    }
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, sensed.data).items():
         metrics[label]["same_as"] = other

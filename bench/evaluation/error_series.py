@@ -292,11 +292,35 @@ def count_aligning_epochs(solution: NavSolution, until: float) -> int:
 
 
 def find_covered_epochs(solution: NavSolution) -> BoolArray:
-    """Return a mask (M,) of the epochs outside all `NOT_COVERED` events; all epochs if none would be left."""
-    rows = np.ones(len(solution), np.bool_)
-    for start, end, _ in solution.events.select(NOT_COVERED):
-        rows[(solution.t >= start) & (solution.t <= end)] = False
+    """Return a mask (M,) of the epochs to judge: those outside all `NOT_COVERED` events that have any number.
+
+    Epochs before the first answer that are NaN throughout are among them: they belong to an alignment. It is
+    all epochs if none would be left.
+    """
+    answered = find_answered_epochs(solution)
+    rows = answered.copy()
+    rows[: np.argmax(answered)] = True
+    rows &= ~_find_uncovered(solution)
     return rows if rows.any() else ~rows
+
+
+def find_answered_epochs(solution: NavSolution) -> BoolArray:
+    """Return a mask (M,) of the epochs that have any number, and that no `NOT_COVERED` event holds."""
+    rows = np.zeros(len(solution), np.bool_)
+    columns = [*(getattr(solution, name) for name in _VALUES.values()), solution.cov]
+    for block in disk_arrays.blocks(len(solution)):
+        for column in columns:
+            if rows[block].all():
+                break
+            rows[block] |= ~np.isnan(column[block].reshape(len(rows[block]), -1)).all(axis=1)
+    return rows & ~_find_uncovered(solution)
+
+
+def _find_uncovered(solution: NavSolution) -> BoolArray:
+    rows = np.zeros(len(solution), np.bool_)
+    for start, end, _ in solution.events.select(NOT_COVERED):
+        rows[(solution.t >= start) & (solution.t <= end)] = True
+    return rows
 
 
 def select_epochs(record: _Series, rows: BoolArray | IntArray | slice) -> _Series:

@@ -14,7 +14,7 @@ import numpy as np
 from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
-from bench.evaluation.error_series import normalized_squares, select_epochs
+from bench.evaluation.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.metrics import METRICS, judge_epochs
 from bench.units import SAME_INSTANT
@@ -139,7 +139,10 @@ def judge(
             for metric in METRICS
             if metric.block not in left_out and not metric.name.startswith(_OF_TRUTH)
         ]
-        values = judge_epochs(errors, select_epochs(solution, rows), evaluation_from, metrics=wanted)
+        covered = find_covered_epochs(solution)[rows]
+        at_fixes, judged = select_epochs(solution, rows[covered]), select_epochs(errors, covered)
+        if len(judged):
+            values = judge_epochs(judged, at_fixes, evaluation_from, metrics=wanted)
     return errors, {**values, "withheld_fixes": len(rows)}
 
 

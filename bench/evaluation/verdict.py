@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from bench.evaluation.coverage import Coverage
 from bench.evaluation.drift_laws import RAYLEIGH_95
 from bench.navigation.unmodelled_effects import explain
 from bench.wording import format_number
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
 """Verdicts by the errors: larger than claimed, smaller, neither is shown by this run."""
-FAILED, DIVERGED, NO_CLAIM = "failed", "diverged", "no claim"
-"""Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy."""
+FAILED, DIVERGED, NO_CLAIM, INCOMPLETE = "failed", "diverged", "no claim", "incomplete"
+"""Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy, it answers
+only a part."""
 
 BLOCKS = {"pos": "position", "vel": "velocity", "phi": "attitude"}
 _ALIKE = 1e-3  # relative difference of two errors that are the same one [1]
@@ -49,7 +51,7 @@ def find_bounds(name: str, values: Mapping[str, Any]) -> tuple[float | None, flo
     return None if low is None and high is None else (low, high)
 
 
-def add_verdict(label: str, values: dict[str, Any]) -> dict[str, Any]:
+def add_verdict(label: str, values: dict[str, Any], coverage: Coverage | None = None) -> dict[str, Any]:
     """Return the metrics of an estimator with its verdict.
 
     Parameters
@@ -58,6 +60,9 @@ def add_verdict(label: str, values: dict[str, Any]) -> dict[str, Any]:
         Of the estimator.
     values : dict
         Its metrics, with ``unmodelled`` if it names the errors that it does not model.
+    coverage : Coverage or None
+        How much of what was asked for it answers. If that is not enough, it has not converged: a filter that
+        is silent where it errs must not look better than one that answers.
 
     Returns
     -------
@@ -67,6 +72,16 @@ def add_verdict(label: str, values: dict[str, Any]) -> dict[str, Any]:
         their bounds), then ``values``.
     """
     word, text = _judge(label, values)
+    if coverage is not None and not values.get("failed"):
+        if not coverage.enough:
+            good = values["converged"]
+            word = INCOMPLETE if good else word
+            reason = coverage.text if good else f"{values['reason']}; it {coverage.text}"
+            values = {**values, "converged": False, "reason": reason}
+            start = f"{label} {coverage.text}. " + ("Where it answers: " if good else "")
+            text = start + text
+        if coverage.first is not None:
+            text += f" Its first answer is at t = {coverage.first:g} s."
     outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
     judged = {"verdict": word, "verdict_text": text, "drift_text": _judge_drift(label, values)}
     return {**judged, "outside": outside, **values}

@@ -17,7 +17,7 @@ from bench.config.checks import LABEL
 from bench.data import ErrorSeries, NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
-from bench.evaluation.error_series import find_covered_epochs, select_epochs
+from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.fixes import judge as judge_by_fixes
 from bench.evaluation.verdict import add_verdict
 from bench.exchange import reference
@@ -95,8 +95,7 @@ def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: floa
     if by is not None:
         errors, measured = reference.judge(solution, by, data, begun)
     else:
-        covered = select_epochs(solution, find_covered_epochs(solution))
-        errors, measured = judge_by_fixes(covered, run.records["withheld"], data, begun)
+        errors, measured = judge_by_fixes(solution, run.records["withheld"], data, begun)
     return _make_score(label, solution, errors, measured, run, len(foreign))
 
 
@@ -111,4 +110,5 @@ def _make_score(
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
-    return Score(label, solution, errors, add_verdict(label, measured), run, coverage, rows)
+    judged = add_verdict(label, measured, measure_coverage(solution, run.sensors))
+    return Score(label, solution, errors, judged, run, coverage, rows)

@@ -29,6 +29,7 @@ _STYLES = {
     verdict.OVERCONFIDENT: "bold red",
     verdict.DIVERGED: "bold red",
     verdict.FAILED: "bold red",
+    verdict.INCOMPLETE: "bold red",
     verdict.UNDERCONFIDENT: "yellow",
     verdict.CONSISTENT: "green",
 }
