@@ -1,8 +1,17 @@
 # Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer).
 PYTHON ?= python3
 BIN := .venv/bin
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+UV := .uv/bin/uv
+# short tests that use every dependency
+MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/test_wheel.py tests/config \
+	tests/store tests/recording tests/report/test_report.py tests/signals/test_allan.py \
+	tests/signals/test_magnetic.py tests/exchange/test_export.py tests/exchange/test_log_formats.py \
+	tests/navigation/test_classic.py tests/navigation/test_error_state.py tests/navigation/test_graph.py \
+	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
+	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long lint kernels check perf oracle
+.PHONY: run test long lint kernels check perf oracle minima lock
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -32,11 +41,27 @@ perf: .venv/perf
 oracle: .venv/ready
 	$(BIN)/python tests/oracle.py
 
-.venv/ready: pyproject.toml
+# the oldest versions that pyproject.toml allows; what they warn of is not ours
+minima: $(UV)
+	$(UV) venv --quiet --seed --clear --python $(PYTHON) .minima
+	$(UV) pip install --quiet --python .minima --resolution lowest-direct --editable '.[test]'
+	.minima/bin/python -m pytest $(MINIMA) -m 'not long and not slow' --override-ini filterwarnings=default
+
+# the newest versions, for every platform and Python; make .venv/ready installs these and no others
+lock: $(UV)
+	$(UV) pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
+		--no-header --extra test --output-file requirements.lock pyproject.toml
+
+$(UV):
+	$(PYTHON) -m venv .uv
+	.uv/bin/pip install --quiet --disable-pip-version-check uv
+
+.venv/ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(PIP) --require-hashes --requirement requirements.lock
+	$(PIP) --no-deps --editable .
 	touch $@
 
 .venv/perf: .venv/ready
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,perf]'
+	$(PIP) --editable '.[test,perf]'
 	touch $@

@@ -12,6 +12,9 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
 import bench
 from tests.conftest import SLOWEST
 
@@ -103,3 +106,38 @@ def test_what_pip_is_to_install_is_this_project_and_an_extra_of_it():
     named = [name for text in texts for name in re.findall(r"pip install '([^']+)'", text)]
     assert named
     assert set(named) <= extras
+
+
+def test_the_lock_holds_what_is_asked_for_with_hashes_and_no_host():
+    """A version that pyproject.toml allows of every dependency, on both ends of the Pythons: make lock."""
+    root = PACKAGE.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (root / "requirements.lock").read_text(encoding="utf-8")
+    assert "://" not in text
+    entries = [
+        entry for entry in text.replace("\\\n", "").splitlines() if entry and not entry.startswith("#")
+    ]
+    assert all(re.search(r" --hash=sha256:[0-9a-f]{64}", entry) for entry in entries)
+    pins = [Requirement(entry.partition(" --hash")[0]) for entry in entries]
+    wanted = map(Requirement, [*project["dependencies"], *project["optional-dependencies"]["test"]])
+    for one in wanted:
+        for python in ("3.11", "3.12"):
+            here = {"python_version": python, "python_full_version": f"{python}.0"}
+            if one.marker is not None and not one.marker.evaluate(here):
+                continue
+            found = [
+                next(iter(pin.specifier)).version
+                for pin in pins
+                if canonicalize_name(pin.name) == canonicalize_name(one.name)
+                if pin.marker is None or pin.marker.evaluate(here)
+            ]
+            assert len(found) == 1, f"{one} on Python {python}: {found}"
+            assert found[0] in one.specifier, f"{one} on Python {python}: {found}"
+
+
+def test_the_tests_of_the_oldest_versions_are_there():
+    root = PACKAGE.parent
+    makefile = (root / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    names = re.search(r"^MINIMA := (.*)", makefile, re.MULTILINE)[1].split()
+    assert len(names) > 10
+    assert [name for name in names if not (root / name).exists()] == []
