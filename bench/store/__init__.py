@@ -20,6 +20,7 @@ from bench.store.parquet import read_table, write_table
 from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
     CAMPAIGN_RESULT,
+    PRINTED,
     RECORDING,
     REPORT,
     STUDY_RESULT,
@@ -60,6 +61,7 @@ __all__ = [
     "CAMPAIGN_RESULT",
     "EXPORT",
     "LIMIT",
+    "PRINTED",
     "RECORDING",
     "REPORT",
     "RESULT",

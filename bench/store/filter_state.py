@@ -15,8 +15,9 @@ import numpy as np
 
 import bench
 from bench.errors import EstimatorError
-from bench.navigation import estimator
+from bench.exchange.loading import load_estimators
 from bench.navigation.open_filters import PieceFilter
+from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
 
 FORMAT = 1
@@ -86,7 +87,7 @@ def resume_filter(path: str | os.PathLike[str]) -> PieceFilter:
             "run the record again"
         )
     specs = read_assumed_specs(notes)
-    built = estimator.load(notes["use"], notes["options"])
+    built = load_estimators([EstimatorChoice(notes["use"], notes["use"], notes["options"])])[0]
     state = _give_arrays(notes["state"], arrays)
     return PieceFilter.restore(notes["use"], notes["options"], built, specs, state)
 
