@@ -54,8 +54,8 @@ def run(
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name, path of a TOML file, or a profile already read; with the last, seed, estimators,
-        sensors and guard are those of the profile.
+        Shipped name, path of a TOML file, or a profile already read; with the last, only ``run`` may be
+        given.
     seed : int or None
         Seed of noise and turbulence; None takes that of the profile.
     run : int
@@ -68,8 +68,7 @@ def run(
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     guard : Guard
-        What programs and classes of others may take. ``Guard(in_process=True)`` runs a class in this process,
-        for a debugger, unguarded.
+        What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
         Called with the seconds flown so far.
 
@@ -123,11 +122,9 @@ def navigate(
 ) -> NavSolution:
     """Run an estimator, a built-in name or ``module:Class``, and return its solution.
 
-    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if its ``run`` raises, or its process
-    ends.
+    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if it raises or its process ends.
     """
-    choice = EstimatorChoice(use, use, dict(options or {}), guard=guard)
-    return pipeline.navigate(choice, data, initial)
+    return pipeline.navigate(EstimatorChoice(use, use, dict(options or {}), guard=guard), data, initial)
 
 
 def open_filter(

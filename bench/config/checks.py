@@ -181,6 +181,8 @@ def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -
 
 def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
     """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
+    if objects := [one for one in names if not isinstance(one, str)]:
+        return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
     known = {choice.label for choice in choices} | set(BUILT_IN)
     return [
         f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"

@@ -214,10 +214,6 @@ def choose_estimators(
     choices = tuple(own)
     if estimators is not None:
         by_label = {choice.label: choice for choice in choices}
-        if wrong := [name for name in estimators if not isinstance(name, str)]:
-            raise ConfigError(
-                f"{shown}: estimator {wrong[0]!r} is no name; give 'module:Class', or call its own run()"
-            )
         choices = _number_labels([by_label.get(name) or make_choice(name) for name in estimators])
         twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
         if twice:

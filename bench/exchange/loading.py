@@ -9,9 +9,6 @@ from bench.navigation import estimator
 from bench.navigation.estimator import BUILT_IN, Estimator
 from bench.specs import EstimatorChoice
 
-FILE, COMMAND = "file:", "command:"
-"""Prefixes of ``use`` for a solution in a file and for a program."""
-
 
 def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:
     """Build estimators: built-in ones here, programs and classes of others in processes of their own.
@@ -37,7 +34,7 @@ class Awaited(Estimator, Protocol):
 
 
 def _begin(choice: EstimatorChoice) -> Estimator:
-    if choice.use.startswith((FILE, COMMAND)):
+    if choice.use.startswith(("file:", "command:")):
         from bench.exchange import outside
 
         return outside.load(choice)

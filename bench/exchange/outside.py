@@ -25,7 +25,6 @@ import numpy as np
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.failures import make_failed_solution
-from bench.exchange.loading import COMMAND, FILE
 from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
@@ -44,6 +43,9 @@ from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 
 PROGRAM, STDERR = "program", "stderr"
 """Kinds of events: how the program ended; the end of what it wrote to stderr."""
+
+FILE, COMMAND = "file:", "command:"
+"""Prefixes of ``use`` for a solution in a file and for a program."""
 
 _FIELDS = ("sensors", "solution", "here")
 _MOST_STDERR = 4000  # last part of stderr that is kept [byte]

@@ -20,6 +20,8 @@ from bench.exchange.filter_process import FilterProcess, pack_specs, take_proces
 from bench.spawned import Printed
 from bench.specs import AssumedSpecs, EstimatorChoice
 
+_LEAST = 60.0  # time to start a process and import a module [s]
+
 
 class OwnProcessEstimator:
     """An estimator whose class is in another process.
@@ -109,12 +111,13 @@ class OwnProcessEstimator:
         process = self._ready()
         process.assume(self._choice.label, self._limit, first.specs)
         found = self._ask("begin", self._limit, first=first, initial=initial, events=events)
-        return RemotePassage(_Held(process, found["number"]), self._choice.label, self._limit, found["end"])
+        seconds = self._choice.guard.choose_timeout()
+        return RemotePassage(_Held(process, found["number"]), self._choice.label, seconds, found["end"])
 
     @property
     def _limit(self) -> float:
-        """Wall time of what is no flight [s]."""
-        return self._choice.guard.choose_timeout()
+        """Wall time of what is no flight [s]; a busy machine starts a process slowly."""
+        return max(_LEAST, self._choice.guard.choose_timeout())
 
     def _start(self) -> FilterProcess:
         """Return its process, which has been asked to build it."""

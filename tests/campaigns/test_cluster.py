@@ -24,7 +24,11 @@ from tests.campaigns.test_campaign import PROFILE
 distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
-OWN = "from bench.navigation.models.loose_tight import Loose as Own\n"
+OWN = """import sys
+if "distributed" in sys.modules:
+    raise SystemExit("imported in a worker")
+from bench.navigation.models.loose_tight import Loose as Own
+"""
 
 
 @contextlib.contextmanager
