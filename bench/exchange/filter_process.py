@@ -28,7 +28,7 @@ from bench import disk_arrays
 from bench.errors import EstimatorError, EstimatorFailedError, EstimatorStoppedError, FilterTraceback
 from bench.exchange.filter_server import ANSWER, REQUEST
 from bench.exchange.record_messages import RecordMessage, read_message
-from bench.navigation.record_pieces import without_orbits
+from bench.navigation.engine.record_cuts import without_orbits
 from bench.scratch import make_scratch
 from bench.spawned import (
     LOOK,
@@ -71,7 +71,7 @@ class FilterProcess:
         self._cpu_s = 0.0
         ours, theirs = socket.socketpair()
         ends, life = os.pipe()
-        code = _START.format(path=sys.path, channel=theirs.fileno(), life=ends)
+        code = _START.format(path=[str(path) for path in sys.path], channel=theirs.fileno(), life=ends)
         with theirs, os.fdopen(ends, "rb"):
             self._child = subprocess.Popen(
                 [sys.executable, "-c", code],

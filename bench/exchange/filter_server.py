@@ -32,7 +32,7 @@ from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.exchange.record_messages import RecordMessage, read_message
 from bench.navigation import estimator
-from bench.navigation.in_pieces import InPieces, RunsInPieces
+from bench.navigation.engine.piecewise import InPieces, RunsInPieces
 from bench.places import PACKAGE
 
 REQUEST = struct.Struct("<IQI")
@@ -167,7 +167,7 @@ class _FilterServer:
         except (EstimatorError, EstimatorFailedError):
             raise
         except Exception as error:
-            raise estimator.make_failure(use, "its module", error) from error
+            raise estimator.make_failure(use, "its module or constructor", error) from error
         return {
             "number": self._keep(_Served(use, label, given, one)),
             "needs": [str(need) for need in getattr(one, "needs", ())],

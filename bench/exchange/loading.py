@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from typing import Protocol, Self, runtime_checkable
 
@@ -38,7 +39,8 @@ def _begin(choice: EstimatorChoice) -> Estimator:
         from bench.exchange import outside
 
         return outside.load(choice)
-    if choice.use in BUILT_IN or choice.guard.in_process or not estimator.is_class(choice.use):
+    here = choice.guard.in_process or sys.platform == "win32"  # which lacks what holds a process
+    if choice.use in BUILT_IN or here or not estimator.is_class(choice.use):
         return estimator.load(choice.use, choice.options)  # what is no name at all is told there
     from bench.exchange.own_process import OwnProcessEstimator
 

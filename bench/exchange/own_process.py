@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.errors import EstimatorError, EstimatorFailedError
 from bench.exchange.filter_process import FilterProcess, pack_specs, take_process
 from bench.spawned import Printed
 from bench.specs import AssumedSpecs, EstimatorChoice
@@ -49,14 +49,18 @@ class OwnProcessEstimator:
             ) from None
         self.needs: tuple[str, ...] = ()
         self.finds_start = False
-        self.printed = ""
-        """What the last run printed, and what was printed before it since the one before."""
+        self._printed = Printed()
         self.cpu_s = 0.0
         """CPU time of the last run [s]."""
         self._process = self._start()
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return open_estimator, (self._choice,)
+
+    @property
+    def printed(self) -> str:
+        """What it has printed since it was built."""
+        return self._printed.text
 
     def wait(self) -> Self:
         """Wait until it is built, and return it.
@@ -94,7 +98,6 @@ class OwnProcessEstimator:
             found: NavSolution = self._ask("run", seconds, sensors=sensors, initial=initial)
         finally:
             self.cpu_s = process.cpu_s - begun
-            self.printed, process.printed = process.printed.text, Printed()
         return replace(found)  # checked once more, here
 
     def _list_unmodelled(self, specs: AssumedSpecs) -> list[str]:
@@ -103,8 +106,11 @@ class OwnProcessEstimator:
 
     def _identify(self, sensors: SensorData) -> str:
         """Return what its solution follows from, as words: equal ones of equal classes mean the same."""
-        self._ready().assume(self._choice.label, self._limit, sensors.specs)
-        found = self._ask("identity", self._limit, sensors=sensors)
+        try:
+            self._ready().assume(self._choice.label, self._limit, sensors.specs)
+            found = self._ask("identity", self._limit, sensors=sensors)
+        except EstimatorFailedError:
+            return f"{self._choice.label}: not known"  # its results are kept all the same
         return f"{self._choice.use} {found}"
 
     def _begin(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> RemotePassage:
@@ -122,6 +128,7 @@ class OwnProcessEstimator:
     def _start(self) -> FilterProcess:
         """Return its process, which has been asked to build it."""
         process = take_process(self._choice, self._options)
+        process.printed = self._printed
         options = np.frombuffer(self._options, np.uint8)
         given = {"use": self._choice.use, "label": self._choice.label, "options": options}
         process.post(self._choice.label, "open", self._limit, **given)
@@ -151,7 +158,7 @@ class _Held:
 class RemotePassage:
     """A filter on its way through a record in pieces, in its process.
 
-    It is a `bench.navigation.in_pieces.InPieces`. The process keeps what it carries; each piece
+    It is a `bench.navigation.engine.piecewise.InPieces`. The process keeps what it carries; each piece
     makes another of it, so that a copy costs nothing. It ends with its process.
     """
 

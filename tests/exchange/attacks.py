@@ -162,6 +162,11 @@ class Searches(Stays):
             raise RuntimeError(f"found {seen[:5]}")
 
 
+class ExitsWhenCompared(Stays):
+    def identity(self, sensors):
+        os._exit(4)
+
+
 class Walks(Stays):
     """Runs in pieces; it counts what it was fed."""
 

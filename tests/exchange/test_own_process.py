@@ -34,7 +34,7 @@ from tests.cli.test_cli import PROFILE
 from tests.synthetic import turning
 
 HERE = Path(__file__).parent
-HARMLESS = ("Stays", "Prints", "LeavesThread", "MovesAway", "Searches", "Patches")
+HARMLESS = ("Stays", "Prints", "LeavesThread", "MovesAway", "Searches", "Patches", "ExitsWhenCompared")
 STOPPED = {
     "Hangs": r"stopped after 4 s \(--timeout\)",
     "Exits": "its process ended with exit status 0",
