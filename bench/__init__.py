@@ -107,6 +107,7 @@ _PUBLIC = {
     "ConfigError": "bench.errors",
     "EstimatorError": "bench.errors",
     "FlightError": "bench.errors",
+    "Guard": "bench.specs",
 }
 
 __all__ = ["__version__", *_PUBLIC]

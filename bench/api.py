@@ -21,9 +21,8 @@ from bench.config import load_profile
 from bench.config.listing import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError, NothingToShowError
-from bench.navigation import estimator
 from bench.run_result import RunResult
-from bench.specs import EstimatorChoice, Profile
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.wording import suggest
 
 if TYPE_CHECKING:
@@ -44,6 +43,7 @@ def run(
     estimators: Sequence[str] | None = None,
     sensors: Mapping[str, str] | None = None,
     bound: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     progress: Callable[[float], None] | None = None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
@@ -67,6 +67,8 @@ def run(
         Sensors to replace, for example ``{"imu": "icm-42688-p"}``.
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
+    guard : Guard
+        What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
         Called with the seconds flown so far.
 
@@ -77,13 +79,13 @@ def run(
         loaded, trimmed or flown.
     """
     if isinstance(profile, Profile):
-        if (seed, estimators, sensors) != (None, None, None):
+        if (seed, estimators, sensors, guard) != (None, None, None, DEFAULT_GUARD):
             raise ConfigError(
-                "bench.run: with a profile already read, seed, estimators and sensors cannot be given"
+                "bench.run: with a profile already read, seed, estimators, sensors and guard cannot be given"
             )
     else:
         overrides = {f"sensors.{kind}": name for kind, name in (sensors or {}).items()}
-        profile = load_profile(str(profile), overrides, seed, estimators)
+        profile = load_profile(str(profile), overrides, seed, estimators, guard=guard)
     if run != int(run) or run < 0:
         raise ConfigError(f"bench.run: run = {run} must be a whole number, at least 0")
     return pipeline.run(profile, int(run), bound=bound, progress=progress)
@@ -112,17 +114,25 @@ def sense(profile: str | Path | Profile, truth: Trajectory, run: int = 0) -> Sen
 
 
 def navigate(
-    use: str, data: SensorData, initial: InitialState, options: Mapping[str, Any] | None = None
+    use: str,
+    data: SensorData,
+    initial: InitialState,
+    options: Mapping[str, Any] | None = None,
+    guard: Guard = DEFAULT_GUARD,
 ) -> NavSolution:
     """Run an estimator, a built-in name or ``module:Class``, and return its solution.
 
-    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if its ``run`` raises.
+    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if it raises or its process ends.
     """
-    return pipeline.navigate(EstimatorChoice(use, use, dict(options or {})), data, initial)
+    return pipeline.navigate(EstimatorChoice(use, use, dict(options or {}), guard=guard), data, initial)
 
 
 def open_filter(
-    use: str, initial: InitialState, options: Mapping[str, Any] | None = None, look_back: float = 1.0
+    use: str,
+    initial: InitialState,
+    options: Mapping[str, Any] | None = None,
+    look_back: float = 1.0,
+    guard: Guard = DEFAULT_GUARD,
 ) -> PieceFilter:
     """Return a filter that takes a record in pieces and answers after each.
 
@@ -141,6 +151,8 @@ def open_filter(
     look_back : float
         Longest time from the validity of a measurement to its arrival [s]: so long an answer that is final
         has to wait.
+    guard : Guard
+        As for :func:`run`; its time limit is for each piece.
 
     Raises
     ------
@@ -150,7 +162,8 @@ def open_filter(
     from bench.navigation.open_filters import PieceFilter
 
     given = dict(options or {})
-    return PieceFilter(use, given, estimator.load(use, given), initial, look_back)
+    built = pipeline.build_estimator(EstimatorChoice(use, use, given, guard=guard))
+    return PieceFilter(use, given, built, initial, look_back)
 
 
 def judge(

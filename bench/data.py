@@ -235,6 +235,10 @@ class SensorData(InstrumentReports, Rebuilt):
         freeze_field(self, "output_t", float, (None,), finite=True)
         _check_increasing("SensorData.output_t", self.output_t)
 
+    def duration_from(self, start: float) -> float:
+        """Return the time from a start to the last instant of the solution [s]."""
+        return float(self.output_t[-1]) - start if len(self.output_t) else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class InitialState(Rebuilt):

@@ -53,6 +53,16 @@ class EstimatorFailedError(BenchError):
     status = BUG
 
 
+class EstimatorStoppedError(EstimatorFailedError):
+    """The process of an estimator ended before it answered, or was ended at a limit."""
+
+    status = NEGATIVE
+
+
+class FilterTraceback(Exception):  # noqa: N818 - it is a text, and the cause of an error
+    """The traceback of what an estimator raised in a process of its own."""
+
+
 class FlightError(BenchError):
     """An aircraft cannot be loaded, trimmed or flown."""
 

@@ -27,10 +27,12 @@ from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.rest_noise import assume_rest_noise
 from bench.evaluation.verdict import add_verdict
 from bench.exchange import reference
+from bench.exchange.loading import load_estimators
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
 from bench.run_result import RunResult
+from bench.specs import DEFAULT_GUARD, Guard
 from bench.units import SAME_INSTANT
 
 REPORTED = "fix_accuracy"
@@ -61,6 +63,7 @@ def read_log(
     allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
     tune_noise: bool = False,
+    guard: Guard = DEFAULT_GUARD,
 ) -> RecordedLog:
     """Read a recording of real sensors and check its consistency; nothing is repaired.
 
@@ -75,9 +78,10 @@ def read_log(
         Let the log run the code it names, a class or a program.
     overrides : mapping or None
         Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
-
     tune_noise : bool
         Let the filters assume the noise of the IMU at rest, where it is larger than that of its datasheet.
+    guard : Guard
+        What programs and classes of others may take, and whether a class gets a process of its own.
 
     Raises
     ------
@@ -86,9 +90,9 @@ def read_log(
     bench.errors.EstimatorError
         If an estimator cannot be built, or needs data that the log does not have.
     """
-    spec = load_log(str(path), estimators, allow_code, overrides)
+    spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators}
-    built = {label: pipeline.build_estimator(choice) for label, choice in choices.items()}
+    built = dict(zip(choices, load_estimators(choices.values()), strict=True))
     for label, one in built.items():
         estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
     records = read_records(spec)
@@ -219,6 +223,7 @@ def navigate_log(
             "spec": spec,
             "sensed": Sensed(data, session.initial, no_sensor_truth(), events),
             "withheld": withheld,
+            "printed": pipeline.collect_printed(log.estimators),
             **({} if log.reference is None else {"reference": log.reference}),
         },
     )

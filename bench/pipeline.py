@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from itertools import pairwise
 from math import degrees
@@ -14,6 +14,7 @@ from bench import disk_arrays, store
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
+from bench.exchange.loading import load_estimators
 from bench.instruments import INSTRUMENTS
 from bench.navigation import estimator
 from bench.run_result import RunResult
@@ -89,18 +90,8 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
 
 
 def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
-    """Build an estimator: a built-in one, a class, a solution in a file, or a program.
-
-    Raises
-    ------
-    bench.errors.EstimatorError, bench.errors.ConfigError
-        If there is no such estimator, file or program, or its options are wrong.
-    """
-    if choice.use.startswith(("file:", "command:")):
-        from bench.exchange import outside
-
-        return outside.load(choice)
-    return estimator.load(choice.use, choice.options)
+    """Build an estimator; errors as for `bench.exchange.loading.load_estimators`."""
+    return load_estimators([choice])[0]
 
 
 def judge(
@@ -178,7 +169,7 @@ def run(
             solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
         disk_arrays.release()
         solutions[label] = solution
-        used[label] = _read_cpu_clock() - begun
+        used[label] = getattr(one, "cpu_s", _read_cpu_clock() - begun)
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.evaluation.coverage import measure_coverage
@@ -231,7 +222,12 @@ def run(
             "estimator_cpu_s": used,
         },
         more={"scene": _describe_scene(profile)},
-        records={"spec": profile, "truth": truth, "sensed": sensed},
+        records={
+            "spec": profile,
+            "truth": truth,
+            "sensed": sensed,
+            "printed": collect_printed(built),
+        },
     )
 
 
@@ -262,10 +258,17 @@ def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
     bench.errors.EstimatorError, bench.errors.ConfigError
         As for :func:`build_estimator`, and if a record that one needs is missing.
     """
-    built = {choice.label: build_estimator(choice) for choice in profile.estimators}
+    labels = [choice.label for choice in profile.estimators]
+    built = dict(zip(labels, load_estimators(profile.estimators), strict=True))
     for label, one in built.items():
         estimator.check_needs(one, label, _list_records(profile))
     return built
+
+
+def collect_printed(built: Mapping[str, estimator.Estimator]) -> dict[str, str]:
+    """Return by label what filters in processes of their own have printed; nothing of those that did not."""
+    texts = {label: getattr(one, "printed", "") for label, one in built.items()}
+    return {label: text for label, text in texts.items() if text}
 
 
 def check_times(profile: Profile, end: float) -> None:

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.errors import ConfigError
 from bench.fields import declared, figure, triad_figure
 from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
+from bench.spawned import machine_memory
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
@@ -571,6 +573,45 @@ class SensorsSpec(InstrumentSpecs):
 # --- estimators and evaluation ------------------------------------------------------------------
 
 
+LEAST_TIMEOUT = 600.0
+"""Wall time that any flight may take, if no other limit is set [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """What a filter that is not built in may take, and whether it gets a process of its own.
+
+    Raises
+    ------
+    ConfigError
+        If a limit is not a number above zero.
+    """
+
+    timeout: float | None = None  # wall time of a flight [s]; None: its duration, but at least 600 s
+    memory: float | None = None  # of its process [byte]; None: half of that of the machine
+    output: float = 2e9  # largest solution [byte]
+    in_process: bool = False  # a class runs in the process of bench, for a debugger: nothing is guarded then
+
+    def __post_init__(self) -> None:
+        for name in ("timeout", "memory", "output"):
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+            if not number and (value is not None or name == "output"):
+                raise ConfigError(f"Guard: {name} = {value!r} must be a number above 0")
+
+    def choose_timeout(self, duration: float = 0.0) -> float:
+        """Return the wall time that a flight of a duration may take [s]."""
+        return max(LEAST_TIMEOUT, duration) if self.timeout is None else self.timeout
+
+    def choose_memory(self) -> float:
+        """Return the memory that its process may take [byte]."""
+        return 0.5 * machine_memory() if self.memory is None else self.memory
+
+
+DEFAULT_GUARD = Guard()
+"""A process for each filter, and limits that follow from the flight and the machine."""
+
+
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
     """An estimator by name, ``module:Class``, ``file:`` or ``command:``, and its options."""
@@ -579,6 +620,7 @@ class EstimatorChoice:
     label: str  # unique in the profile; in names of files and columns of reports
     options: Mapping[str, Any] = field(default_factory=dict)
     beside: Path = Path()  # base of relative paths in "file:" and "command:"
+    guard: Guard = DEFAULT_GUARD
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
 from bench.errors import ConfigError
+from bench.specs import DEFAULT_GUARD, Guard
 from bench.wording import suggest
 
 DIRECTORY = Path("tests/baselines")
@@ -97,6 +98,7 @@ def record_baselines(
     runs: int | None = None,
     reason: str = "",
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Path]:
@@ -117,6 +119,8 @@ def record_baselines(
         Why the numbers moved, for ``CHANGES.md``.
     allow_code : bool
         Let profiles and baselines run the code they name, programs and classes.
+    guard : Guard
+        What that code may take, and whether a class gets a process of its own.
     jobs : int
         Number of processes; 1 takes this one. A script that asks for more guards its start by
         ``if __name__ == "__main__"``, because the processes import it.
@@ -142,7 +146,7 @@ def record_baselines(
         old = before.get(name)
         source = old.profile if old and source == name else source
         requested = old.requested if old and estimators is None else estimators
-        measured.append(_open(source, requested, estimators, allow_code, progress))
+        measured.append(_open(source, requested, estimators, allow_code, guard, progress))
     paths = []
     with open_pool(jobs) as pool:
         for one in measured:
@@ -159,6 +163,7 @@ def _open(
     requested: Sequence[str] | None,
     named: Sequence[str] | None,
     allow_code: bool,
+    guard: Guard,
     progress: Progress | None,
 ) -> _Measured:
     """Open a profile with the estimators of its baseline; code needs permission or the user's own -e."""
@@ -168,7 +173,7 @@ def _open(
             f"{source}: its baseline names {code[0][:60]!r}, which runs code on this machine; "
             "--allow-code permits it"
         )
-    return _Measured(open_experiment(source, requested, allow_code), requested, progress)
+    return _Measured(open_experiment(source, requested, allow_code, guard), requested, progress)
 
 
 def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
@@ -213,6 +218,7 @@ def check(
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Verdict]:
@@ -231,7 +237,7 @@ def check(
         Check only these estimators of the baselines, by label or by the name they were recorded with.
     runs : int or None
         Number of draws of the first look; more are flown only to decide.
-    allow_code, jobs, progress
+    allow_code, guard, jobs, progress
         As for :func:`record_baselines`.
 
     Returns
@@ -262,7 +268,7 @@ def check(
     for name, baseline in baselines.items():
         chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")
         baselines[name] = chosen
-        measured[name] = _open(chosen.profile, requested, estimators, allow_code, progress)
+        measured[name] = _open(chosen.profile, requested, estimators, allow_code, guard, progress)
     looks = sorted({runs or LOOKS[0], *LOOKS})
     found: dict[str, list[Candidate]] = {}
     words: dict[tuple[str, str, str], Verdict] = {}

@@ -20,6 +20,7 @@ from bench.data import ErrorSeries
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.metrics import find_metric
 from bench.run_result import RunResult
+from bench.specs import DEFAULT_GUARD, Guard
 from bench.units import SAME_INSTANT
 
 STRETCHES = 20
@@ -78,7 +79,10 @@ def lose_draw(experiment: Experiment, reason: str) -> Draw:
 
 
 def open_experiment(
-    source: str, requested: Sequence[str] | None = None, allow_code: bool = False
+    source: str,
+    requested: Sequence[str] | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
 ) -> Experiment:
     """Read a profile or a log and check it; nothing is flown yet.
 
@@ -88,8 +92,8 @@ def open_experiment(
         If it is missing or wrong.
     """
     if source.endswith(".toml") and "imu" in read_toml(Path(source), source):
-        return Recording(source, requested, allow_code)
-    return Flight(source, requested, allow_code)
+        return Recording(source, requested, allow_code, guard)
+    return Flight(source, requested, allow_code, guard)
 
 
 class Flight:
@@ -97,9 +101,9 @@ class Flight:
 
     draws = None
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool) -> None:
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool, guard: Guard) -> None:
         self.source, self.name = source, get_name(source)
-        self.profile = load_profile(source, estimators=requested, allow_code=allow_code)
+        self.profile = load_profile(source, estimators=requested, allow_code=allow_code, guard=guard)
         self.seed = self.profile.seed
         self.truth_digest = ""
         pipeline.build_estimators(self.profile)
@@ -156,9 +160,9 @@ class Recording:
     seed = 0
     truth_digest = ""
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool) -> None:
+    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool, guard: Guard) -> None:
         self.source, self.name = source, get_name(source)
-        self.log = log_pipeline.read_log(source, estimators=requested, allow_code=allow_code)
+        self.log = log_pipeline.read_log(source, estimators=requested, allow_code=allow_code, guard=guard)
         self.labels = list(self.log.estimators)
 
     @cached_property

@@ -19,6 +19,7 @@ from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
 from bench.exchange.solution_folder import write_sensors
 from bench.files import read_json
+from bench.specs import DEFAULT_GUARD, Guard
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -137,6 +138,7 @@ def make_card(
     *,
     against: str = AGAINST,
     quick: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     jobs: int | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Card:
@@ -151,6 +153,8 @@ def make_card(
         The one to compare with.
     quick : bool
         Seven flights of 8 draws instead of thirteen of 40.
+    guard : Guard
+        What programs and classes of others may take, and whether a class gets a process of its own.
     jobs, progress
         As for `bench.campaigns.running.run_campaign`.
 
@@ -161,7 +165,7 @@ def make_card(
     """
     suite = QUICK if quick else FULL
     uses = tuple(dict.fromkeys((estimator, against, YARDSTICK)))
-    plan = plan_campaign(replace(suite, estimators=uses))
+    plan = plan_campaign(replace(suite, estimators=uses), guard=guard)
     result = run_campaign(plan, jobs=jobs, progress=progress)
     labels = [choice.label for choice in plan.cells[0].profile.estimators]
     own, other, yardstick = (labels[uses.index(use)] for use in (estimator, against, YARDSTICK))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import sys
 import tempfile
 import time
 import zipfile
@@ -31,7 +32,7 @@ class ClusterPool:
     address : str
         Of the scheduler, such as ``tcp://10.0.0.1:8786``.
     estimators : sequence of EstimatorChoice
-        Their modules are sent to the workers.
+        Their modules are sent to the workers, which leave the import to the processes of the filters.
 
     Raises
     ------
@@ -120,7 +121,7 @@ class ClusterPool:
     def _send_module(self, choice: EstimatorChoice) -> None:
         files = find_module_files(choice.use)
         if len(files) == 1 and files[0].name != "__init__.py":
-            self._client.upload_file(str(files[0]))
+            self._client.upload_file(str(files[0]), load=False)
         elif files:
             root = files[0].parent
             with tempfile.TemporaryDirectory() as folder:
@@ -128,7 +129,7 @@ class ClusterPool:
                 with zipfile.ZipFile(packed, "w") as archive:
                     for file in files:
                         archive.write(file, Path(root.name) / file.relative_to(root))
-                self._client.upload_file(str(packed))
+                self._client.upload_file(str(packed), load=False)
 
 
 def _describe_worker() -> dict[str, str]:
@@ -139,7 +140,17 @@ def _call(software: dict[str, str], function: Callable[..., Any], *arguments: An
     """Call a function in a worker, which may have joined after the others were checked."""
     if _describe_worker() != software:
         raise ConfigError(f"worker on {platform.node()}: its versions are not those of the driver")
+    _find_packages()
     return function(*arguments)
+
+
+def _find_packages() -> None:
+    """Put the packages that were sent to this worker on its import path; modules are there already."""
+    from distributed import get_worker
+
+    for packed in sorted(Path(get_worker().local_directory).glob("*.zip")):
+        if str(packed) not in sys.path:
+            sys.path.append(str(packed))
 
 
 def _find_truth(key: str) -> tuple[str, bool]:

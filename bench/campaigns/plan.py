@@ -25,7 +25,7 @@ from bench.campaigns.campaign_file import (
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.places import PACKAGE
-from bench.specs import EstimatorChoice, FlightSpec, Profile
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, FlightSpec, Guard, Profile
 
 _BLOCK = 1 << 20  # [byte]
 
@@ -106,6 +106,7 @@ def plan_runs(
     estimators: Sequence[str] | None = None,
     overrides: Values | None = None,
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
 ) -> Plan:
     """Read a profile or a campaign file and plan its runs.
 
@@ -118,7 +119,7 @@ def plan_runs(
     flights : int or None
         Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
         and noise are its own. None takes those of the campaign file, or 1.
-    seed, estimators, overrides, allow_code
+    seed, estimators, overrides, allow_code, guard
         As for `bench.config.load_profile`; they win over the campaign file.
 
     Raises
@@ -139,21 +140,26 @@ def plan_runs(
         seed=spec.seed if seed is None else seed,
         estimators=tuple(estimators) if estimators else spec.estimators,
     )
-    return plan_campaign(spec, overrides, allow_code)
+    return plan_campaign(spec, overrides, allow_code, guard)
 
 
-def plan_campaign(spec: CampaignSpec, overrides: Values | None = None, allow_code: bool = False) -> Plan:
+def plan_campaign(
+    spec: CampaignSpec,
+    overrides: Values | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+) -> Plan:
     """Plan the runs of a campaign; errors as for :func:`plan_runs`."""
     uses = spec.estimators
     conditions, cells = [], []
     for number, (name, values) in enumerate(spec.conditions()):
         conditions.append(Condition(name, values))
         given = {**spec.fixed, **values, **(overrides or {})}
-        first = load_profile(name, given, spec.seed, uses, allow_code)
+        first = load_profile(name, given, spec.seed, uses, allow_code, guard)
         cells.append(_make_cell(number, name, first, uses, given, allow_code))
         given = {key: value for key, value in given.items() if key not in ("seed", "turbulence_seed")}
         for j in range(1, spec.flights):
-            another = load_profile(name, given, first.seed + j, uses, allow_code)
+            another = load_profile(name, given, first.seed + j, uses, allow_code, guard)
             if not isinstance(first.flight, FlightSpec) or first.flight.severity == 0:
                 raise ConfigError(f"{name}: has no turbulence, so all its flights are the same")
             cells.append(_make_cell(number, name, another, uses, given, allow_code))
@@ -185,7 +191,17 @@ def _make_cell(
     for key, value in given.items():
         words += ["--set", f"{key}={format_value(value)}"]
     words += ["--allow-code"] if allow_code else []
+    words += next((_name_limits(one.guard) for one in profile.estimators if one.guard != DEFAULT_GUARD), [])
     return Cell(condition, profile, (*words, "--seed", str(profile.seed)))
+
+
+def _name_limits(guard: Guard) -> list[str]:
+    """Return the options of the command line that give a guard."""
+    limits = {"--timeout": guard.timeout, "--memory": guard.memory, "--output": guard.output}
+    factors = {"--timeout": 1.0, "--memory": 1e-9, "--output": 1e-6}
+    given = {name: value for name, value in limits.items() if value not in (None, DEFAULT_GUARD.output)}
+    words = [word for name, value in given.items() for word in (name, f"{factors[name] * value:g}")]
+    return [*words, "--in-process"] if guard.in_process else words
 
 
 def _shorten(value: Any) -> str:

@@ -23,6 +23,7 @@ from bench.campaigns.worker import RunTask, choose_step, fly, measure
 from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
 from bench.scratch import make_scratch
+from bench.specs import DEFAULT_GUARD, Guard
 
 _WAVE = 50  # flights before their runs: all fit into the cache of truth
 
@@ -92,6 +93,7 @@ def campaign(
     estimators: Sequence[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     jobs: int | None = None,
     executor: Executor | None = None,
     scheduler: str | None = None,
@@ -111,7 +113,7 @@ def campaign(
         Shipped name, path of a profile, or path of a campaign file.
     runs, flights : int or None
         Noise draws of each flight, default 200; flights with turbulence of their own, default 1.
-    seed, estimators, overrides, allow_code
+    seed, estimators, overrides, allow_code, guard
         As for `bench.load_profile`.
     jobs, executor, scheduler, out, force, resume, progress
         As for :func:`run_campaign`; ``out`` is its folder.
@@ -137,6 +139,7 @@ def campaign(
         estimators=estimators,
         overrides=overrides,
         allow_code=allow_code,
+        guard=guard,
     )
     folder = None if out is None else Path(out)
     return run_campaign(

@@ -23,7 +23,7 @@ from bench.evaluation import ensemble
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.ensemble import Estimate
 from bench.run_result import RunResult
-from bench.specs import Profile
+from bench.specs import Guard, Profile
 from bench.store import truth_key
 from bench.units import SAME_INSTANT
 
@@ -148,9 +148,10 @@ class LogTrial:
     """A log: the withheld fixes of its first half tune, those of its second half judge."""
 
     def __init__(
-        self, source: str, estimator: str, overrides: Mapping[str, Any], *, allow_code: bool
+        self, source: str, estimator: str, overrides: Mapping[str, Any], *, allow_code: bool, guard: Guard
     ) -> None:
-        self._source, self._overrides, self._allow_code = source, overrides, allow_code
+        self._source, self._overrides = source, overrides
+        self._code: dict[str, Any] = {"allow_code": allow_code, "guard": guard}
         self._estimator = estimator
         result = self._navigate({})
         [self.label] = result.metrics
@@ -161,8 +162,8 @@ class LogTrial:
         log = log_pipeline.read_log(
             self._source,
             estimators=[self._estimator],
-            allow_code=self._allow_code,
             overrides={**self._overrides, **figures},
+            **self._code,
         )
         self._from = log.spec.evaluation_from
         return log_pipeline.navigate_log(log)

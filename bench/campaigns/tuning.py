@@ -16,6 +16,7 @@ from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
+from bench.specs import DEFAULT_GUARD, Guard
 from bench.wording import format_number, suggest
 
 DEFAULT_FACTORS = (
@@ -87,6 +88,7 @@ def tune(
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
     jobs: int | None = None,
     progress: Callable[[int, int, float], None] = lambda number, most, cost: None,
 ) -> Tuning:
@@ -109,7 +111,7 @@ def tune(
         Draws of a profile that tune; as many others judge.
     evaluations : int
         Most sets of factors to try.
-    seed, overrides, allow_code
+    seed, overrides, allow_code, guard
         As for `bench.load_profile`; a log has no seed.
     jobs : int or None
         Number of processes for a profile.
@@ -131,9 +133,9 @@ def tune(
     with ProcessPool(jobs or count_processors()) as pool:
         trial: Trial
         if log:
-            trial = LogTrial(str(source), estimator, overrides or {}, allow_code=allow_code)
+            trial = LogTrial(str(source), estimator, overrides or {}, allow_code=allow_code, guard=guard)
         else:
-            options = {"seed": seed, "overrides": overrides, "allow_code": allow_code}
+            options = {"seed": seed, "overrides": overrides, "allow_code": allow_code, "guard": guard}
             trial = ProfileTrial(str(source), estimator, runs, pool, options)
         known = _read_figures(trial)
         groups = _group_figures(known, factors)

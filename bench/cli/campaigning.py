@@ -15,6 +15,7 @@ from bench.cli.group import (
     commands,
     estimator_option,
     force_option,
+    guard_options,
     jobs_option,
     json_option,
     new_console,
@@ -45,6 +46,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @report_option
 @force_option("campaign")
 @code_option("profile")
+@guard_options
 def campaign(profile: str, as_json: bool, **options: Any) -> int:
     """Run many noise draws of a profile and say what they tell together.
 
@@ -108,6 +110,7 @@ def campaign(profile: str, as_json: bool, **options: Any) -> int:
 @json_option("factors and figures")
 @force_option("tuned datasheet")
 @code_option("profile or log")
+@guard_options
 def tune(source: str, as_json: bool, **options: Any) -> int:
     """Find factors on the noises that a filter assumes.
 
@@ -143,6 +146,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
 @json_option("the card")
 @force_option("card")
+@guard_options
 def card(
     as_json: bool,
     estimator: str | None,

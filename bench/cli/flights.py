@@ -18,8 +18,10 @@ from bench.cli.group import (
     end_run,
     estimator_option,
     force_option,
+    guard_options,
     jobs_option,
     json_option,
+    make_guard,
     new_console,
     out_option,
     recording_option,
@@ -51,6 +53,7 @@ from bench.errors import DONE, NEGATIVE
 @report_option
 @force_option()
 @code_option("profile")
+@guard_options
 def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
@@ -258,7 +261,8 @@ def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
     runs = {}
     for name, command in chosen.items():
         given = run.make_context("run", shlex.split(command)[2:]).params
-        runs[name] = {key: given[key] for key in ("profile", "draw", "seed", "estimators", "overrides")}
+        kept = {key: given[key] for key in ("profile", "draw", "seed", "estimators", "overrides")}
+        runs[name] = kept | {"guard": make_guard(given)}
     record_verbs.record_runs(folder, out, runs, console=new_console(), **options)
     return DONE
 
@@ -307,6 +311,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: b
 @click.option("--junit", type=FILE, metavar="FILE", help="write the verdicts as a JUnit file")
 @json_option("the verdicts")
 @code_option("profile or baseline")
+@guard_options
 def check(
     profiles: tuple[str, ...],
     estimators: tuple[str, ...] | None,
@@ -319,6 +324,7 @@ def check(
     junit: Path | None,
     as_json: bool,
     allow_code: bool,
+    guard: Any,
 ) -> int:
     """Find out whether a change of the code made a filter worse.
 
@@ -341,6 +347,7 @@ def check(
         "estimators": estimators,
         "runs": runs,
         "allow_code": allow_code,
+        "guard": guard,
         "jobs": jobs,
     }
     if record:

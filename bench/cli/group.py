@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import tomllib
 from collections.abc import Callable, Mapping
@@ -22,10 +23,10 @@ if TYPE_CHECKING:
 
 STATUS = """\b
 Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
-diverged); 2 the command line, a file or the results folder is wrong; 3 the
-aircraft could not be loaded, trimmed or flown; 4 the machine failed (disk
-full, no viewer); 70 a bug, with its traceback, or an estimator that failed;
-130 interrupted.
+diverged, could not start, or was ended); 2 the command line, a file or the
+results folder is wrong; 3 the aircraft could not be loaded, trimmed or flown;
+4 the machine failed (disk full, no viewer); 70 a bug, or an estimator that
+raised, with its traceback; 130 interrupted.
 """
 
 _HELP = {"max_content_width": 100, "show_default": True}
@@ -139,6 +140,45 @@ def code_option(file: str) -> Decorator:
     return decorate
 
 
+LIMITS = ("timeout", "memory", "output", "in_process")
+"""Parameters of the options that `guard_options` adds."""
+
+
+def make_guard(given: dict[str, Any]) -> Any:
+    """Take the `LIMITS` out of the parameters of a verb and return them as a `bench.specs.Guard`."""
+    from bench.specs import DEFAULT_GUARD, Guard
+
+    timeout, memory, output, in_process = (given.pop(name) for name in LIMITS)
+    return Guard(
+        timeout,
+        None if memory is None else 1e9 * memory,
+        DEFAULT_GUARD.output if output is None else 1e6 * output,
+        in_process,
+    )
+
+
+def guard_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add what filters that are not built in may take; the verb gets it as ``guard``."""
+
+    @functools.wraps(function)
+    def run(**given: Any) -> Any:
+        if given["in_process"]:
+            click.echo("Classes of yours run in this process: nothing is guarded.", err=True)
+        return function(guard=make_guard(given), **given)
+
+    above, a_filter = FiniteRange(min=0.0, min_open=True), "a filter that is not built in"
+    texts = {
+        "--output": ("MB", f"largest solution of {a_filter}  [default: 2000]"),
+        "--memory": ("GB", f"memory of {a_filter}  [default: half of the machine's]"),
+        "--timeout": ("S", f"wall time a flight of {a_filter}  [default: its duration, at least 600]"),
+    }
+    text = "run a class of yours in the process of bench, for a debugger; nothing is guarded then"
+    run = click.option("--in-process", is_flag=True, help=text)(run)
+    for name, (unit, text) in texts.items():
+        run = click.option(name, type=above, metavar=unit, help=text)(run)
+    return run
+
+
 def estimator_option(which: str) -> Decorator:
     """Return the option -e, which may be repeated: use only these estimators."""
     return click.option(
@@ -171,9 +211,10 @@ def commands(ctx: click.Context) -> None:
 
 def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
     """Print the tracebacks of estimators that raised, and return the exit status of a run."""
-    for values in metrics.values():
-        click.echo(replace_control(values.get("traceback", "")), err=True, nl=False)
-    if any(values.get("failed") for values in metrics.values()):
+    tracebacks = [values["traceback"] for values in metrics.values() if "traceback" in values]
+    for text in tracebacks:
+        click.echo(replace_control(text), err=True, nl=False)
+    if tracebacks:
         return BUG
     return DONE if all(values["converged"] for values in metrics.values()) else NEGATIVE
 

@@ -16,6 +16,7 @@ from bench.cli.group import (
     end_run,
     estimator_option,
     force_option,
+    guard_options,
     json_option,
     new_console,
     out_option,
@@ -59,6 +60,7 @@ class _LogCommand(click.Command):
 @report_option
 @force_option()
 @code_option("log")
+@guard_options
 @set_option
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")

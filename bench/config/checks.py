@@ -139,6 +139,8 @@ def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
         what = f"{place}label = {choice.label!r}"
         if not LABEL.fullmatch(choice.label):
             wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.', 100 at most")
+        if choice.guard.timeout is not None and not is_code(choice.use):
+            wrong.append(f"{place}timeout_s has no effect: it is for a class of yours or a program")
         if choice.label in labels:
             wrong.append(f"{what} is taken by an entry above; give each its own label")
         labels.append(choice.label)
@@ -154,6 +156,8 @@ def check_options(document: Mapping[str, Any]) -> list[str]:
         if isinstance(use, str) and use in BUILT_IN and isinstance(values, Mapping):
             place = f"[[estimator]] {number} ({row.get('label', use)}): options: "
             wrong += [f"{place}{line}" for line in BUILT_IN[use].wrong(values)]
+        elif isinstance(use, str) and use.startswith("command:") and "timeout_s" in (values or {}):
+            wrong.append(f"[[estimator]] {number}: options: timeout_s stands beside use, not in options")
     return wrong
 
 
@@ -177,6 +181,8 @@ def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -
 
 def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
     """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
+    if objects := [one for one in names if not isinstance(one, str)]:
+        return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
     known = {choice.label for choice in choices} | set(BUILT_IN)
     return [
         f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"

@@ -17,12 +17,12 @@ from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
 from bench.config.overrides import DatasheetChanges, override, split_overrides
-from bench.config.profile import choose_estimators, make_choices
+from bench.config.profile import choose_estimators, describe_choice, make_choices
 from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
-from bench.specs import AssumedSpecs, EstimatorChoice
+from bench.specs import DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, Guard
 from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
@@ -218,6 +218,7 @@ def load_log(
     estimators: Sequence[str] | None = None,
     allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
+    guard: Guard = DEFAULT_GUARD,
 ) -> LogSpec:
     """Read and check a log file; the files it names are searched beside it.
 
@@ -225,7 +226,7 @@ def load_log(
     ----------
     name : str
         Path of the ``.toml`` file.
-    estimators, allow_code, overrides
+    estimators, allow_code, overrides, guard
         As `bench.config.load_profile` takes them; the figures of a log are those of ``sensors.assumed``.
 
     Raises
@@ -280,7 +281,7 @@ def load_log(
     wrong += [f"{place}{line}" for line in across]
     if wrong:
         raise ConfigError(*wrong)
-    choices = choose_estimators(name, choices, estimators, allow_code)
+    choices = choose_estimators(name, choices, estimators, allow_code, guard)
     imu = sources["imu"]
     assert imu is not None
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
@@ -429,8 +430,6 @@ def _make_document(
     table: LogTable, name: str, choices: Sequence[EstimatorChoice], changes: DatasheetChanges
 ) -> dict[str, Any]:
     document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
-    document["estimator"] = [
-        {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
-    ]
+    document["estimator"] = [describe_choice(choice) for choice in choices]
     changes.mark(document)
     return document

@@ -39,11 +39,13 @@ from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
 from bench.specs import (
+    DEFAULT_GUARD,
     AircraftSpec,
     AssumedSpecs,
     EstimatorChoice,
     Flight,
     FlightSpec,
+    Guard,
     Gust,
     Profile,
     Runway,
@@ -63,6 +65,7 @@ def load_profile(
     seed: int | None = None,
     estimators: Sequence[str] | None = None,
     allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
 ) -> Profile:
     """Read and check a profile; return it in SI.
 
@@ -82,6 +85,8 @@ def load_profile(
         ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
     allow_code : bool
         Let the file name a ``module:Class`` or a ``command:``, code that is run; ``estimators`` may always.
+    guard : Guard
+        What that code may take, and whether a class gets a process of its own.
 
     Raises
     ------
@@ -144,7 +149,7 @@ def load_profile(
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
-    choices = choose_estimators(shown, choices, estimators, allow_code)
+    choices = choose_estimators(shown, choices, estimators, allow_code, guard)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -193,7 +198,11 @@ def _find_sensors(
 
 
 def choose_estimators(
-    shown: str, own: Sequence[EstimatorChoice], estimators: Sequence[str] | None, allow_code: bool
+    shown: str,
+    own: Sequence[EstimatorChoice],
+    estimators: Sequence[str] | None,
+    allow_code: bool,
+    guard: Guard,
 ) -> tuple[EstimatorChoice, ...]:
     """Return the estimators to run: those of a file, or those requested instead.
 
@@ -214,7 +223,13 @@ def choose_estimators(
             raise ConfigError(f"{shown}: no estimator is requested; {hint}")
     if not allow_code and (wrong := checks.check_code(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return choices
+    return tuple(_set_guard(choice, guard) if checks.is_code(choice.use) else choice for choice in choices)
+
+
+def _set_guard(choice: EstimatorChoice, guard: Guard) -> EstimatorChoice:
+    """Return a choice with a guard; a time limit of its file counts where that has none."""
+    timeout = choice.guard.timeout if guard.timeout is None else guard.timeout
+    return replace(choice, guard=replace(guard, timeout=timeout))
 
 
 def make_choice(
@@ -230,7 +245,10 @@ def make_choices(
 ) -> tuple[EstimatorChoice, ...]:
     """Return the choices of a file; a path is relative to the file or, from an override, to this folder."""
     return tuple(
-        make_choice(row.use, row.label, row.options, Path() if sets_estimator(overrides, k) else beside)
+        replace(
+            make_choice(row.use, row.label, row.options, Path() if sets_estimator(overrides, k) else beside),
+            guard=Guard(timeout=row.timeout_s),
+        )
         for k, row in enumerate(rows, 1)
     )
 
@@ -361,7 +379,11 @@ def _make_document(
     on_board = {kind: sensors[kind] for kind in SENSORS if kind in sensors}
     sensors["assumed"] = on_board | sensors["assumed"]
     changes.mark(document)
-    document["estimator"] = [
-        {"use": choice.use, "label": choice.label, "options": dict(choice.options)} for choice in choices
-    ]
+    document["estimator"] = [describe_choice(choice) for choice in choices]
     return document
+
+
+def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
+    """Return the choice of an estimator as a table of a file."""
+    table = {"use": choice.use, "label": choice.label, "options": dict(choice.options)}
+    return table if choice.guard.timeout is None else table | {"timeout_s": choice.guard.timeout}

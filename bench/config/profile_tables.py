@@ -161,6 +161,7 @@ class EstimatorTable(Table):
     use: str
     label: str | None = None
     options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
+    timeout_s: Annotated[float, between(0.1, 1e6)] | None = None  # of a class of others or a program
 
 
 class EvaluationTable(Table):

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import EventRow, Events, NavSolution, no_innovations
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.errors import EstimatorError, EstimatorFailedError, EstimatorStoppedError, FilterTraceback
 
 FAILED, TRACEBACK = "failed", "traceback"
 """Kinds of events: there is no solution, for the reason in the text; where in the code it was raised."""
@@ -38,9 +38,11 @@ def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = (
 def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> tuple[str, list[EventRow]]:
     """Return why an estimator failed, and an event with its traceback, if it raised."""
     why = str(error).removeprefix(f"estimator {label!r}: ")
-    if isinstance(error, EstimatorError):  # it cannot start on this record
+    if isinstance(error, EstimatorError | EstimatorStoppedError):  # it cannot start here, or was ended
         return why, []
-    text = "".join(traceback.format_exception(error.__cause__ or error))
+    cause = error.__cause__ or error
+    said = isinstance(cause, FilterTraceback)
+    text = str(cause) if said else "".join(traceback.format_exception(cause))
     return why, [(0.0, 0.0, TRACEBACK, text)]
 
 

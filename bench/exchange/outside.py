@@ -11,12 +11,10 @@ import contextlib
 import os
 import shlex
 import shutil
-import signal
 import stat
 import string
 import subprocess
 import threading
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,10 +29,17 @@ from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
 from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
 from bench.navigation.estimator import Estimator, construct
 from bench.scratch import make_scratch
-from bench.specs import EstimatorChoice
-
-TIMEOUT = 600.0
-"""Default time limit of a program [s]."""
+from bench.spawned import (
+    LOOK,
+    PATIENCE,
+    Printed,
+    Watch,
+    describe_end,
+    describe_output,
+    end_group,
+    find_last_line,
+)
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 
 PROGRAM, STDERR = "program", "stderr"
 """Kinds of events: how the program ended; the end of what it wrote to stderr."""
@@ -44,9 +49,6 @@ FILE, COMMAND = "file:", "command:"
 
 _FIELDS = ("sensors", "solution", "here")
 _MOST_STDERR = 4000  # last part of stderr that is kept [byte]
-_MOST_WRITTEN = 2_000_000_000  # largest solution; beyond it the program is stopped [byte]
-_LOOK = 0.05  # interval between checks of the program [s]
-_PATIENCE = 2.0  # between SIGTERM and SIGKILL [s]
 
 
 def load(choice: EstimatorChoice) -> Estimator:
@@ -65,7 +67,8 @@ def load(choice: EstimatorChoice) -> Estimator:
             return construct(choice.label, partial(FolderEstimator, path), choice.options)
         return construct(choice.label, partial(FileEstimator, path), choice.options)
     command = choice.use.removeprefix(COMMAND)
-    return construct(choice.label, partial(CommandEstimator, command, choice.beside), choice.options)
+    factory = partial(CommandEstimator, command, choice.beside, choice.guard)
+    return construct(choice.label, factory, choice.options)
 
 
 class CommandEstimator:
@@ -78,8 +81,8 @@ class CommandEstimator:
         ``{solution}``, the file to write, are required; ``{here}`` is ``beside``.
     beside : Path
         Folder from which a relative path of the program is taken.
-    timeout_s : float
-        Time limit of the program [s].
+    guard : Guard
+        What it may take.
     max_gap_s : float or None
         Longest interval that is interpolated [s], as in `bench.exchange.solutions.resample`.
 
@@ -90,13 +93,12 @@ class CommandEstimator:
     """
 
     def __init__(
-        self, command: str, beside: Path, *, timeout_s: float = TIMEOUT, max_gap_s: float | None = None
+        self, command: str, beside: Path, guard: Guard = DEFAULT_GUARD, *, max_gap_s: float | None = None
     ) -> None:
-        asked = {"timeout_s": timeout_s, "max_gap_s": 1.0 if max_gap_s is None else max_gap_s}
-        for name, value in asked.items():
-            if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < np.inf:
-                raise EstimatorError(f"{name} = {value!r} must be a number above 0 [s]")
-        self._timeout, self._longest = float(timeout_s), max_gap_s
+        number = isinstance(max_gap_s, int | float) and not isinstance(max_gap_s, bool)
+        if max_gap_s is not None and not (number and 0 < max_gap_s < np.inf):
+            raise EstimatorError(f"max_gap_s = {max_gap_s!r} must be a number above 0 [s]")
+        self._guard, self._longest = guard, max_gap_s
         self._arguments = _split_command(command)
         self._beside = beside.resolve()
         self._arguments[0] = _find_program(self._arguments[0], self._beside)
@@ -112,13 +114,14 @@ class CommandEstimator:
             solution = place / "solution.csv"
             fields = {"sensors": str(folder), "solution": str(solution), "here": str(self._beside)}
             arguments = [argument.format_map(fields) for argument in self._arguments]
-            ended, stderr, status = self._run_program(arguments, place, solution)
+            seconds = self._guard.choose_timeout(sensors.duration_from(initial.t))
+            ended, stderr, status = self._run_program(arguments, place, solution, seconds)
             events: list[EventRow] = [(0.0, 0.0, PROGRAM, ended)]
             if stderr:
                 events.append((0.0, 0.0, STDERR, stderr))
             if status != 0:
-                last = stderr.strip().splitlines()[-1:]
-                return make_failed_solution(sensors.output_t, ": ".join([ended, *last]), events)
+                why = ": ".join(filter(None, [ended, find_last_line(stderr)]))
+                return make_failed_solution(sensors.output_t, why, events)
             try:
                 own_solution = read_solution(solution)
                 check_unit(own_solution, initial.t, initial.lla)
@@ -127,7 +130,9 @@ class CommandEstimator:
             result = resample(own_solution, sensors.output_t, self._longest)
         return replace(result, events=Events.from_rows([*result.events.rows(), *events]))
 
-    def _run_program(self, arguments: list[str], cwd: Path, solution: Path) -> tuple[str, str, int]:
+    def _run_program(
+        self, arguments: list[str], cwd: Path, solution: Path, seconds: float
+    ) -> tuple[str, str, int]:
         """Run the program until its end or a limit; return how it ended, its last stderr, its status."""
         (cwd / "home").mkdir()
         environment = {
@@ -153,23 +158,20 @@ class CommandEstimator:
         tail = _Tail(child.stderr)
         stopped = ""
         try:
-            end = time.monotonic() + self._timeout
+            watch = Watch(child.pid, seconds, self._guard.choose_memory())
             while child.poll() is None and not stopped:
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    child.wait(_LOOK)
-                if time.monotonic() > end:
-                    stopped = f"stopped after {self._timeout:g} s (timeout_s)"
-                elif _measure_size(solution) > _MOST_WRITTEN:
-                    stopped = f"stopped: its solution is larger than {_MOST_WRITTEN // 1_000_000} MB"
+                    child.wait(LOOK)
+                stopped = watch.look()
+                if _measure_size(solution) > self._guard.output:
+                    stopped = describe_output(self._guard.output)
         finally:
-            _end_group(child)
+            end_group(child)
         stderr = tail.read()
         if stopped:
             return stopped, stderr, -1
         status = child.returncode
-        if status < 0:
-            return f"ended by signal {signal.Signals(-status).name}", stderr, status
-        return f"exit status {status}", stderr, status
+        return describe_end(status) if status < 0 else f"exit status {status}", stderr, status
 
 
 class _Tail:
@@ -177,21 +179,20 @@ class _Tail:
 
     def __init__(self, stream: IO[bytes] | None) -> None:
         assert stream is not None  # it is a pipe
-        self._stream, self._kept = stream, b""
+        self._stream, self._kept = stream, Printed(0, _MOST_STDERR)
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def _read(self) -> None:
         while block := os.read(self._stream.fileno(), 1 << 16):
-            self._kept = (self._kept + block)[-_MOST_STDERR:]
+            self._kept.add(block)
 
     def read(self) -> str:
         """Wait for the end of the stream; return its last part without control characters."""
-        self._thread.join(_PATIENCE)
-        text = self._kept.decode("utf-8", errors="replace")
+        self._thread.join(PATIENCE)
         if not self._thread.is_alive():
             self._stream.close()
-        return "".join(c for c in text if c == "\n" or c.isprintable())
+        return "".join(c for c in self._kept.text if c == "\n" or c.isprintable())
 
 
 def _split_command(command: str) -> list[str]:
@@ -237,12 +238,3 @@ def _measure_size(path: Path) -> int:
     except OSError:
         return 0
     return found.st_size if stat.S_ISREG(found.st_mode) else 0
-
-
-def _end_group(child: subprocess.Popen[bytes]) -> None:
-    """End the process group of the program: SIGTERM, then SIGKILL."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, number)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(_PATIENCE)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +12,7 @@ from bench.arrays import FloatArray
 from bench.earth import matrix_en, to_geodetic
 from bench.exchange.table_files import Group, TableColumns, group, list_names
 from bench.signals.air import pressure_altitude
+from bench.spawned import machine_memory
 
 ROW_MEMORY = 300.0
 """Memory to read and navigate a row of an IMU in blocks, several times what was measured [byte]."""
@@ -31,12 +29,10 @@ def count_affordable_rows() -> float:
         import resource
     except ImportError:
         return math.inf
-    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / ROW_MEMORY]
+    limits = [machine_memory() / ROW_MEMORY]
     address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if address_space != resource.RLIM_INFINITY:
         limits.append(address_space / ROW_SPACE)
-    with contextlib.suppress(OSError, ValueError):  # a container; "max" is no limit
-        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")) / ROW_MEMORY)
     return min(limits)
 
 

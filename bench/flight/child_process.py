@@ -24,6 +24,7 @@ from typing import IO
 from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.scratch import make_scratch
+from bench.spawned import find_last_line, measure_cpu
 from bench.specs import FlightSpec, ScriptSpec
 
 PATIENCE = 60.0
@@ -135,7 +136,7 @@ def _listen(
     A look at a silent child counts as the CPU time it has used since the last one; if that is none, as the
     time between them.
     """
-    rest, doing, silent, used = b"", "starting", 0.0, _cpu_time(child.pid)
+    rest, doing, silent, used = b"", "starting", 0.0, measure_cpu(child.pid)
     with selectors.DefaultSelector() as selector:
         selector.register(said, selectors.EVENT_READ)
         while silent < patience:
@@ -146,26 +147,17 @@ def _listen(
                 *lines, rest = (rest + block).split(b"\n")
                 if lines:
                     t, _, doing = lines[-1].decode().partition(" ")
-                    silent, used = 0.0, _cpu_time(child.pid)
+                    silent, used = 0.0, measure_cpu(child.pid)
                     if progress is not None and doing == "flying":
                         progress(float(t))
                         doing = f"flying at {t} s"
             else:
-                before, used = used, _cpu_time(child.pid)
+                before, used = used, measure_cpu(child.pid)
                 silent += used - before if used > before else _POLL
     return doing
 
 
-def _cpu_time(pid: int) -> float:
-    """Return the CPU time of a process [s]; 0 where the system does not tell, or the process is gone."""
-    try:
-        return time.clock_gettime((~pid << 3) | 2)  # its clock on Linux, as clock_getcpuclockid(3) returns it
-    except OSError:
-        return 0.0
-
-
 def _last_line(trouble: Path, status: int) -> str:
     text = trouble.read_text(encoding="utf-8", errors="replace") if trouble.is_file() else ""
-    lines = text.split("\n")
-    said = [line.strip() for line in lines if line.strip()]
-    return f" with status {status}" + (f": {said[-1][:200]}" if said else "")
+    said = find_last_line(text)[:200]
+    return f" with status {status}" + (f": {said}" if said else "")

@@ -203,7 +203,7 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         place, fixed = BUILT_IN[use].place, BUILT_IN[use].fixed
         if wrong := BUILT_IN[use].wrong(options):
             raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
-    elif all(part.isidentifier() for part in use.replace(":", ".", 1).split(".")) and ":" in use:
+    elif is_class(use):
         place, fixed = use, {}
     else:
         raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
@@ -223,6 +223,11 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
     return construct(use, factory, {**fixed, **options})
 
 
+def is_class(use: str) -> bool:
+    """Return whether a text has the form ``module:Class``."""
+    return ":" in use and all(part.isidentifier() for part in use.replace(":", ".", 1).split("."))
+
+
 def takes_option(use: str, name: str) -> bool:
     """Return whether a built-in estimator has an option that a profile may set."""
     return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
@@ -239,10 +244,11 @@ def catch_exit(name: str, part: str) -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         raise
     except BaseException as error:
-        raise _make_failure(name, part, error) from error
+        raise make_failure(name, part, error) from error
 
 
-def _make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
+def make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
+    """Return that a part of an estimator raised an error."""
     what = one_line("".join(traceback.format_exception_only(error)).strip())[:_LONGEST]
     return EstimatorFailedError(f"estimator {name!r}: {part} raised {what}")
 
@@ -316,10 +322,10 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
         solution = estimator.run(sensors, initial)
     except EstimatorError as error:  # from the initial alignment
         raise EstimatorError(f"estimator {name!r}: {error}") from error
-    except KeyboardInterrupt:  # of the user
+    except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
     except BaseException as error:  # sys.exit() of an estimator does not end bench
-        raise _make_failure(name, "run()", error) from error
+        raise make_failure(name, "run()", error) from error
     if not isinstance(solution, NavSolution):
         found = type(solution).__name__
         raise EstimatorFailedError(f"estimator {name!r}: run() must return a NavSolution; got {found}")
@@ -345,10 +351,10 @@ def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> lis
         return None
     try:
         return list(list_errors(specs))
-    except KeyboardInterrupt:  # of the user
+    except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
     except BaseException as error:
-        raise _make_failure(name, "unmodelled()", error) from error
+        raise make_failure(name, "unmodelled()", error) from error
 
 
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:

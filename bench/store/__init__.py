@@ -21,6 +21,7 @@ from bench.store.parquet import read_table, write_table
 from bench.store.provenance import hash_spec, list_versions, provenance
 from bench.store.results import (
     CAMPAIGN_RESULT,
+    PRINTED,
     RECORDING,
     REPORT,
     STUDY_RESULT,
@@ -62,6 +63,7 @@ __all__ = [
     "EXPORT",
     "FIGURES",
     "LIMIT",
+    "PRINTED",
     "RECORDING",
     "REPORT",
     "RESULT",

@@ -15,9 +15,11 @@ import numpy as np
 
 import bench
 from bench.errors import EstimatorError
+from bench.exchange.loading import load_estimators
 from bench.files import check_file
 from bench.navigation import estimator
 from bench.navigation.open_filters import PieceFilter
+from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
 from bench.wording import one_line
 
@@ -106,7 +108,8 @@ def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> 
         specs, state = read_assumed_specs(notes), _give_arrays(notes["state"], arrays)
         if arrays:
             raise ValueError(f"{next(iter(arrays))} belongs to nothing")
-        return PieceFilter.restore(use, options, estimator.load(use, options), specs, state, str(path))
+        built = load_estimators([EstimatorChoice(use, use, options)])[0]
+        return PieceFilter.restore(use, options, built, specs, state, str(path))
     except Exception as error:  # what is restored is made of nothing but the file
         raise EstimatorError(
             f"{path}: its state is none of {use!r} with these options: {one_line(str(error))[:300]}"

@@ -58,6 +58,8 @@ SKY = "sensors-sky.parquet"
 EVENTS = "sensors-events.parquet"
 WITHHELD, REFERENCE = "sensors-withheld.parquet", "reference.parquet"
 """What judges a log: fixes that no estimator got, or the reference."""
+PRINTED = "printed-{}.txt"
+"""File with what the filter of a label has printed."""
 _T = TypeVar("_T")
 
 
@@ -93,6 +95,8 @@ def save(folder: Path, result: RunResult) -> None:
         parquet.write(folder / REFERENCE, reference.track, extra_names=[], point_b_m=point)
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
+    for label, text in result.records.get("printed", {}).items():
+        write_text(folder / PRINTED.format(label), text)
     for label, errors in result.errors.items():
         parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
     summary = {name: getattr(result, name) for name in SUMMARY}
@@ -148,7 +152,7 @@ def copy_results(folder: Path, to: Path) -> None:
 
 
 _TABLES = ("truth", "sensors", "solution", "events", "innovations", "errors")
-_FILES = (RESULT, START, TRUTH, REFERENCE, *(f"{kind}-*.parquet" for kind in _TABLES))
+_FILES = (RESULT, START, TRUTH, REFERENCE, PRINTED.format("*"), *(f"{kind}-*.parquet" for kind in _TABLES))
 """Names of the files of a results folder besides its recording."""
 
 
@@ -290,6 +294,12 @@ def _load_reference(folder: Path) -> Reference:
     return Reference(track, np.array(parquet.read_facts(path)["point_b_m"]))
 
 
+def _load_printed(folder: Path) -> dict[str, str]:
+    paths = sorted(folder.glob(PRINTED.format("*")))
+    begin = len(PRINTED.partition("{")[0])
+    return {path.stem[begin:]: path.read_text(encoding="utf-8", errors="replace") for path in paths}
+
+
 def _load_drawn(path: Path) -> SensorTruth:
     names = parquet.read_names(path)
     on_board = [name for name, row in INSTRUMENTS.items() if row.bias.names[0] in names]
@@ -303,6 +313,7 @@ _READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
     "sensed": (START, load_sensed),
     "withheld": (WITHHELD, _load_withheld),
     "reference": (REFERENCE, _load_reference),
+    "printed": (RESULT, _load_printed),
 }
 """Record of a result -> the file a folder must have to hold it, and the function that reads it."""
 

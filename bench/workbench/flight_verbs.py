@@ -58,6 +58,8 @@ def run(
 
 def print_end(console: Console, folder: Path, begun: float) -> None:
     """Print the folder of the results, how long they took, and the next command."""
+    for path in sorted(folder.glob(store.PRINTED.format("*"))):
+        console.print(f"What a filter printed is in {path}.", soft_wrap=True)
     console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
     page = folder / store.REPORT
     if page.is_file():

@@ -106,7 +106,7 @@ def record_runs(
 ) -> None:
     """Fly runs of a campaign again, and record them side by side.
 
-    Each run has ``profile``, ``draw``, and the ``seed``, ``estimators`` and ``overrides`` of
+    Each run has ``profile``, ``draw``, and the ``seed``, ``estimators``, ``overrides`` and ``guard`` of
     `bench.config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
     """
     from bench import recording
@@ -123,7 +123,7 @@ def record_runs(
                 f"{folder}: its runs name {code[0][:60]!r}, which runs code on this machine; "
                 "--allow-code permits it"
             )
-        given = {key: options[key] for key in ("overrides", "seed", "estimators")}
+        given = {key: options[key] for key in ("overrides", "seed", "estimators", "guard")}
         profile = config.load_profile(options["profile"], **given, allow_code=allow_code)
         results[name] = api.run(profile, run=options["draw"])
     recording.write(path, folder.resolve().name, merge_results(results))

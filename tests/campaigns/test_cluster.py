@@ -29,7 +29,11 @@ distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-b
 psutil = pytest.importorskip("psutil", reason="dask brings it")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
-OWN = "from bench.navigation.models.loose_tight import Loose as Own\n"
+OWN = """import sys
+if "distributed" in sys.modules:
+    raise SystemExit("imported in a worker")
+from bench.navigation.models.loose_tight import Loose as Own
+"""
 
 
 @contextlib.contextmanager

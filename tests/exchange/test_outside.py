@@ -24,7 +24,7 @@ from bench.evaluation import metrics
 from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
 from bench.navigation import estimator
-from bench.specs import EstimatorChoice
+from bench.specs import EstimatorChoice, Guard
 from tests.cli.test_cli import PROFILE
 
 HERE = Path(__file__).parent
@@ -222,8 +222,8 @@ def test_a_program_that_does_not_end_is_stopped_with_all_it_started(run, tmp_pat
         "time.sleep(600)"
     )
     begun = time.monotonic()
-    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, timeout_s=3.0)
-    assert why == "failed: stopped after 3 s (timeout_s)"
+    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, guard=Guard(timeout=3.0))
+    assert why == "failed: stopped after 3 s (--timeout)"
     assert time.monotonic() - begun < 120  # seconds, on a busy machine too
     pid = int((tmp_path / "pid").read_text())
     for _ in range(100):
@@ -252,14 +252,19 @@ def test_what_it_says_is_bounded_and_cannot_steer_a_terminal(run, tmp_path):
     assert "\x1b" not in said
 
 
-def test_a_solution_without_end_is_stopped(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(outside, "_MOST_WRITTEN", 10_000_000)
+def test_a_solution_without_end_is_stopped(run, tmp_path):
     code = (
         "import sys\nwith open(sys.argv[2], 'w') as f:\n"
         "    while True: f.write('1,2,3\\n' * 10000); f.flush()"
     )
-    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path)
-    assert why == "failed: stopped: its solution is larger than 10 MB"
+    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, guard=Guard(output=10e6))
+    assert why == "failed: stopped: its solution is larger than 10 MB (--output)"
+
+
+def test_a_program_that_takes_the_memory_of_others_is_stopped(run, tmp_path):
+    code = "kept = []\nwhile True: kept.append(b'x' * 2_000_000)"
+    why, _ = failure(run, python(tmp_path / "x.py", code), tmp_path, guard=Guard(memory=1e8))
+    assert re.fullmatch(r"failed: stopped: 0\.\d+ GB of memory, more than 0\.1 GB \(--memory\)", why)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +289,7 @@ def test_a_wrong_command_is_refused_before_the_flight(tmp_path, command, said):
 
 
 @pytest.mark.parametrize(
-    "options", [{"timeout_s": 0}, {"timeout_s": "long"}, {"max_gap_s": -1}, {"seconds": 3}]
+    "options", [{"timeout_s": 3}, {"max_gap_s": 0}, {"max_gap_s": "long"}, {"seconds": 3}]
 )
 def test_wrong_options_are_refused(tmp_path, options):
     choice = EstimatorChoice(f"command:{sys.executable} {{sensors}} {{solution}}", "x", options, tmp_path)

@@ -115,7 +115,7 @@ def test_an_estimator_that_fails_in_an_outage_of_a_log_has_failed(folder, tmp_pa
 def test_an_estimator_that_cannot_start_on_a_log_has_failed_where_another_can(folder, tmp_path, capsys):
     log = str(rewritten(folder, tmp_path, ('kind = "course"', 'kind = "course"\nduration_s = 600.0')))
     options = ["--no-rrd", "-o", str(tmp_path / "out"), "--force", "-e", "loose-15"]
-    assert main(["navigate", log, *options, "-e", "gnss-only"]) == 70
+    assert main(["navigate", log, *options, "-e", "gnss-only"]) == 1
     metrics = json.loads((tmp_path / "out/result.json").read_text())["metrics"]
     assert metrics["loose-15"]["verdict_text"].startswith("loose-15 failed: alignment course needs 600 s")
     assert metrics["gnss-only"]["converged"]

@@ -1,0 +1,134 @@
+"""Processes that bench starts: what they may take, what they print, how they end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+LOOK = 0.05
+"""Interval between two looks at a process [s]."""
+
+PATIENCE = 2.0
+"""Time between a signal that asks a process to end and SIGKILL [s]."""
+
+
+def machine_memory() -> float:
+    """Return the memory of this machine, or of the container this runs in [byte].
+
+    Infinite where the system does not tell.
+    """
+    if not hasattr(os, "sysconf"):
+        return float("inf")
+    whole = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    with contextlib.suppress(OSError, ValueError):  # no container; "max" is no limit
+        return min(whole, float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return whole
+
+
+def measure_memory(pid: int) -> int:
+    """Return the resident memory of a process, mapped files left out [byte].
+
+    0 where the system does not tell, or the process is gone.
+    """
+    try:
+        rows = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return 0
+    own = (row.split() for row in rows if row.startswith(("RssAnon:", "RssShmem:")))
+    return sum(1024 * int(words[1]) for words in own)
+
+
+def measure_cpu(pid: int) -> float:
+    """Return the CPU time of a process [s]; 0 where the system does not tell, or the process is gone."""
+    try:
+        return time.clock_gettime((~pid << 3) | 2)  # its clock on Linux, as clock_getcpuclockid(3) returns it
+    except OSError:
+        return 0.0
+
+
+class Watch:
+    """What a process may take from now on: wall time [s], and memory of its own [byte]."""
+
+    def __init__(self, pid: int, seconds: float, memory: float) -> None:
+        self._pid, self._seconds, self._memory = pid, seconds, memory
+        self._last = time.monotonic()
+        self._end = self._last + seconds
+
+    def look(self) -> str:
+        """Return why the process is to be stopped; empty if it keeps its limits, or if this was just seen."""
+        now = time.monotonic()
+        if now < self._last + LOOK:
+            return ""
+        self._last = now
+        if now > self._end:
+            return f"stopped after {self._seconds:g} s (--timeout)"
+        if (used := measure_memory(self._pid)) > self._memory:
+            return f"stopped: {used / 1e9:.3g} GB of memory, more than {self._memory / 1e9:.3g} GB (--memory)"
+        return ""
+
+
+class Printed:
+    """What a process prints: the begin and the end, as much as is worth keeping.
+
+    Parameters
+    ----------
+    begin, end : int
+        Size of the two parts [byte].
+    """
+
+    def __init__(self, begin: int = 500_000, end: int = 500_000) -> None:
+        self._most_begin, self._most_end = begin, end
+        self._begin, self._end, self._left_out = bytearray(), bytearray(), 0
+
+    def add(self, block: bytes) -> None:
+        """Take what came next."""
+        room = self._most_begin - len(self._begin)
+        self._begin += block[:room]
+        self._end += block[room:]
+        if len(self._end) > 2 * self._most_end:
+            self._cut()
+
+    def _cut(self) -> None:
+        beyond = max(len(self._end) - self._most_end, 0)
+        self._left_out += beyond
+        del self._end[:beyond]
+
+    @property
+    def text(self) -> str:
+        """The two parts, and between them how much was left out."""
+        self._cut()
+        gap = f"\n[{self._left_out} bytes left out]\n" if self._left_out and self._begin else ""
+        parts = (bytes(part).decode("utf-8", errors="replace") for part in (self._begin, self._end))
+        return gap.join(parts)
+
+
+def describe_output(most: float) -> str:
+    """Return why a process is stopped whose solution is larger than that [byte]."""
+    return f"stopped: its solution is larger than {most / 1e6:.4g} MB (--output)"
+
+
+def describe_end(status: int) -> str:
+    """Return how a process ended, by its exit status as `subprocess` gives it."""
+    if status < 0:
+        return f"ended by signal {signal.Signals(-status).name}"
+    return f"ended with exit status {status}"
+
+
+def find_last_line(text: str) -> str:
+    """Return the last line of a text that is not blank; empty if there is none."""
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
+
+
+def end_group(
+    child: subprocess.Popen[bytes], first: signal.Signals = signal.SIGTERM, patience: float = PATIENCE
+) -> None:
+    """End a process that leads a group, and all of the group: by a first signal, then by SIGKILL."""
+    for number in (first, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(patience)
