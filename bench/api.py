@@ -136,9 +136,9 @@ def open_filter(
 ) -> PieceFilter:
     """Return a filter that takes a record in pieces and answers after each.
 
-    ``feed(piece)`` takes the next piece, ``answer()`` gives state and covariance at its last IMU sample and
-    changes no bit, ``finish()`` ends. All answers wanted together are those of :func:`navigate` on the whole
-    record, bit for bit, wherever it is cut. Memory does not grow with the length.
+    ``feed(piece)`` takes the next piece, ``answer()`` gives state and covariance at its last IMU sample,
+    ``finish()`` ends. All answers are those of :func:`navigate` on the whole record, bit for bit, wherever it
+    is cut. Memory does not grow with the length.
 
     Parameters
     ----------
@@ -149,8 +149,7 @@ def open_filter(
     options : mapping or None
         Options of the filter.
     look_back : float
-        Longest time from the validity of a measurement to its arrival [s]: so long an answer that is final
-        has to wait.
+        Longest time from the validity of a measurement to its arrival [s]; final answers wait so long.
     guard : Guard
         As for :func:`run`; its time limit is for each piece.
 
@@ -192,10 +191,8 @@ def save(
     ----------
     result : RunResult
         As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
-    recording : bool
-        Also write ``flight.rrd``.
-    report : bool
-        Also write ``report.html``.
+    recording, report : bool
+        Also write ``flight.rrd``, ``report.html``.
     force : bool
         Replace an existing results folder.
     say : callable
