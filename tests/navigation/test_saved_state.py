@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -56,15 +55,20 @@ def notes_of(arrays: dict[str, Any]) -> dict[str, Any]:
 
 def test_a_saved_state_imports_nothing_unless_code_is_allowed(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "stranger.py").write_text("from bench.navigation.models.loose_tight import Loose as Theirs\n")
+    (tmp_path / "stranger.py").write_text(
+        "from pathlib import Path\n"
+        "from bench.navigation.models.loose_tight import Loose as Theirs\n"
+        "Path(__file__).with_suffix('.ran').touch()\n"
+    )
     arrays, _ = saved("loose-15")
     place = write(tmp_path / "filter.npz", arrays, notes_of(arrays) | {"use": "stranger:Theirs"})
     with pytest.raises(
         EstimatorError, match=r"'stranger:Theirs', which runs code .*; allow_code=True permits"
     ):
         bench.resume_filter(place)
-    assert "stranger" not in sys.modules
+    assert not (tmp_path / "stranger.ran").exists()
     assert bench.resume_filter(place, allow_code=True).use == "stranger:Theirs"
+    assert (tmp_path / "stranger.ran").exists()
 
 
 def test_a_filter_of_yours_goes_on_if_its_code_is_allowed(tmp_path):
