@@ -75,8 +75,13 @@ class Kernel:
         import numba
 
         choose_cache()
-        short = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
-        return numba.njit(**self._options | short)(self.py_func)
+        if not _takes_shortcuts():
+            return numba.njit(**self._options)(self.py_func)
+        made = numba.njit(**self._options, pipeline_class=_compilers()[0])(self.py_func)
+        known = made._cache._cache_file
+        base = known._index_name.removesuffix(".nbi")
+        made._cache._cache_file = _summed_files()(known._cache_path, base, known._source_stamp)
+        return made
 
     @cached_property
     def _part(self) -> Any:
@@ -143,6 +148,60 @@ def _compilers() -> tuple[type, type]:
             super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
 
     return Whole, Part
+
+
+@cache
+def _summed_files() -> type:
+    """Return the files of numba's cache with a sum in each: what is damaged is told once and made again."""
+    import pickle
+
+    from numba.core.caching import IndexDataCacheFile
+
+    files: Any = IndexDataCacheFile
+
+    class SummedFiles(files):  # type: ignore[misc]
+        def _write(self, path: str, value: object) -> None:
+            data = self._dump(value)
+            with self._open_for_write(path) as file:
+                file.write(hashlib.sha256(data).digest() + data)
+
+        def _read(self, path: str) -> Any:
+            whole = Path(path).read_bytes()
+            if hashlib.sha256(whole[32:]).digest() != whole[:32]:
+                raise ValueError(f"{path} is damaged")
+            return pickle.loads(whole[32:])
+
+        def _save_index(self, overloads: object) -> None:
+            self._write(self._index_path, (self._source_stamp, overloads))
+
+        def _load_index(self) -> Any:
+            try:
+                stamp, overloads = self._read(self._index_path)
+            except FileNotFoundError:
+                return {}
+            except Exception:
+                _tell_damage(self._cache_path)
+                return {}
+            return overloads if stamp == self._source_stamp else {}
+
+        def _save_data(self, name: str, data: object) -> None:
+            self._write(self._data_path(name), data)
+
+        def _load_data(self, name: str) -> Any:
+            try:
+                return self._read(self._data_path(name))
+            except OSError:  # numba compiles again
+                raise
+            except Exception:
+                _tell_damage(self._cache_path)
+                return None
+
+    return SummedFiles
+
+
+@cache
+def _tell_damage(folder: str) -> None:
+    print(f"bench: compiled code in {folder} is damaged; it is compiled again", file=sys.stderr)
 
 
 def kernel(function: _Function) -> _Function:

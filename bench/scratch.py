@@ -13,6 +13,7 @@ import os
 import platform
 import secrets
 import shutil
+import stat
 import sys
 import tempfile
 import uuid
@@ -69,9 +70,18 @@ def remove_abandoned(place: Path) -> None:
     """Remove the temporary folders in a folder whose processes were killed on this machine."""
     with contextlib.suppress(OSError):  # not there, or not readable
         for folder in place.glob(f"{PREFIX}{_identify_machine()}-*"):
-            lock = lock_folder(folder)
+            lock = lock_folder(folder) if _is_own(folder) else None
             if lock is not None:
                 _end(folder, folder, lock)
+
+
+def _is_own(folder: Path) -> bool:
+    """Return whether it is a folder of this user and no link: others may make some in a shared place."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(found.st_mode) and (sys.platform == "win32" or found.st_uid == os.geteuid())
 
 
 def lock_folder(folder: Path, *, shared: bool = False) -> int | None:
@@ -84,7 +94,8 @@ def lock_folder(folder: Path, *, shared: bool = False) -> int | None:
         return None
     descriptor = None
     try:
-        descriptor = os.open(folder / LOCK, os.O_RDONLY if shared else os.O_RDWR | os.O_CREAT, 0o666)
+        ways = os.O_RDONLY if shared else os.O_RDWR | os.O_CREAT
+        descriptor = os.open(folder / LOCK, ways | os.O_NOFOLLOW, 0o666)
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError:
         if descriptor is not None:
@@ -95,17 +106,39 @@ def lock_folder(folder: Path, *, shared: bool = False) -> int | None:
 
 def _end(unlocked: Path, folder: Path, lock: int | None) -> None:
     """Move back what was set aside, remove the folder, and release its lock."""
-    aside = folder / _ASIDE
-    if aside.exists():
-        home = folder.parent / (folder / _NAME).read_text(encoding="utf-8")
-        if not home.exists():
-            aside.rename(home)
-    for path in (unlocked, folder):
-        shutil.rmtree(path, ignore_errors=True)
+    if _move_back(folder):
+        for path in (unlocked, folder):
+            shutil.rmtree(path, ignore_errors=True)
     if lock is not None:
         with contextlib.suppress(OSError):  # closed already
             os.close(lock)
-        shutil.rmtree(folder, ignore_errors=True)  # a network file system keeps an open file
+        if not (folder / _ASIDE).exists():
+            shutil.rmtree(folder, ignore_errors=True)  # a network file system keeps an open file
+
+
+def _move_back(folder: Path) -> bool:
+    """Move what was set aside back under its name if that is free; False if nothing tells the name."""
+    aside = folder / _ASIDE
+    if not aside.exists():
+        return True
+    home = _find_home(folder)
+    if home is None:  # it stays, so that nothing is lost
+        return False
+    if home.exists():
+        shutil.rmtree(aside, ignore_errors=True)
+    else:
+        aside.rename(home)
+    return True
+
+
+def _find_home(folder: Path) -> Path | None:
+    """Return where what was set aside belongs, beside its temporary folder; None if no name tells."""
+    try:
+        name = (folder / _NAME).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
+    plain = name not in ("", ".", "..") and not {"/", "\\", "\0"} & set(name)
+    return folder.parent / name if plain else None
 
 
 def _identify_machine() -> str:

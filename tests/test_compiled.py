@@ -57,6 +57,35 @@ def test_a_constant_changed_in_another_module_is_seen(tmp_path, variable):
     assert second != first
 
 
+def flip(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 0x55]) + data[middle + 1 :]
+
+
+def test_damaged_compiled_code_is_told_once_and_compiled_again(tmp_path):
+    """Cut short, emptied, one bit-flipped byte, of index or code; then the cache is whole."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": str(places.PACKAGE.parent), "BENCH_CACHE": str(tmp_path)}
+
+    def run() -> tuple[str, str]:
+        done = subprocess.run(
+            [sys.executable, "-c", ANSWER], env=environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout, done.stderr
+
+    whole, silent = run()
+    assert silent == ""
+    for ending in (".nbi", ".nbc"):
+        (file,) = tmp_path.rglob(f"*radii_kernel*{ending}")
+        for damage in (lambda data: data[: len(data) // 2], lambda data: b"", flip):
+            file.write_bytes(damage(file.read_bytes()))
+            out, err = run()
+            assert out == whole
+            assert err.count("\n") == 1
+            assert "is damaged; it is compiled again" in err
+    assert run() == (whole, "")
+
+
 def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp_path):
     """Also one without a kernel of its own, and one that is imported by such a one."""
     folder = copy_of_the_package(tmp_path)

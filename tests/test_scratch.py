@@ -93,3 +93,41 @@ def test_a_file_system_without_locks_is_no_reason_to_stop(tmp_path, monkeypatch)
     with scratch.make_scratch(tmp_path) as folder, scratch.make_scratch(tmp_path):
         assert folder.is_dir()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", [b"../taken", b"a/b", b"\xff", b"", b"..", None])
+def test_a_name_that_leads_elsewhere_is_not_followed_and_loses_nothing(tmp_path, name):
+    """What was set aside stays where it is; the next command works."""
+    place = tmp_path / "place"
+    left = place / f"{scratch.PREFIX}{scratch._identify_machine()}-0"
+    (left / "old").mkdir(parents=True)
+    (left / "old" / "result").write_text("precious")
+    if name is not None:
+        (left / "name").write_bytes(name)
+    for _ in range(2):
+        with scratch.make_scratch(place):
+            pass
+    assert (left / "old" / "result").read_text() == "precious"
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["place"]
+
+
+def test_folders_of_other_users_and_links_are_left_alone(tmp_path, monkeypatch):
+    """In a shared place anybody may make them; a link as the lock would make a file elsewhere."""
+    left, elsewhere = tmp_path / f"{scratch.PREFIX}{scratch._identify_machine()}-0", tmp_path / "elsewhere"
+    (left / "old").mkdir(parents=True)
+    (left / "name").write_text("home")
+    (left / scratch.LOCK).symlink_to(elsewhere)
+    scratch.remove_abandoned(tmp_path)
+    assert not elsewhere.exists()
+    assert left.exists()
+    (left / scratch.LOCK).unlink()
+    link = left.with_name(left.name[:-1] + "1")
+    link.symlink_to(left)
+    with monkeypatch.context() as other:
+        other.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        scratch.remove_abandoned(tmp_path)
+    assert (left / "old").exists()
+    link.unlink()
+    scratch.remove_abandoned(tmp_path)  # this one is our own
+    assert (tmp_path / "home").is_dir()
+    assert not left.exists()
