@@ -84,7 +84,7 @@ _PUBLIC = {
     "record_baselines": "bench.baselines.checking",
     "resume_filter": "bench.store.filter_state",
     "run": "bench.api",
-    "save": "bench.api",
+    "save": "bench.saving",
     "save_filter": "bench.store.filter_state",
     "score_solution": "bench.api",
     "sense": "bench.api",

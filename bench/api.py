@@ -20,7 +20,7 @@ from bench import pipeline, store
 from bench.config import load_profile
 from bench.config.listing import CatalogEntry
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
-from bench.errors import ConfigError, NothingToShowError
+from bench.errors import ConfigError
 from bench.run_result import RunResult
 from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.wording import suggest
@@ -174,55 +174,6 @@ def judge(
     """
     drawn = None if sensed is None else sensed.truth
     return pipeline.judge(_read_profile(profile), truth, solution, drawn)
-
-
-def save(
-    result: RunResult,
-    folder: str | Path,
-    *,
-    recording: bool = True,
-    report: bool = True,
-    force: bool = False,
-    say: Callable[[str], object] = lambda text: None,
-) -> Path:
-    """Write a result and its records into a results folder, completely or not at all, and return the folder.
-
-    Parameters
-    ----------
-    result : RunResult
-        As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
-    recording, report : bool
-        Also write ``flight.rrd``, ``report.html``.
-    force : bool
-        Replace an existing results folder.
-    say : callable
-        Called with the reason if there is no recording.
-
-    Raises
-    ------
-    bench.errors.ConfigError
-        If the folder cannot be made or must not be replaced, or the result has no records.
-    OSError
-        If a file cannot be written; nothing is left behind.
-    """
-    folder = Path(folder)
-    if result.sensed is None:
-        raise ConfigError("bench.save: the result has no sensor data")
-    store.check_folder(folder, force=force)
-    with store.make_folder(folder, force=force) as partial:
-        store.save(partial, result)
-        if recording:
-            from bench import recording as viewer
-
-            try:
-                viewer.write(partial / store.RECORDING, result.name or folder.name, result)
-            except NothingToShowError as error:
-                say(f"No recording: {error}.")
-        if report:
-            from bench.report import page
-
-            store.write_text(partial / store.REPORT, page.make_page(folder.name, result))
-    return folder
 
 
 def measure_allan(

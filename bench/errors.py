@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, UNSEEN, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
 """Exit statuses, as the help of every verb lists them."""
 
 
@@ -67,6 +67,12 @@ class FlightError(BenchError):
     """An aircraft cannot be loaded, trimmed or flown."""
 
     status = NOT_FLOWN
+
+
+class ViewsFailedError(BenchError):
+    """The recording or the report of a result could not be made; the result itself is written."""
+
+    status = UNSEEN
 
 
 class ViewerError(BenchError):

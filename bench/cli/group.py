@@ -25,8 +25,9 @@ STATUS = """\b
 Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
 diverged, could not start, or was ended); 2 the command line, a file or the
 results folder is wrong; 3 the aircraft could not be loaded, trimmed or flown;
-4 the machine failed (disk full, no viewer); 70 a bug, or an estimator that
-raised, with its traceback; 130 interrupted.
+4 the machine failed (disk full, no viewer); 5 the results are written, but
+not their recording or report; 70 a bug, or an estimator that raised, with its
+traceback; 130 interrupted.
 """
 
 _HELP = {"max_content_width": 100, "show_default": True}

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench import api, store
+from bench import store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.merging import merge_campaigns
@@ -22,6 +22,7 @@ from bench.errors import ConfigError
 from bench.evaluation.key_figures import is_key_figure
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
+from bench.saving import save
 from bench.wording import format_number
 from bench.workbench.check_verb import STYLES
 from bench.workbench.flight_verbs import print_end
@@ -100,7 +101,7 @@ def _write_overlay(
     elif of_campaigns == {False}:
         result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})
-        api.save(result, out, force=force, say=console.print)
+        save(result, out, force=force, say=console.print)
     else:
         raise ConfigError(f"{out}: a campaign and a single run are not drawn over each other; leave -o out")
     print_end(console, out, begun)

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench import api, config, store
 from bench.run_result import RunResult
+from bench.saving import save
 from bench.specs import Profile
 from bench.workbench import result_table, show
 from bench.workbench.console import PlainConsole
@@ -48,10 +49,10 @@ def run(
     with _show_progress(profile) as progress:
         result = api.run(profile, run=draw, bound=bound, progress=progress)
     store.leave_out_pandas()
-    api.save(result, folder, recording=recording, report=report, force=force)
     result_table.print_result(console, profile, result)
     result_table.print_bound(console, result.metrics)
     show.print_sanity(console, result.events.select("sanity"))
+    save(result, folder, recording=recording, report=report, force=force)
     print_end(console, folder, begun)
     return result, folder
 

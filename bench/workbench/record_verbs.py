@@ -16,6 +16,7 @@ from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.saving import save
 from bench.specs import TriadSpec
 from bench.wording import one_line
 from bench.workbench import result_table
@@ -60,7 +61,7 @@ def navigate_log(
     result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
-    api.save(result, folder, recording=recording, report=report, force=force, say=console.print)
+    save(result, folder, recording=recording, report=report, force=force, say=console.print)
     print_end(console, folder, begun)
     return {"metrics": result.metrics, **result.more}
 

@@ -22,6 +22,7 @@ from bench import pipeline, recording, store
 from bench.cli import main
 from bench.compiled import choose_cache
 from bench.errors import FlightError
+from bench.report import page as report_page
 from bench.store import parquet
 from bench.workbench import viewer
 
@@ -337,21 +338,51 @@ def test_a_filter_that_diverges_is_a_result_and_status_1(here, capsys, monkeypat
     assert metrics["Lost"]["pos_rmse_h_m"] is None
 
 
-@pytest.mark.parametrize("name", ["truth.parquet", "errors-loose-15.parquet", "flight.rrd"])
+@pytest.mark.parametrize("name", ["truth.parquet", "errors-loose-15.parquet"])
 def test_a_full_disk_is_status_4(here, capsys, monkeypatch, name):
     def until(path, *args, **keywords):
         if path.name == name:
             path.write_text("half")
             raise OSError(errno.ENOSPC, "No space left on device")
-        return genuine[path.suffix](path, *args, **keywords)
+        return genuine(path, *args, **keywords)
 
-    genuine = {".parquet": parquet.write, ".rrd": recording.write}
+    genuine = parquet.write
     monkeypatch.setattr(parquet, "write", until)
-    monkeypatch.setattr(recording, "write", until)
-    status, out, err = say(capsys, "run", "short.toml", "-o", "a")
-    assert (status, out) == (4, "")
+    status, _, err = say(capsys, "run", "short.toml", "-o", "a")
+    assert status == 4
     assert err == "error: a: No space left on device; nothing was written\n"
     assert left(here) == []
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "No space left on device"), AttributeError("no 'time_view'")]
+)
+@pytest.mark.parametrize("view", ["recording", "report"])
+def test_a_recording_or_report_that_fails_is_status_5_and_loses_nothing(
+    here, capsys, monkeypatch, view, error
+):
+    """The results and the other of the two are there; the verb that the line names makes it again."""
+
+    def fail(*args, **keywords):
+        raise error
+
+    place = (recording, "write") if view == "recording" else (report_page, "make_page")
+    with monkeypatch.context() as patched:
+        patched.setattr(*place, fail)
+        status, out, err = say(capsys, "run", "short.toml", "-o", "a")
+    assert status == 5
+    assert "pos_rmse_h_m" in out
+    reason = f"the {view} failed, {type(error).__name__}: {error}"
+    verb = {"recording": "record", "report": "report"}[view]
+    assert err == f"error: a: the results are written, but {reason}; bench {verb} a makes it again\n"
+    made = {"recording": "flight.rrd", "report": "report.html"}
+    assert store.load("a").metrics["loose-15"]["converged"]
+    assert [name for name in made.values() if (here / "a" / name).is_file()] == [
+        name for one, name in made.items() if one != view
+    ]
+    assert say(capsys, verb, "a")[0] == 0
+    assert (here / "a" / made[view]).is_file()
+    assert say(capsys, "run", "short.toml", "-o", "a", "--force")[0] == 0  # all files in it are of bench
 
 
 @pytest.mark.parametrize("step", ["fly", "sense", "answer", "judge"])
@@ -373,7 +404,7 @@ def test_interrupted_while_writing_leaves_the_old_results(here, capsys, monkeypa
         path.write_text("half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recording, "write", interrupt)
+    monkeypatch.setattr(parquet, "write", interrupt)
     assert say(capsys, "run", "short.toml", "--force", "--run", "0")[0] == 130
     assert (here / "runs/short-5/result.json").read_text() == before
     assert left(here / "runs") == ["short-5"]

@@ -1,0 +1,85 @@
+"""Write a result into its folder: first what was computed, then what shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bench import store
+from bench.errors import ConfigError, NothingToShowError, ViewsFailedError
+from bench.run_result import RunResult
+from bench.wording import one_line
+
+
+def save(
+    result: RunResult,
+    folder: str | Path,
+    *,
+    recording: bool = True,
+    report: bool = True,
+    force: bool = False,
+    say: Callable[[str], object] = lambda text: None,
+) -> Path:
+    """Write a result and its records into a results folder, completely or not at all, and return the folder.
+
+    Recording and report come after them: if one fails, the results are there, and so is the other.
+
+    Parameters
+    ----------
+    result : RunResult
+        As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
+    recording, report : bool
+        Also write ``flight.rrd``, ``report.html``.
+    force : bool
+        Replace an existing results folder.
+    say : callable
+        Called with the reason if there is no recording.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the folder cannot be made or must not be replaced, or the result has no records.
+    OSError
+        If the results cannot be written; nothing is left behind.
+    bench.errors.ViewsFailedError
+        If the recording or the report failed; the results are written.
+    """
+    folder = Path(folder)
+    if result.sensed is None:
+        raise ConfigError("bench.save: the result has no sensor data")
+    store.check_folder(folder, force=force)
+    with store.make_folder(folder, force=force) as partial:
+        store.save(partial, result)
+    views: list[tuple[str, str, Callable[[], object]]] = []
+    if recording:
+        views.append(("recording", "record", lambda: _write_recording(folder, result, say)))
+    if report:
+        views.append(("report", "report", lambda: _write_report(folder, result)))
+    failed = []
+    for what, verb, write in views:
+        try:
+            write()
+        except Exception as error:  # whatever a library of pictures raises, the results are worth more
+            reason = one_line(f"{type(error).__name__}: {error}")
+            failed.append(f"the {what} failed, {reason[:300]}; bench {verb} {folder} makes it again")
+    if failed:
+        raise ViewsFailedError(f"{folder}: the results are written, but {'; '.join(failed)}")
+    return folder
+
+
+def _write_recording(folder: Path, result: RunResult, say: Callable[[str], object]) -> None:
+    from bench import recording
+
+    try:
+        recording.write(folder / store.RECORDING, result.name or folder.name, result)
+    except NothingToShowError as error:
+        say(f"No recording: {error}.")
+    else:
+        store.add_to_mark(folder, store.RECORDING)
+
+
+def _write_report(folder: Path, result: RunResult) -> None:
+    from bench.report import page
+
+    store.write_text(folder / store.REPORT, page.make_page(folder.name, result))
+    store.add_to_mark(folder, store.REPORT)
