@@ -27,9 +27,12 @@ def write_card(path: Path, card: Card) -> None:
 
     Raises
     ------
+    bench.errors.ConfigError
+        If a file is there that bench did not write.
     OSError
         If the file cannot be written; an existing file is left unchanged.
     """
+    page.check_page(path, force=True)
     lines = [*card.lines, *([card.speed] if card.speed else [])]
     topics = [
         (title, [_make_row(line) for line in lines if line.topic == topic])

@@ -27,7 +27,7 @@ from bench.data import ImuData
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import stream
+from bench.specs import DEFAULT_GUARD, Guard, stream
 from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli
 
@@ -60,7 +60,7 @@ def measure(monkeypatch):
                 row = EstimatorDraw(converged(k), reason, metrics_of(k), {"nees_mean": 9.0}, 500)
                 return Draw(sensors(k), dict.fromkeys(labels, row))
 
-        monkeypatch.setattr(checking, "open_experiment", lambda source, requested, allow_code: Made(source))
+        monkeypatch.setattr(checking, "open_experiment", lambda source, *_: Made(source))
         measured.clear()
         return measured
 
@@ -214,7 +214,8 @@ def test_an_offset_in_time_that_is_gone_is_better_and_a_new_one_worse(measure, t
 
 def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path, monkeypatch):
     (tmp_path / "short.toml").write_text(test_cli.PROFILE)
-    flight = experiments.Flight(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False)
+    here = Guard(in_process=True)
+    flight = experiments.Flight(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False, here)
     flight.prepare()
     rows = [flight.measure(k).estimators["FailsAtTimes"] for k in range(6)]
     failed = [not row.converged for row in rows]
@@ -457,7 +458,7 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
     )
     monkeypatch.setattr(experiments.log_pipeline, "read_log", lambda *a, **k: log)
     monkeypatch.setattr(experiments.log_pipeline, "navigate_log", lambda log: result)
-    recording = experiments.Recording("drive.toml", None, False)
+    recording = experiments.Recording("drive.toml", None, False, DEFAULT_GUARD)
     assert (recording.name, recording.draws) == ("drive", 20)
     row = recording.measure(1).estimators["x"]
     inside = np.arange(14.0, 19.0)
