@@ -2,7 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test long lint kernels check perf oracle
+.PHONY: run test long lint kernels check perf oracle mutants
+SEED ?= 1
+COUNT ?= 30
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -31,6 +33,9 @@ perf: .venv/perf
 
 oracle: .venv/ready
 	$(BIN)/python tests/oracle.py
+
+mutants: .venv/ready
+	$(BIN)/python -m tests.mutants '$(PACKAGE)' --seed '$(SEED)' --count '$(COUNT)' --tests $(TESTS)
 
 .venv/ready: pyproject.toml
 	$(PYTHON) -m venv .venv
