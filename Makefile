@@ -11,7 +11,9 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long lint kernels check perf oracle minima lock
+.PHONY: run test long lint kernels check perf oracle minima lock mutants
+SEED ?= 1
+COUNT ?= 30
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -55,6 +57,9 @@ lock: $(UV)
 $(UV):
 	$(PYTHON) -m venv .uv
 	.uv/bin/pip install --quiet --disable-pip-version-check uv
+
+mutants: .venv/ready
+	$(BIN)/python -m tests.mutants '$(PACKAGE)' --seed '$(SEED)' --count '$(COUNT)' --tests $(TESTS)
 
 .venv/ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv .venv

@@ -1,4 +1,7 @@
-"""The wheel holds all it needs: beside what it requires, started in an empty folder, it flies."""
+"""The wheel holds all it needs: beside what it requires, started in an empty folder, it flies.
+
+The source distribution holds the whole tree, so that its tests can be run and a change be made.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import tarfile
 import zipfile
 from email import message_from_bytes
 from importlib.metadata import Distribution, distribution
@@ -47,6 +51,20 @@ def test_the_wheel_holds_every_file_of_the_package_and_the_aircraft(wheel):
     assert wanted <= held
     assert any(name.endswith("LICENSE") for name in held)
     assert not {name.split("/")[0] for name in held if ".dist-info" not in name} - {"bench"}
+
+
+def test_the_source_distribution_holds_the_tree(tmp_path):
+    if not (ROOT / ".git").exists():
+        pytest.skip("git says what the tree is")
+    hatchling = (sys.executable, "-m", "hatchling", "build", "--target", "sdist", "--directory", tmp_path)
+    run(*hatchling, cwd=ROOT)
+    (built,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(built) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    known = {name for name in run("git", "ls-files", cwd=ROOT).splitlines() if (ROOT / name).exists()}
+    new = run("git", "ls-files", "--others", "--exclude-standard", cwd=ROOT).splitlines()
+    assert known - held == set()
+    assert held - known - {*new, "PKG-INFO"} == set()
 
 
 def required(wheel: Path) -> dict[str, Distribution]:

@@ -78,6 +78,9 @@ def test_the_budget_of_a_short_flight(flight):
     assert {"horizontal-position", "heading-shares"} <= set(found.figures)
     areas = [one for one in found.figures["heading-shares"].series if one.band is not None]
     assert_allclose(areas[-1].values[:, 0], 100.0)
+    thickness = [float(np.mean(one.values[:, 0] - one.values[:, 1])) for one in areas]
+    assert thickness[:-1] == sorted(thickness[:-1], reverse=True)
+    assert thickness[-1] < thickness[0], "the largest sources are shown, and the others summed"
     assert "At 34 s, end of the outage" in found.verdicts[0]
 
 
