@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from bench import pipeline, rotation, sensors
 from bench.config import load_profile
+from bench.data import InitialState
 from bench.evaluation.error_series import error_series
 from bench.navigation.estimator import load
 from bench.navigation.start import headings
@@ -173,3 +174,28 @@ def test_the_jacobian_carries_an_error_over_a_large_rotation():
     both = rotation.multiply(rotation.from_rotvec(d), rotation.from_rotvec(e))
     J = headings._inverse_jacobian(d)
     assert_allclose(rotation.to_rotvec(both) - d, np.einsum("kij,kj->ki", J, e), rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, -40.0, 80.0])
+def test_another_heading_feels_the_same_force_over_ground(turn_deg):
+    """In a turn the tilt follows from the heading: whatever that is, the force felt is that of the path.
+
+    An aircraft in a bank of 25 deg; alignment on the move has matched its acceleration over ground.
+    """
+    f_n = np.array([2.7, -3.7, -9.8])
+    q_nb = rotation.from_euler(0.44, 0.05, 2.1)
+    f_b = rotation.rotate(rotation.conjugate(q_nb), f_n)
+    m = np.array([f_n[0], f_n[1]]) / f_n[2]  # of tilt x f + heading e_D x f = 0, horizontally
+    cov = np.diag(np.square([1.5, 1.5, 2.5, 0.05, 0.05, 0.05, 1e-3, 1e-3, 0.0]))
+    by_heading = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *m, 1.0])
+    cov += np.deg2rad(18.0) ** 2 * np.outer(by_heading, by_heading)
+    start = InitialState(0.0, np.array([0.8, 0.2, 500.0]), np.array([20.0, 15.0, 0.0]), q_nb, cov, "given")
+    turned = headings.turn_heading(start, np.deg2rad(turn_deg))
+    felt = rotation.rotate(turned.q_nb, f_b)
+    # the tilt is a rotation vector of up to half a radian; its square is left out
+    np.testing.assert_allclose(felt[:2], f_n[:2], atol=0.12 * np.hypot(*f_n[:2]))
+    turn = rotation.multiply(turned.q_nb, rotation.conjugate(q_nb))
+    assert abs(np.rad2deg(2 * np.arctan2(turn[3], turn[0])) - turn_deg) < 3.0
+    small = np.diag(turned.cov)[6:8] - (headings.SD * m) ** 2
+    np.testing.assert_allclose(small, 1e-6, rtol=1e-3)  # what the heading does not explain
+    np.testing.assert_allclose(turned.cov[6:8, 8], headings.SD**2 * m, rtol=1e-9)
