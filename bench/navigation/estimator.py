@@ -16,6 +16,7 @@ import numpy as np
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
+from bench.navigation.forward_filters import FORWARD
 from bench.specs import AssumedSpecs
 from bench.wording import as_toml, one_line, suggest
 
@@ -85,28 +86,28 @@ _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", {"gnss_markov": False}
+        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", FORWARD["loose-15"]
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", {"gnss_markov": True}
+        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", FORWARD["loose-22"]
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
         _LOOSE,
         "FusionOptions",
-        {"gnss_markov": True, "mems": True},
+        FORWARD["loose-mems"],
     ),
     "loose-full": BuiltIn(
         "loose-22 with every error of the IMU that its datasheet names",
         _LOOSE,
         "FusionOptions",
-        {"gnss_markov": True, "every_error": True},
+        FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
         "INS/satellites/baro: every pseudorange and range rate, receiver clock",
         "bench.navigation.models.loose_tight:Tight",
         "TightOptions",
-        {"gnss_markov": False},
+        FORWARD["tight"],
     ),
     "smoother": BuiltIn(
         "loose-full and a pass back over its record",

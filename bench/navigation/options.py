@@ -22,6 +22,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from bench.navigation.forward_filters import FORWARD
 from bench.wording import as_toml, describe_error, suggest
 
 
@@ -199,16 +200,6 @@ class TightOptions(FusionOptions):
     def tight(self) -> bool:
         """Whether GNSS is used by satellite."""
         return True
-
-
-FORWARD: Mapping[str, Mapping[str, bool]] = {
-    "loose-15": {"gnss_markov": False},
-    "loose-22": {"gnss_markov": True},
-    "loose-mems": {"gnss_markov": True, "mems": True},
-    "loose-full": {"gnss_markov": True, "every_error": True},
-    "tight": {"gnss_markov": False},
-}
-"""Compiled filters that aid by GNSS -> the options that make them what they are."""
 
 
 class SmootherOptions(FusionOptions):
