@@ -14,6 +14,8 @@ from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import describe_direction, observe
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
+from bench.plots import series
+from bench.studies.budget import _give_colours
 from bench.workbench.result_table import print_bound
 
 FLIGHT = """
@@ -152,7 +154,14 @@ def test_the_observability_of_a_short_flight(flight):
     heading = phases["heading_before_deg"]
     assert heading[1] > 0.49
     assert phases["heading_after_deg"][1] < 0.5 * heading[1]
-    assert "before the first turn" in found.tables["directions"].columns["when"]
+    start, before, after, end = [*heading[:2], *phases["heading_after_deg"][1:]]
+    first = f"{start:.3g} deg at the start, {before:.3g} deg before the first turn at {phases['to_s'][0]:g} s"
+    assert f"{first}, {after:.3g} deg after it, and {end:.3g} deg at the end" in found.verdicts[0]
+    directions = found.tables["directions"].columns
+    assert "before the first turn" in directions["when"]
+    ratio = np.divide(directions["left_percent"], directions["best_percent"])
+    assert_allclose(directions["condition"], ratio)
+    assert (ratio > 1.0).all()
     grade, *columns = found.tables["reference"].columns.values()
     for name, printed in {"grade-3": (0.42, 0.0075, 0.0084, 0.31), "MEMS": (3.06, 0.079, 0.094, 4.9)}.items():
         assert_allclose([column[list(grade).index(name)] for column in columns], printed, rtol=0.03)
@@ -176,3 +185,13 @@ def test_directions_of_a_standing_start():
     assert describe_direction(seen.directions[1][:, 0]) in (
         "heading 0.71, gyro bias z 0.71", "gyro bias z 0.71, heading 0.71",
     )  # fmt: skip
+
+
+def test_a_source_keeps_its_colour_unless_two_of_one_figure_have_the_same():
+    colours = {}
+    for names in (["gyro bias", "heading"], ["white noise", "tilt"], ["gyro bias", "tilt"]):
+        _give_colours(colours, names)
+    first, second, *_ = series.ESTIMATORS
+    assert (colours["gyro bias"], colours["heading"], colours["tilt"]) == (first, second, second)
+    _give_colours(colours, ["gyro bias", "white noise"])
+    assert colours["gyro bias"] != colours["white noise"]

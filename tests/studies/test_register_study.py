@@ -26,13 +26,10 @@ def test_every_row_names_a_test_that_exists_or_says_why_it_is_open(row):
         assert f"\ndef {name}(" in (ROOT / path).read_text(encoding="utf-8")
 
 
-def test_what_takes_seconds_is_computed_and_holds():
-    """All of it but the longest flights, which are those of the tests that the rows name."""
-    long = {1, 3, 4, 5, 6, 7}
-    for row in ROWS:
-        if row.measure is not None and row.number not in long:
-            found = row.measure()
-            assert found.holds, (row.number, found.ours)
+@pytest.mark.parametrize("row", [row for row in ROWS if row.measure], ids=lambda row: str(row.number))
+def test_what_takes_seconds_is_computed_and_holds(row):
+    found = row.measure()
+    assert found.holds, found.ours
 
 
 def test_a_row_that_does_not_hold_is_said(monkeypatch):

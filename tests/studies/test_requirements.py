@@ -26,9 +26,13 @@ PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m
 
 
 @pytest.fixture(scope="module")
-def columns():
-    table = bench.study("requirements").tables["requirements"]
-    return {name: np.array(values) for name, values in table.columns.items()}
+def found():
+    return bench.study("requirements")
+
+
+@pytest.fixture(scope="module")
+def columns(found):
+    return {name: np.array(values) for name, values in found.tables["requirements"].columns.items()}
 
 
 def test_16_the_closed_form_is_the_table_of_the_register(columns):
@@ -44,6 +48,22 @@ def test_16_the_strapdown_with_one_bias_agrees_within_2_percent(columns):
     near = (columns["outage_s"] >= 60) & (columns["outage_s"] <= 600)
     for name in ("accel_{}ug", "gyro_{}deg_h"):
         assert_allclose(columns[name.format("simulated_")][near], columns[name.format("")][near], rtol=0.02)
+
+
+def test_the_answer_is_for_one_five_and_ten_minutes(found):
+    for seconds, accel, gyro in ((60, 283.4, 2.922), (300, 11.46, 0.02353), (600, 2.967, 0.003003)):
+        assert f"{seconds} s without GNSS leave {accel} ug or {gyro} deg/h" in found.verdicts[0]
+
+
+def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, columns):
+    assert len(found.figures) == 2
+    for figure, limit in zip(found.figures.values(), ("accel_ug", "gyro_deg_h"), strict=True):
+        line, dots = figure.series
+        assert line.colours != dots.colours
+        there = np.interp(np.log(columns["outage_s"]), np.log(line.t), line.values[:, 0])
+        assert_allclose(there, columns[limit], rtol=0.01)
+        near = (dots.t >= 60) & (dots.t <= 600)
+        assert_allclose(dots.values[near, 0], columns[limit][near], rtol=0.02)
 
 
 def test_the_answer_has_no_power_of_ten():
