@@ -140,6 +140,19 @@ def test_what_tests_notice_and_what_they_do_not(tree, tmp_path, capsys):
     assert "Finding out" not in capsys.readouterr().out, "what was measured is kept"
 
 
+def test_a_copy_of_bench_holds_what_its_tests_need(tmp_path):
+    copy = Trial(PACKAGE.parent, tmp_path).root
+    for name in (
+        "bench/earth.py",
+        "aircraft/systems/guidance.xml",
+        "tests/conftest.py",
+        "pyproject.toml",
+        ".gitignore",
+    ):
+        assert (copy / name).read_bytes() == (PACKAGE.parent / name).read_bytes()
+    assert not (copy / ".venv").exists()
+
+
 def is_running(pid: int) -> bool:
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE

@@ -3,7 +3,7 @@
 A sample is drawn of the errors that a package allows. Each is made in a copy of the tree and run against the
 tests that execute its line, until one fails. What no test notices is printed: write a test, or say in
 ``equivalent.toml`` why the program is the same. The first run finds out which tests execute which line, which
-takes a few times as long as the tests; it is kept until the tree changes. ``TESTS=tests/studies`` runs only
+takes longer than the tests themselves; it is kept until the tree changes. ``TESTS=tests/studies`` runs only
 these: that is quick, and misses what other tests notice. Two packages may be examined side by side.
 
 No library fits: mutmut and cosmic-ray find no test for a line of a kernel, which coverage cannot see.
@@ -153,6 +153,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BenchError as error:
         print(*(f"error: {line}" for line in error.lines), sep="\n", file=sys.stderr)
         return error.status
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 

@@ -23,7 +23,8 @@ class Trial:
     def __init__(self, root: Path, scratch: Path) -> None:
         self.root, self.scratch, self._changes = scratch / "tree", scratch, 0
         settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
-        for name in ["pyproject.toml", *settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]]:
+        held = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+        for name in ["pyproject.toml", *(pattern.lstrip("/") for pattern in held)]:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             if (root / name).is_dir():
                 shutil.copytree(root / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
