@@ -1,0 +1,80 @@
+"""The tables of the guide are what the code declares, and ``make guide`` writes them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import AfterValidator, BaseModel
+
+from bench.errors import ConfigError
+from bench.navigation.options import Limit
+from tests import guide_tables
+from tests.guide_tables import find_pages, rewrite_page, write_keys
+
+
+@pytest.mark.parametrize("topic", find_pages())
+def test_the_tables_of_a_page_are_what_the_code_declares(topic):
+    text = find_pages()[topic].read_text(encoding="utf-8")
+    assert rewrite_page(topic, text) == text, "the code declares something else: make guide"
+
+
+class Ship(BaseModel):
+    """A declaration with every kind of key."""
+
+    flag: bool = False
+    """Whether it flies."""
+    grade: Literal["a", "b"] = "a"
+    """How good
+    it is."""
+    sd: Annotated[float, AfterValidator(Limit(lambda x: x > 0, "positive"))]
+    """How well it is known | or not [m]."""
+    place: tuple[float, float, float] | None = None
+    """Where it is."""
+    bare: int = 0
+
+
+def test_a_table_has_limits_defaults_and_words_of_its_keys():
+    words = guide_tables.read_words(Ship)
+    assert list(write_keys("key", Ship, words, ["flag", "grade", "sd", "place"])) == [
+        "| key | may be | default | meaning |",
+        "|---|---|---|---|",
+        "| `flag` |  | `false` | Whether it flies. |",
+        '| `grade` | `"a"`, `"b"` | `"a"` | How good it is. |',
+        "| `sd` | positive | required | How well it is known \\| or not [m]. |",
+        "| `place` | 3 numbers |  | Where it is. |",
+    ]
+
+
+def test_a_key_without_words_is_named():
+    with pytest.raises(ConfigError, match=r"^Ship\.bare has no words: write what it means below it$"):
+        list(write_keys("key", Ship, guide_tables.read_words(Ship), ["bare"]))
+
+
+PAGE = "Before.\n\n<!-- make guide writes: ships -->\n| old |\n<!-- to here -->\n\nAfter.\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(guide_tables, "FOLDER", tmp_path)
+    monkeypatch.setattr(guide_tables, "TABLES", {"sea": {"ships": lambda: iter(["| new |", ""])}})
+    (tmp_path / "land.md").write_text("No tables.\n")
+    return tmp_path
+
+
+def test_the_command_writes_between_the_comments_alone(folder, capsys):
+    (folder / "sea.md").write_text(PAGE)
+    assert guide_tables.main() == 0
+    assert (folder / "sea.md").read_text() == PAGE.replace("old", "new")
+    assert (folder / "land.md").read_text() == "No tables.\n"
+    assert capsys.readouterr().out == "sea.md is new\n"
+    assert guide_tables.main() == 0
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("page", ["No place.\n", PAGE.replace("ships", "boats"), PAGE + PAGE])
+def test_a_table_without_its_place_is_an_error_and_nothing_is_written(page, folder, capsys):
+    (folder / "sea.md").write_text(page)
+    assert guide_tables.main() == 2
+    assert (folder / "sea.md").read_text() == page
+    assert "error: sea.md: has places for [" in capsys.readouterr().err
