@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from bench.errors import ConfigError
+from bench.evaluation.metrics import METRICS
 from bench.navigation import options
 from bench.navigation.estimator import BUILT_IN, RECORDS, load
 from bench.wording import as_toml, read_words
@@ -120,8 +121,21 @@ def write_options() -> Lines:
             yield ""
 
 
+# --- metrics --------------------------------------------------------------------------------------------
+
+
+def write_metrics() -> Lines:
+    """Yield the metrics, those with the same words in one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for metric in METRICS:
+        names.setdefault((metric.words, metric.direction), []).append(metric.name)
+    rows = [(code(found), *line) for line, found in names.items()]
+    yield from table(("metric", "meaning", "judged"), rows)
+
+
 TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
     "estimators": {"built-in estimators": write_estimators, "options": write_options},
+    "results": {"metrics": write_metrics},
 }
 """Page -> name of a table -> what yields its lines."""
 
