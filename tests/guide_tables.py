@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from bench.config.fault_tables import FAULTS
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
 from bench.navigation import options
@@ -78,16 +79,21 @@ def describe_default(field: FieldInfo) -> str:
     return "" if empty else code([toml(value)])
 
 
-def write_keys(what: str, model: type[BaseModel], words: Mapping[str, str], names: Iterable[str]) -> Lines:
-    """Yield a table of the keys of a model; ``what`` stands above the keys."""
-    rows = []
+def describe_keys(
+    model: type[BaseModel], words: Mapping[str, str], names: Iterable[str]
+) -> Iterator[tuple[str, str, str, str]]:
+    """Yield the name of each key, what it may be, its default and its words."""
     for name in names:
         field = model.model_fields[name]
         if name not in words:
             raise ConfigError(f"{model.__name__}.{name} has no words: write what it means below it")
         holds = describe_values(field.annotation, field.metadata)
-        rows.append((code([field.alias or name]), holds, describe_default(field), words[name]))
-    yield from table((what, "may be", "default", "meaning"), rows)
+        yield code([field.alias or name]), holds, describe_default(field), words[name]
+
+
+def write_keys(what: str, model: type[BaseModel], words: Mapping[str, str], names: Iterable[str]) -> Lines:
+    """Yield a table of the keys of a model; ``what`` stands above the keys."""
+    yield from table((what, "may be", "default", "meaning"), describe_keys(model, words, names))
 
 
 # --- estimators -----------------------------------------------------------------------------------------
@@ -121,6 +127,26 @@ def write_options() -> Lines:
             yield ""
 
 
+# --- faults ---------------------------------------------------------------------------------------------
+
+
+def write_faults() -> Lines:
+    """Yield the kinds of faults with their keys, then the keys: those that are alike in a line."""
+    kinds, keys = [], {}
+    for model in FAULTS:
+        kind = get_args(model.model_fields["kind"].annotation)[0]
+        own = [name for name in model.model_fields if name not in ("kind", "start_s", "duration_s")]
+        kinds.append((code([kind]), code(own), str(model.__doc__)))
+        words = read_words(model) | {name: str(model.model_fields[name].description) for name in own}
+        for cells in describe_keys(model, words, ["start_s", "duration_s", *own]):
+            keys.setdefault(cells, []).append(kind)
+    yield from table(("kind", "keys beside start and duration", "what happens"), kinds)
+    yield ""
+    of = {cells: "all" if len(found) == len(FAULTS) else code(found) for cells, found in keys.items()}
+    rows = [(name, of[name, *cells], *cells) for name, *cells in sorted(keys, key=lambda cells: cells[0])]
+    yield from table(("key", "of", "may be", "default", "meaning"), rows)
+
+
 # --- metrics --------------------------------------------------------------------------------------------
 
 
@@ -135,6 +161,7 @@ def write_metrics() -> Lines:
 
 TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
     "estimators": {"built-in estimators": write_estimators, "options": write_options},
+    "faults": {"faults": write_faults},
     "results": {"metrics": write_metrics},
 }
 """Page -> name of a table -> what yields its lines."""
