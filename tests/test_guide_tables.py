@@ -8,9 +8,10 @@ import pytest
 from pydantic import AfterValidator, BaseModel
 
 from bench.errors import ConfigError
+from bench.fields import declared, figure
 from bench.navigation.options import Limit
 from tests import guide_tables
-from tests.guide_tables import find_pages, rewrite_page, write_keys
+from tests.guide_tables import find_pages, rewrite_page
 
 
 @pytest.mark.parametrize("topic", find_pages())
@@ -35,20 +36,55 @@ class Ship(BaseModel):
 
 
 def test_a_table_has_limits_defaults_and_words_of_its_keys():
-    words = guide_tables.read_words(Ship)
-    assert list(write_keys("key", Ship, words, ["flag", "grade", "sd", "place"])) == [
-        "| key | may be | default | meaning |",
-        "|---|---|---|---|",
-        "| `flag` |  | `false` | Whether it flies. |",
-        '| `grade` | `"a"`, `"b"` | `"a"` | How good it is. |',
-        "| `sd` | positive | required | How well it is known \\| or not [m]. |",
-        "| `place` | 3 numbers |  | Where it is. |",
+    keys = guide_tables.list_keys(Ship, ["flag", "grade", "sd", "place"])
+    assert list(guide_tables.write_keys("key", keys)) == [
+        "| key | default | meaning |",
+        "|---|---|---|",
+        "| `flag` | `false` | Whether it flies. |",
+        '| `grade` | `"a"` | How good it is. May be `"a"`, `"b"`. |',
+        "| `sd` | required | How well it is known \\| or not [m]. May be positive. |",
+        "| `place` |  | Where it is. May be 3 numbers. |",
+        "",
     ]
 
 
-def test_a_key_without_words_is_named():
-    with pytest.raises(ConfigError, match=r"^Ship\.bare has no words: write what it means below it$"):
-        list(write_keys("key", Ship, guide_tables.read_words(Ship), ["bare"]))
+@declared
+class Balloon:
+    """A spec with every kind of figure."""
+
+    volume: float = figure("m", reported=True)
+    """What it holds [m^3]; without its basket."""
+    leak: float = figure("k", -1, 2.5, default=0.5)
+    """How fast it falls [K]."""
+    rise: float = figure("km", default=0.0, reciprocal=True)
+    """How far."""
+
+
+@declared
+class Stone:
+    """A spec whose figure nobody has described."""
+
+    mass: float = figure("g")
+
+
+def test_a_figure_has_its_key_and_limits_in_the_unit_of_the_file_and_no_other_unit():
+    assert guide_tables.list_figures(Balloon) == [
+        ("`volume_m`", "required", "What it holds; without its basket. May be above 0."),
+        ("`leak_k`", "`0.5`", "How fast it falls. May be -1 to 2.5."),
+        ("`rise_km`", "", "How far. May be above 0."),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "list_them"),
+    [
+        ("Ship.bare", lambda: guide_tables.list_keys(Ship)),
+        ("Stone.mass", lambda: guide_tables.list_figures(Stone)),
+    ],
+)
+def test_a_key_without_words_is_named(name, list_them):
+    with pytest.raises(ConfigError, match=rf"^{name} has no words: write what it means below it$"):
+        list_them()
 
 
 PAGE = "Before.\n\n<!-- make guide writes: ships -->\n| old |\n<!-- to here -->\n\nAfter.\n"
