@@ -54,23 +54,30 @@ class AirspeedData(InstrumentData):
 class StaticPressureSpec:
     """Errors of a barometer in terms of pressure: sensor, static port, weather. 0 switches an error off."""
 
-    pressure_white_sd: float = figure("pa", default=0.0)  # of the pressure [Pa]
-    pressure_bias_sd: float = figure("pa", default=0.0)  # absolute accuracy of the pressure [Pa]
-    temperature_sd: float = figure("pa_k", default=0.0)  # pressure per kelvin of the air from 25 degC [Pa/K]
-    # excess of the air temperature over the standard atmosphere at every height [K]
+    pressure_white_sd: float = figure("pa", default=0.0)
+    """White noise of the pressure [Pa]."""
+    pressure_bias_sd: float = figure("pa", default=0.0)
+    """Absolute accuracy of the pressure [Pa]."""
+    temperature_sd: float = figure("pa_k", default=0.0)
+    """Error of the pressure per kelvin of the air from 25 degC [Pa/K]."""
     isa_deviation: float = figure("k", -60, 60, default=0.0)
-    isa_deviation_sd: float = figure("k", 0, 20, default=0.0)  # of that excess, drawn for each run [K]
-    qnh_sd: float = figure("hpa", 0, 50, default=0.0)  # of the altimeter setting at the start [Pa]
-    # random walk of the pressure at sea level [Pa/sqrt(s)]
+    """How much warmer the air is than the standard atmosphere, at every height [K]."""
+    isa_deviation_sd: float = figure("k", 0, 20, default=0.0)
+    """Spread of that, drawn for each run [K]."""
+    qnh_sd: float = figure("hpa", 0, 50, default=0.0)
+    """Error of the altimeter setting at the start [Pa]."""
     qnh_walk: float = figure("hpa_sqrt_h", 0, 50, default=0.0)
-    # error of the port over the dynamic pressure, at zero incidence [1]
+    """Random walk of the pressure at sea level [Pa/sqrt(s)]."""
     position_error: float = figure("", -0.5, 0.5, default=0.0)
-    position_error_alpha: float = figure("per_deg", -0.1, 0.1, default=0.0)  # per angle of attack [1/rad]
-    position_error_beta2: float = figure(
-        "per_deg2", -0.01, 0.01, default=0.0
-    )  # per squared sideslip [1/rad^2]
-    lag: float = figure("s", 0, 60, default=0.0)  # time constant of ports and lines, first order [s]
-    quantization: float = figure("pa", default=0.0)  # resolution of the pressure [Pa]
+    """Error of the static port over the dynamic pressure, at zero incidence [1]."""
+    position_error_alpha: float = figure("per_deg", -0.1, 0.1, default=0.0)
+    """The same per angle of attack [1/rad]."""
+    position_error_beta2: float = figure("per_deg2", -0.01, 0.01, default=0.0)
+    """The same per squared sideslip [1/rad^2]."""
+    lag: float = figure("s", 0, 60, default=0.0)
+    """Time constant of ports and lines, first order [s]."""
+    quantization: float = figure("pa", default=0.0)
+    """Resolution of the pressure [Pa]."""
 
 
 @declared
@@ -78,12 +85,18 @@ class BaroSpec:
     """Barometric altitude with white noise and a random-walk bias (A-5.3.1, A-5.3.2)."""
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    white_sd: float = figure("m", reported=True)  # [m]
-    bias_sd: float = figure("m", default=0.0)  # of the bias at the start [m]
-    bias_walk: float = figure("m_sqrt_s", default=0.0)  # [m/sqrt(s)]
-    quantization: float = figure("m", default=0.0)  # resolution [m]
-    latency: float = figure("s", default=0.0)  # [s]
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    white_sd: float = figure("m", reported=True)
+    """White noise [m]."""
+    bias_sd: float = figure("m", default=0.0)
+    """Bias at the start [m]."""
+    bias_walk: float = figure("m_sqrt_s", default=0.0)
+    """Random walk of the bias [m/sqrt(s)]."""
+    quantization: float = figure("m", default=0.0)
+    """Resolution [m]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
     physical: StaticPressureSpec | None = None  # if given, only filters assume the errors above
 
 
@@ -92,18 +105,24 @@ class MagSpec:
     """A magnetometer as mounted, after calibration. 0 switches an error off."""
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    white_sd: float = figure("nt", reported=True)  # each axis [T]
-    # remaining offset of the sensor and the iron around it, each axis [T]
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    white_sd: float = figure("nt", reported=True)
+    """White noise of each axis [T]."""
     hard_iron_sd: float = figure("nt", default=0.0)
-    # each element of the remaining symmetric matrix of the iron around it [1]
+    """Remaining offset of the sensor and the iron around it, each axis [T]."""
     soft_iron_sd: float = figure("percent", 0, 100, default=0.0)
-    scale_factor_sd: float = figure("percent", 0, 100, default=0.0)  # each axis [1]
-    misalignment_sd: float = figure("deg", 0, 45, default=0.0)  # of each axis towards each other one [rad]
-    # largest field of an axis; beyond it samples are clipped and flagged [T]; 0: no limit
+    """Each element of the remaining symmetric matrix of the iron around it [1]."""
+    scale_factor_sd: float = figure("percent", 0, 100, default=0.0)
+    """Error of the scale factor of each axis [1]."""
+    misalignment_sd: float = figure("deg", 0, 45, default=0.0)
+    """Misalignment of each axis towards each other one [rad]."""
     range: float = figure("ut", default=0.0)
-    quantization: float = figure("nt", default=0.0)  # resolution [T]
-    latency: float = figure("s", default=0.0)  # [s]
+    """Largest field of an axis: samples beyond it are clipped and flagged [T]; 0: no limit."""
+    quantization: float = figure("nt", default=0.0)
+    """Resolution [T]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
 
 
 @declared
@@ -114,19 +133,28 @@ class AirspeedSpec:
     """
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    pressure_white_sd: float = figure("pa", default=0.0)  # of the differential pressure [Pa]
-    white_sd: float = figure("mps", default=0.0)  # of the true airspeed [m/s]
-    pressure_bias_sd: float = figure("pa", default=0.0)  # zero offset of the differential pressure [Pa]
-    bias_sd: float = figure("mps", default=0.0)  # of the true airspeed [m/s]
-    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)  # of the true airspeed [1]
-    lag: float = figure("s", 0, 60, default=0.0)  # time constant of tube and lines, first order [s]
-    # largest differential pressure; beyond it samples are clipped and flagged [Pa]; 0: no limit
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    pressure_white_sd: float = figure("pa", default=0.0)
+    """White noise of the differential pressure [Pa]."""
+    white_sd: float = figure("mps", default=0.0)
+    """White noise of the true airspeed [m/s]."""
+    pressure_bias_sd: float = figure("pa", default=0.0)
+    """Zero offset of the differential pressure [Pa]."""
+    bias_sd: float = figure("mps", default=0.0)
+    """Bias of the true airspeed [m/s]."""
+    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)
+    """Error of the scale factor of the true airspeed [1]."""
+    lag: float = figure("s", 0, 60, default=0.0)
+    """Time constant of tube and lines, first order [s]."""
     range: float = figure("pa", default=0.0)
-    quantization: float = figure("pa", default=0.0)  # resolution of the differential pressure [Pa]
-    # samples below this true airspeed are flagged [m/s]
+    """Largest differential pressure: samples beyond it are clipped and flagged [Pa]; 0: no limit."""
+    quantization: float = figure("pa", default=0.0)
+    """Resolution of the differential pressure [Pa]."""
     min_speed: float = figure("mps", 0, 100, default=0.0)
-    latency: float = figure("s", default=0.0)  # [s]
+    """Samples below this true airspeed are flagged [m/s]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
 
 
 @declared
@@ -142,14 +170,22 @@ class RadarSpec:
     """A radar altimeter. 0 switches an error off."""
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    white_sd: float = figure("m", reported=True)  # [m]
-    range: float = figure("m", 1, 1e5)  # a sample above it is flagged [m]
-    min_height: float = figure("m", default=0.0)  # a sample below it is flagged [m]
-    max_tilt: float = figure("deg", 1, 90, default=math.pi / 2)  # a sample tilted beyond is flagged [rad]
-    bias_sd: float = figure("m", default=0.0)  # constant in a run [m]
-    quantization: float = figure("m", default=0.0)  # resolution [m]
-    latency: float = figure("s", default=0.0)  # [s]
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    white_sd: float = figure("m", reported=True)
+    """White noise [m]."""
+    range: float = figure("m", 1, 1e5)
+    """Samples above this height are flagged [m]."""
+    min_height: float = figure("m", default=0.0)
+    """Samples below this height are flagged [m]."""
+    max_tilt: float = figure("deg", 1, 90, default=math.pi / 2)
+    """Samples tilted beyond this are flagged [rad]."""
+    bias_sd: float = figure("m", default=0.0)
+    """Bias, constant in a run [m]."""
+    quantization: float = figure("m", default=0.0)
+    """Resolution [m]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
 
 
 @declared
@@ -165,11 +201,16 @@ class OdometerSpec:
     """An odometer that counts the turns of a wheel. 0 switches an error off."""
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    white_sd: float = figure("mps", reported=True)  # [m/s]
-    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)  # of the diameter, constant in a run [1]
-    quantization: float = figure("mps", default=0.0)  # resolution [m/s]
-    latency: float = figure("s", default=0.0)  # [s]
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    white_sd: float = figure("mps", reported=True)
+    """White noise [m/s]."""
+    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)
+    """Error of the diameter of the wheel, constant in a run [1]."""
+    quantization: float = figure("mps", default=0.0)
+    """Resolution [m/s]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -283,57 +283,58 @@ class TriadSpec:
     A figure is that of all axes, or the largest of those in ``axes``.
     """
 
-    # white noise of the rate: angular or velocity random walk N [unit/sqrt(s)]
     random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0, by_axis=True)
-    # minimum of the Allan deviation, white noise excluded [unit/s]
+    """White noise of the rate: angular or velocity random walk N [unit/sqrt(s)]."""
     bias_instability: float = triad_figure(
         _DRIFT, _ACCELERATION, sought="bias instability", default=0.0, by_axis=True
     )
-    bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)  # [s]
-    bias_model: str = "flicker"  # or "gauss-markov"
-    # [unit/s]
+    """Bias instability: minimum of the Allan deviation, white noise excluded [unit/s]."""
+    bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)
+    """Correlation time of the bias instability [s]."""
+    bias_model: str = "flicker"
+    """Course of the bias instability: "flicker" noise, or a "gauss-markov" process."""
     turn_on_bias_sd: float = triad_figure(
         _DRIFT, _ACCELERATION, sought="turn-on bias", default=0.0, by_axis=True
     )
-    # [1]
+    """Turn-on bias, constant in a run [unit/s]."""
     scale_factor_sd: float = triad_figure(
         _SHARES, _SHARES, sought="scale factor", error="scale factor", default=0.0, by_axis=True
     )
-    # each off-diagonal element [rad]
+    """Error of the scale factor [1]."""
     misalignment_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="misalignment", default=0.0
     )
-    # resolution of an increment [unit]
+    """Misalignment: each off-diagonal element of the matrix [rad]."""
     quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
-    # rate random walk K [unit/s/sqrt(s)]
+    """Resolution of an increment [unit]."""
     rate_random_walk: float = triad_figure(
         ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0, by_axis=True
     )
-    # half the difference between the scale factors of positive and negative rates [1]
+    """Rate random walk K: the random walk of the bias [unit/s/sqrt(s)]."""
     scale_asymmetry_sd: float = triad_figure(
         _SHARES, _SHARES, error="scale factor asymmetry", default=0.0, by_axis=True
     )
-    # largest deviation from the best straight line, over the range [1]
+    """Half the difference between the scale factors of positive and negative motion [1]."""
     nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0, by_axis=True)
-    # coefficient of the squared rate [1/(unit/s)]
+    """Largest deviation from the best straight line, over the range [1]."""
     quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0, by_axis=True)
-    # deviation of the angle between two sensing axes from 90 deg [rad]
+    """Coefficient of the squared specific force [1/(unit/s)]."""
     nonorthogonality_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="non-orthogonality", default=0.0
     )
-    # rotation of the triad in its case, each axis [rad]
+    """Non-orthogonality: deviation of the angle between two sensing axes from 90 deg [rad]."""
     alignment_sd: float = triad_figure(
         _ANGLES, _ANGLES, sought="misalignment", error="alignment", default=0.0
     )
-    # gyros: each element of the matrix, per specific force [unit/s/(m/s^2)]
+    """Rotation of the triad in its case, each axis [rad]."""
     g_sensitivity_sd: float = triad_figure(
         ("deg_h_g", "deg_s_g"), sought="g-sensitivity", error="g-sensitivity", default=0.0
     )
-    # gyros: each element of the matrix, per squared specific force [unit/s/(m/s^2)^2]
+    """Sensitivity to specific force: each element of the matrix [unit/s/(m/s^2)]."""
     g2_sensitivity_sd: float = triad_figure(
         ("deg_h_g2", "deg_s_g2"), sought="g-sensitivity", error="sensitivity to g squared", default=0.0
     )
-    # bias per difference from the reference temperature [unit/s/K]
+    """Sensitivity to squared specific force: each element of the matrix [unit/s/(m/s^2)^2]."""
     temperature_sd: float = triad_figure(
         ("deg_h_k", "deg_s_k"),
         ("ug_k", "mg_k"),
@@ -342,17 +343,19 @@ class TriadSpec:
         default=0.0,
         by_axis=True,
     )
-    # rates below this read 0 [unit/s]
+    """Bias per difference from the reference temperature [unit/s/K]."""
     dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
-    dead_zone_kind: str = "subtractive"  # or "hard": rates above it are unchanged
-    # largest rate; beyond it samples are clipped and flagged [unit/s]; 0: no limit
+    """Dead zone: what is below it reads 0 [unit/s]."""
+    dead_zone_kind: str = "subtractive"
+    """What is above the dead zone is less by it ("subtractive") or unchanged ("hard")."""
     range: float = triad_figure(("deg_s",), ("g",), sought="range", default=0.0)
-    # -3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter
+    """Range: samples beyond it are clipped and flagged [unit/s]; 0: no limit."""
     bandwidth: float = triad_figure(
         ("hz",), ("hz",), sought="bandwidth", error="bandwidth and delay", default=0.0
     )
-    # of the motion, in addition to that of the filter [s]
+    """-3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter."""
     delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
+    """Delay of the motion, in addition to that of the filter [s]."""
     axes: tuple[AxisFigures, ...] = ()  # figures whose axes differ
 
     @property
@@ -384,25 +387,34 @@ class TriadSpec:
 class ThermalSpec:
     """Temperature of an IMU: from that of the air to air plus self-heating, with a time constant."""
 
-    reference: float = figure("degc", -60, 150, default=298.15)  # temperature with zero temperature error [K]
-    self_heating: float = figure("k", default=0.0)  # final excess over the air [K]
-    time_constant: float = figure("s", default=0.0)  # [s]; 0: immediate
+    reference: float = figure("degc", -60, 150, default=298.15)
+    """Temperature at which the temperature errors are zero [K]."""
+    self_heating: float = figure("k", default=0.0)
+    """Final excess of the unit over the air [K]."""
+    time_constant: float = figure("s", default=0.0)
+    """Time constant of the warming [s]; 0: immediate."""
 
 
 @declared
 class VibrationSpec:
     """Vibration at the IMU, rms of each axis. 0 switches a source off."""
 
-    # at the reference engine speed; proportional to the square of the speed [rad/s]
     engine_gyro: float = figure("deg_s", default=0.0)
-    engine_accel: float = figure("mg", default=0.0)  # [m/s^2]
-    engine_reference: float = figure("rpm", default=0.0)  # [rad/s]
-    engine_order: float = figure(default=1.0)  # periods per revolution of the engine [1]
-    # of the structural mode, per gust rms [rad/s/(m/s)]
+    """By the engine, at its reference speed, rms; it grows with the square of the speed [rad/s]."""
+    engine_accel: float = figure("mg", default=0.0)
+    """The same of the accelerometers [m/s^2]."""
+    engine_reference: float = figure("rpm", default=0.0)
+    """Reference speed of the engine [rad/s]."""
+    engine_order: float = figure(default=1.0)
+    """Periods per revolution of the engine [1]."""
     gust_gyro: float = figure("deg_s_per_mps", default=0.0)
-    gust_accel: float = figure("mg_per_mps", default=0.0)  # [m/s^2/(m/s)]
-    mode_frequency: float = figure("hz", default=0.0)  # of the structural mode that gusts excite [Hz]
-    mode_damping: float = figure("", 0, 1, default=0.0)  # ratio to critical damping [1]
+    """Of the structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
+    gust_accel: float = figure("mg_per_mps", default=0.0)
+    """The same of the accelerometers [m/s^2/(m/s)]."""
+    mode_frequency: float = figure("hz", default=0.0)
+    """Frequency of that mode [Hz]."""
+    mode_damping: float = figure("", 0, 1, default=0.0)
+    """Damping of that mode, over critical damping [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,37 +448,64 @@ class SkySpec:
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
     systems: str  # used by the receiver: "gps", "glonass", "both", "auto"
     bands: int  # 1, or 2: the ionosphere-free combination
-    elevation_mask: float = figure("deg", 3, 60)  # lowest elevation used [rad]
-    antenna_mask: float = figure("deg", -90, 60)  # lowest elevation received, from the antenna's plane [rad]
-    cn0_zenith: float = figure("dbhz", 0, 70)  # along the axis of the antenna, up in the body [dB-Hz]
-    cn0_horizon: float = figure("dbhz", 0, 70)  # in the plane of the antenna [dB-Hz]
-    cn0_threshold: float = figure("dbhz", 0, 70)  # lowest C/N0 that is tracked [dB-Hz]
-    second_band_loss: float = figure("db", default=0.0)  # of C/N0 against the first band [dB]
-    reacquisition: float = figure("s", default=0.0)  # from signal back to measurements back [s]
-    dll_bandwidth: float = figure("hz", default=0.0)  # [Hz]
-    dll_spacing: float = figure("chip", 0.01, 1, default=1.0)  # early to late [chip]
-    fll_bandwidth: float = figure("hz", default=0.0)  # [Hz]
-    integration: float = figure("s", 1e-3, 1, default=0.02)  # before detection [s]
-    gps_space_sd: float = figure("m", default=0.0)  # ephemeris and satellite clock, along the range [m]
-    glonass_space_sd: float = figure("m", default=0.0)  # [m]
-    space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
-    ionosphere_sd: float = figure("m", default=0.0)  # vertical residual of the broadcast model [m]
-    ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
-    troposphere_sd: float = figure("m", default=0.0)  # vertical residual of the model [m]
-    troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
-    multipath_zenith_sd: float = figure("m", default=0.0)  # [m]
-    multipath_horizon_sd: float = figure("m", default=0.0)  # added at the horizon, 1/e of it at 10 deg [m]
-    multipath_correlation: float = figure("s", 1e-6, 1e9, default=0.0)  # [s]
-    clock_offset_sd: float = figure("m", default=0.0)  # of the receiver at the start [m]
-    clock_drift_sd: float = figure("mps", default=0.0)  # [m/s]
-    glonass_offset_sd: float = figure("m", default=0.0)  # GLONASS against GPS time in the receiver [m]
-    # white frequency noise, one-sided power-law coefficient [s]
+    elevation_mask: float = figure("deg", 3, 60)
+    """Lowest elevation above the horizon that is used [rad]."""
+    antenna_mask: float = figure("deg", -90, 60)
+    """Lowest elevation above the plane of the antenna that is received [rad]."""
+    cn0_zenith: float = figure("dbhz", 0, 70)
+    """C/N0 along the axis of the antenna, up in the body [dB-Hz]."""
+    cn0_horizon: float = figure("dbhz", 0, 70)
+    """C/N0 in the plane of the antenna [dB-Hz]."""
+    cn0_threshold: float = figure("dbhz", 0, 70)
+    """Lowest C/N0 that is tracked [dB-Hz]."""
+    second_band_loss: float = figure("db", default=0.0)
+    """Loss of C/N0 of the second band against the first [dB]."""
+    reacquisition: float = figure("s", default=0.0)
+    """Time from the signal back to measurements back [s]."""
+    dll_bandwidth: float = figure("hz", default=0.0)
+    """Bandwidth of the code loop, which sets the noise of pseudoranges [Hz]."""
+    dll_spacing: float = figure("chip", 0.01, 1, default=1.0)
+    """Early to late spacing of the code loop [chip]."""
+    fll_bandwidth: float = figure("hz", default=0.0)
+    """Bandwidth of the frequency loop, which sets the noise of range rates [Hz]."""
+    integration: float = figure("s", 1e-3, 1, default=0.02)
+    """Integration before detection [s]."""
+    gps_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of GPS satellites, along the range [m]."""
+    glonass_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of GLONASS satellites, along the range [m]."""
+    space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of both [s]."""
+    ionosphere_sd: float = figure("m", default=0.0)
+    """Vertical delay that the broadcast model of the ionosphere leaves [m]."""
+    ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of that [s]."""
+    troposphere_sd: float = figure("m", default=0.0)
+    """Vertical delay that the model of the troposphere leaves [m]."""
+    troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of that [s]."""
+    multipath_zenith_sd: float = figure("m", default=0.0)
+    """Multipath at the zenith [m]."""
+    multipath_horizon_sd: float = figure("m", default=0.0)
+    """Multipath added at the horizon, 1/e of it at 10 deg [m]."""
+    multipath_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of the multipath [s]."""
+    clock_offset_sd: float = figure("m", default=0.0)
+    """Offset of the receiver clock at the start [m]."""
+    clock_drift_sd: float = figure("mps", default=0.0)
+    """Drift of the receiver clock at the start [m/s]."""
+    glonass_offset_sd: float = figure("m", default=0.0)
+    """GLONASS against GPS time in the receiver [m]."""
     clock_h_0: float = figure("s", default=0.0)
-    clock_h_m1: float = figure(default=0.0)  # flicker of frequency [1]
-    clock_h_m2: float = figure("hz", default=0.0)  # random walk of frequency [1/s]
-    # g-sensitivity: fractional frequency per specific force along body down [s^2/m]; in the file, per g
+    """White frequency noise of the clock, one-sided power-law coefficient [s]."""
+    clock_h_m1: float = figure(default=0.0)
+    """Flicker of its frequency [1]."""
+    clock_h_m2: float = figure("hz", default=0.0)
+    """Random walk of its frequency [1/s]."""
     clock_g: float = figure("ppb", -1e6, 1e6, default=0.0)
-    false_alarm: float = figure("", 0, 0.5, default=1e-3)  # probability of the residual test of an epoch [1]
+    """Change of its frequency with the specific force along body down; in a file, per g [s^2/m]."""
+    false_alarm: float = figure("", 0, 0.5, default=1e-3)
+    """Chance that the fault exclusion of an epoch raises a false alarm [1]."""
 
 
 @declared
@@ -474,30 +513,44 @@ class GnssSpec:
     """Position-level GNSS errors (A-5.2.1, A-5.2.2); standard deviations are per horizontal axis."""
 
     name: str
-    rate: float = figure("hz", 0.01, 400)  # [Hz]
-    pos_h_white_sd: float = figure("m", reported=True)  # [m]
-    pos_v_white_sd: float = figure("m", reported=True)  # [m]
-    vel_white_sd: float = figure("mps", reported=True)  # each axis [m/s]
-    vel_v_white_sd: float = figure("mps", default=0.0)  # vertical; 0: as each other axis [m/s]
-    pos_h_markov_sd: float = figure("m", default=0.0)  # [m]
-    pos_v_markov_sd: float = figure("m", default=0.0)  # [m]
-    vel_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
-    # inverse decorrelation distance lambda_s [1/m]
+    rate: float = figure("hz", 0.01, 400)
+    """Fixes in a second [Hz]."""
+    pos_h_white_sd: float = figure("m", reported=True)
+    """White noise of the position, each horizontal axis [m]."""
+    pos_v_white_sd: float = figure("m", reported=True)
+    """White noise of the height [m]."""
+    vel_white_sd: float = figure("mps", reported=True)
+    """White noise of the velocity, each axis [m/s]."""
+    vel_v_white_sd: float = figure("mps", default=0.0)
+    """The same of the vertical velocity, if it differs [m/s]; 0: it does not."""
+    pos_h_markov_sd: float = figure("m", default=0.0)
+    """Error of the position that wanders, each horizontal axis [m]."""
+    pos_v_markov_sd: float = figure("m", default=0.0)
+    """Error of the height that wanders [m]."""
+    vel_markov_sd: float = figure("mps", default=0.0)
+    """Error of the velocity that wanders, each axis [m/s]."""
     pos_decay_distance: float = figure("km", default=0.0, reciprocal=True)
-    # inverse decorrelation time lambda_st [1/s]
+    """Distance over which the error of the position wanders, lambda_s [1/m]."""
     pos_decay_time: float = figure("s", default=0.0, reciprocal=True)
-    # inverse decorrelation time lambda_V [1/s]
+    """Time over which the error of the position wanders, lambda_st [1/s]."""
     vel_decay_time: float = figure("s", default=0.0, reciprocal=True)
-    latency: float = figure("s", default=0.0)  # from validity to arrival [s]
-    # jump at an epoch where the satellites in use change, for that epoch only [m]
+    """Time over which the error of the velocity wanders, lambda_V [1/s]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a fix until a filter gets it [s]."""
     pos_h_jump_sd: float = figure("m", default=0.0)
-    pos_v_jump_sd: float = figure("m", default=0.0)  # [m]
-    vel_jump_sd: float = figure("mps", default=0.0)  # each axis [m/s]
-    # jump at such an epoch that decays like the Markov error [m]
+    """Jump of the position at a fix where the satellites in use change, each horizontal axis [m]."""
+    pos_v_jump_sd: float = figure("m", default=0.0)
+    """The same of the height [m]."""
+    vel_jump_sd: float = figure("mps", default=0.0)
+    """The same of the velocity, each axis [m/s]."""
     pos_h_jump_markov_sd: float = figure("m", default=0.0)
-    pos_v_jump_markov_sd: float = figure("m", default=0.0)  # [m]
-    vel_jump_markov_sd: float = figure("mps", default=0.0)  # each axis [m/s]
-    optimism: float = figure("", 0.05, 20, default=1.0)  # true over reported standard deviation of a fix [1]
+    """Jump of the error of the position that wanders, each horizontal axis [m]."""
+    pos_v_jump_markov_sd: float = figure("m", default=0.0)
+    """The same of the height [m]."""
+    vel_jump_markov_sd: float = figure("mps", default=0.0)
+    """The same of the velocity, each axis [m/s]."""
+    optimism: float = figure("", 0.05, 20, default=1.0)
+    """True standard deviation of a fix over the one that it reports [1]."""
     sky: SkySpec | None = None  # measurement level; only filters then assume the errors above
 
     @property

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import json
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -133,3 +135,31 @@ def as_toml(value: object) -> str:
     else:
         text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def read_words(kind: type) -> dict[str, str]:
+    """Return the text below each field of a class and its bases, by name of the field, on one line.
+
+    Help and guide ask for them here. They are read from the source when asked for, so that no import has to.
+    """
+    found: dict[str, str] = {}
+    for owner in reversed(kind.__mro__):
+        file = getattr(sys.modules[owner.__module__], "__file__", None)
+        found |= _read_fields(file).get(owner.__qualname__, {}) if file else {}
+    return found
+
+
+@functools.cache
+def _read_fields(file: str) -> dict[str, dict[str, str]]:
+    """Return the text below each field by class and field of a file."""
+    import ast
+    from itertools import pairwise
+
+    found: dict[str, dict[str, str]] = {}
+    for one in ast.parse(Path(file).read_text(encoding="utf-8")).body:
+        if isinstance(one, ast.ClassDef):
+            for field, text in pairwise(one.body):
+                match field, text:
+                    case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
+                        found.setdefault(one.name, {})[name] = " ".join(words.split())
+    return found

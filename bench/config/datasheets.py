@@ -55,9 +55,13 @@ class LayoutTable(Table):
     """Position of the accelerometers relative to the reference point of the unit, and their directions."""
 
     accel_cone_deg: Annotated[float, between(0, 89)] = 0.0
+    """Angle between each accelerometer and the x axis, for a skewed triad; 0: along the axes."""
     accel_x_m: Place = (0.0, 0.0, 0.0)
+    """Where the x accelerometer sits: x, y, z."""
     accel_y_m: Place = (0.0, 0.0, 0.0)
+    """Where the y accelerometer sits."""
     accel_z_m: Place = (0.0, 0.0, 0.0)
+    """Where the z accelerometer sits."""
 
 
 _Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSpec)

@@ -71,15 +71,36 @@ def _three(number: Any) -> Any:
     return Annotated[tuple[number, number, number], ROWS]
 
 
+_WORDS = {
+    "sensor": "What is struck.",
+    "satellites": "RINEX names, such as G05 and R12.",
+    "step_m": "Error from the first instant on; of a position north, east, down.",
+    "step_deg_h": "Error from the first instant on: x, y, z.",
+    "step_mg": "Error from the first instant on: x, y, z.",
+    "ramp_mps": "Growth of the error; of a position north, east, down.",
+    "coherent": "Code and Doppler agree, so that the velocity follows the ramp; else it stays true.",
+    "cn0_loss_db": "Loss of C/N0.",
+    "axes": "Those of gyro or accel that freeze; all if left out.",
+    "times": "Factor on the white noise of the unit.",
+    "added_s": "Delay beside that of the unit.",
+    "share": "Share of the samples that are struck, at random.",
+}
+"""Key of a fault -> what it means."""
+
+
 class _FaultTable(Table):
     start_s: Annotated[float, between(0, 86400)]
+    """First instant of the fault."""
     duration_s: Annotated[float, between(0.005, 86400)]
+    """How long it lasts."""
 
 
 def _make_table(kind: str, words: str, **keys: Any) -> type[_FaultTable]:
     """Return the type of the tables of one kind; a key is its type, or its type and its default."""
-    rows: dict[str, Any] = {name: key if isinstance(key, tuple) else (key, ...) for name, key in keys.items()}
-    rows["kind"] = (Literal[kind], ...)
+    rows: dict[str, Any] = {"kind": (Literal[kind], ...)}
+    for name, key in keys.items():
+        of, default = key if isinstance(key, tuple) else (key, ...)
+        rows[name] = (of, Field(default, description=_WORDS[name]))
     return create_model(f"{kind} table", __base__=_FaultTable, __doc__=words, **rows)
 
 
@@ -95,10 +116,7 @@ FAULTS: tuple[type[_FaultTable], ...] = (
     ),
     _make_table(
         "spoofing",
-        """The position that the receiver computes is moved: north, east, down.
-
-        If the false signals are coherent, code and Doppler agree and the velocity follows the ramp.
-        """,
+        "The receiver computes another position.",
         step_m=(_three(Metres), _ZERO),
         ramp_mps=(_three(Speed), _ZERO),
         coherent=(bool, True),
@@ -116,24 +134,26 @@ FAULTS: tuple[type[_FaultTable], ...] = (
         satellites=Satellites,
         ramp_mps=Speed,
     ),
-    _make_table("receiver-clock", "The receiver clock jumps.", step_m=Metres),
+    _make_table(
+        "receiver-clock", "The clock of the receiver steps: all pseudoranges are off.", step_m=Metres
+    ),
     *(
-        _make_table(kind, f"The output of the {row.title} jumps.", **{f"step_{row.step}": Metres})
+        _make_table(kind, f"The output of the {row.title} is off by a step.", **{f"step_{row.step}": Metres})
         for kind, row in _STEPPED.items()
     ),
     _make_table(
         "gyro-step",
-        "The biases of the gyros jump: x, y, z.",
+        "The biases of the gyros step.",
         step_deg_h=_three(Annotated[float, between(-1e6, 1e6)]),
     ),
     _make_table(
         "accel-step",
-        "The biases of the accelerometers jump: x, y, z.",
+        "The biases of the accelerometers step.",
         step_mg=_three(Annotated[float, between(-1e5, 1e5)]),
     ),
     _make_table(
         "frozen",
-        "The output, or some axes of gyro or accel, keeps its last value; its times go on.",
+        "The output keeps its last value while its times go on.",
         sensor=Noisy,
         axes=(Axes | None, None),
     ),

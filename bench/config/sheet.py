@@ -24,11 +24,17 @@ class Sheet(Table):
     """A datasheet and the sources of its figures."""
 
     title: str | None = None
+    """What the unit is, in words."""
     grade: Grade | None = Field(default=None, alias="class")
+    """Class of the unit."""
     confidence: Confidence | None = None
+    """Kind of the source."""
     source: str
-    sources: dict[str, str] = Field(default_factory=dict)  # sources of single figures, by "table.key"
-    assumed: list[str] = Field(default_factory=list)  # figures without a source
+    """Where the figures are from."""
+    sources: dict[str, str] = Field(default_factory=dict)
+    """A table: sources of single figures, by "table.key"."""
+    assumed: list[str] = Field(default_factory=list)
+    """Figures without a source, by "table.key"."""
 
 
 def make_table_type(spec: type) -> type[Table]:

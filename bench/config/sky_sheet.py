@@ -35,12 +35,18 @@ _Eight = Annotated[tuple[float, float, float, float, float, float, float, float]
 class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
     """Satellites, antenna, receiver, and measurement errors; an error that is left out is off."""
 
-    start: datetime  # GPS time of the first instant of the flight
-    almanac: str | None = None  # YUMA file, GPS only
-    navigation: Annotated[tuple[str, ...], ROWS] = ()  # RINEX files
-    klobuchar: _Eight | None = None  # default: from the navigation file; zero for nominal satellites
+    start: datetime
+    """GPS time of the first instant of the flight."""
+    almanac: str | None = None
+    """YUMA file beside the datasheet, GPS only; without files the nominal constellations fly."""
+    navigation: Annotated[tuple[str, ...], ROWS] = ()
+    """RINEX navigation files beside the datasheet."""
+    klobuchar: _Eight | None = None
+    """Ionosphere, if not that of the navigation file; 0 for nominal satellites."""
     systems: Literal["gps", "glonass", "both", "auto"] = "both"
+    """Constellations that the receiver uses; "auto": one or both, whichever fixes best."""
     bands: Literal[1, 2] = 1
+    """Frequencies; with 2 the fixes are free of the ionosphere."""
 
 
 def read_sky(table: SkyTable, beside: Path) -> SkySpec:

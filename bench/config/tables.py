@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
@@ -30,15 +31,29 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
-def between(low: float, high: float) -> AfterValidator:
-    """Check that a number lies in [low, high], in the unit of its key."""
+@dataclass(frozen=True)
+class Range:
+    """The values [low, high] of a number, in the unit of its key."""
 
-    def check(value: float) -> float:
-        if not low <= value <= high:
-            raise PydanticCustomError("range", "is outside {low} to {high}", {"low": low, "high": high})
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """The range in words."""
+        return f"{self.low:.10g} to {self.high:.10g}"
+
+    def __call__(self, value: float) -> float:
+        """Return a value in the range; refuse another."""
+        if not self.low <= value <= self.high:
+            limits = {"low": self.low, "high": self.high}
+            raise PydanticCustomError("range", "is outside {low} to {high}", limits)
         return value
 
-    return AfterValidator(check)
+
+def between(low: float, high: float) -> AfterValidator:
+    """Check that a number lies in [low, high], in the unit of its key."""
+    return AfterValidator(Range(low, high))
 
 
 def _not_negative(value: float) -> float:

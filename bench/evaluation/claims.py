@@ -28,12 +28,12 @@ _UNITS = {"gyro_bias": DEG / HOUR, "accel_bias": 1e-3 * STANDARD_GRAVITY}  # deg
 
 
 def nees_samples(case: Case) -> float:
-    """Number of independent values of NEES in the run, see :func:`count_independent`."""
+    """Number of independent values of NEES in the run."""
     return case.nees_samples
 
 
 def nees_band(edge: Edge, case: Case) -> float | None:
-    """Edge of the 99.9 % band of the mean NEES in this run.
+    """The 99.9 % band of nees_mean in this run.
 
     The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
     one epoch to the whole run, an honest filter is outside in at most 0.5 % of the runs.
@@ -49,7 +49,7 @@ def _find_edge(edge: Edge, states: int, samples: float) -> float | None:
 
 
 def coverage_low(block: str, case: Case) -> dict[str, float | None]:
-    """Smallest coverage of a block that this run allows an honest filter, by axis of n.
+    """Smallest coverage_3sigma that this run allows an honest filter, with 99.5 %: n, e, d.
 
     So many of the independent values of the error over its sigma lie outside 3 sigma with 0.5 % at most. Half
     a value more is allowed, because their number is estimated: honest filters are below in at most 0.4 % of
@@ -77,7 +77,7 @@ def claimed_error_h(case: Case) -> float:
 
 
 def error_over_sigma(case: Case) -> Mapping[str, float | None]:
-    """Root mean square of the errors of each block over their sigma; 1 is expected."""
+    """Root mean square of the error over its sigma: pos, vel, phi; 1 is expected."""
     return {
         block: float(np.sqrt(np.mean((getattr(case, f"{block}_n") / case.sd[:, rows]) ** 2)))
         for block, rows in BLOCKS.items()
@@ -111,7 +111,7 @@ def nees_bias(case: Case) -> Mapping[str, float | None]:
 
 
 def nees_bias_band(edge: Edge, case: Case) -> Mapping[str, float | None]:
-    """Edge of the 99.9 % band of nees_bias in this run.
+    """The 99.9 % band of nees_bias in this run.
 
     Counted are the independent values of the error; its square has at least as many.
     """

@@ -67,12 +67,12 @@ def _concerns(fault: Fault, raised: Alarms) -> bool:
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:
-    """1 if an alarm was raised during the fault, else 0."""
+    """1 if during the fault an update of its sensor was refused or an event told of it, else 0."""
     return {k: float(measure_delay(f, case.alarms) is not None) for k, f in case.faults.items()}
 
 
 def fault_delay(case: Case) -> dict[str, float | None]:
-    """Time from the start of the fault to its first alarm [s]; None if undetected."""
+    """Time from the start of the fault to that first alarm [s]; None without one."""
     return {k: measure_delay(f, case.alarms) for k, f in case.faults.items()}
 
 

@@ -119,7 +119,7 @@ def _headings(case: Case, first: int, last: int) -> FloatArray | None:
 
 
 def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float | None]:
-    """Growth of the horizontal error expected in each outage, root mean square or 95 % radius [m].
+    """Growth in each outage that the datasheets give [m]: root mean square, and the 95 % radius.
 
     From the datasheet of the IMU, with a perfect start but for the slow velocity error of the receiver, which
     no filter tells from the motion.
@@ -136,7 +136,7 @@ def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float |
 
 
 def inertial_law(case: Case) -> Mapping[str, float | None]:
-    """Horizontal error that the datasheet expects at the end of a run without horizontal aiding [m].
+    """Horizontal error that the datasheets give for an end without aiding [m]: rms and 95 % radius.
 
     With the turn-on biases and the errors at the start that the estimator claims there. Absent if
     the horizontal error that the estimator claims at the end is far smaller: it is aided, but does not say by
@@ -163,5 +163,5 @@ def inertial_law(case: Case) -> Mapping[str, float | None]:
 
 
 def inertial_end(case: Case) -> Mapping[str, float | None]:
-    """Horizontal error at the end of a run without horizontal aiding [m]; absent like its law."""
+    """Horizontal error at the end of a run without horizontal aiding [m]."""
     return {"": float(np.hypot(*case.pos_n[-1, :2]))} if inertial_law(case) else {}

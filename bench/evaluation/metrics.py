@@ -53,7 +53,7 @@ class Metric(NamedTuple):
     """A row of :data:`METRICS`."""
 
     name: str  # ends in the unit; ``{}`` stands for each key of a function that returns several values
-    function: Callable[[Case], Value | Values]  # its docstring describes the metric
+    function: Callable[[Case], Value | Values]  # the first line of its docstring describes the metric
     block: Literal["pos", "vel", "phi", "cov", "pos cov", "vel cov", "phi cov", ""]  # absent without it
     direction: Direction
 
@@ -61,6 +61,11 @@ class Metric(NamedTuple):
     def unit(self) -> str:
         """Unit of the metric; "1" if it has none."""
         return unit_of(self.name) or "1"
+
+    @property
+    def words(self) -> str:
+        """What the metric is, in a line."""
+        return str(getattr(self.function, "func", self.function).__doc__ or "").partition("\n")[0]
 
 
 # --- accuracy -----------------------------------------------------------------------------------------
@@ -71,7 +76,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def rmse(block: str, case: Case) -> Values:
-    """Root mean square of the error of a block by axis, horizontal and 3D [m or m/s]."""
+    """Root mean square of the error of a block [m or m/s]: n, e, d, h (horizontal) and 3d."""
     error_n = getattr(case, f"{block}_n")
     by_axis: dict[str, Value] = {axis: _rms(error_n[:, k]) for k, axis in enumerate(AXES)}
     horizontal = case.pos_h if block == "pos" else _horizontal_norm(error_n)
@@ -79,7 +84,7 @@ def rmse(block: str, case: Case) -> Values:
 
 
 def phi_rmse(case: Case) -> Values:
-    """Root mean square of the attitude error by axis of n [deg]."""
+    """Root mean square of the attitude error [deg] about n, e and d."""
     return {axis: float(np.rad2deg(_rms(case.phi_n[:, k]))) for k, axis in enumerate(AXES)}
 
 
@@ -123,7 +128,7 @@ def _order_statistic(values: FloatArray, fraction: float) -> float:
 
 
 def cep(fraction: float, case: Case) -> float:
-    """Radius that holds a fraction of the horizontal errors [m]; navigation standards call cep95 R95."""
+    """Radius that holds 50 or 95 % of the horizontal errors [m]; navigation standards call cep95 R95."""
     return _order_statistic(case.pos_h, fraction)
 
 
@@ -149,9 +154,9 @@ def outage_growth_h(case: Case) -> Values:
 
 
 def heading_convergence(case: Case) -> Value:
-    """Return the first instant after which the heading error stays below max(1 deg, 3 sigma) [s].
+    """Time from which the heading error stays below max(1 deg, 3 sigma), to the end or an outage [s].
 
-    It has to stay there to the end of the run or the start of the next outage. None if it never does.
+    None if there is none.
     """
     below = np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd)
     starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
@@ -184,7 +189,7 @@ def nees_inside_95(case: Case) -> float:
 
 
 def coverage(block: str, case: Case) -> Values:
-    """Fraction of epochs with the error of a block within 3 sigma, by axis of n; 0.9973 is expected."""
+    """Fraction of epochs with the error of a block within 3 sigma: n, e, d; 0.9973 is expected."""
     inside = np.abs(getattr(case, f"{block}_n")) <= 3.0 * case.sd[:, BLOCKS[block]]
     return {axis: float(np.mean(inside[:, k])) for k, axis in enumerate(AXES)}
 
@@ -195,17 +200,17 @@ def output_coverage(case: Case) -> float:
 
 
 def nis(part: Literal["mean", "low", "high"], case: Case) -> Values:
-    """Mean NIS of each sensor, rejected updates included, or an edge of the 99.9 % band of that mean."""
+    """Mean NIS of each sensor, refused updates included; low, high: the 99.9 % band of a matched filter."""
     return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
 
 
 def updates(case: Case) -> Values:
-    """Number of updates of each sensor, accepted or not."""
+    """Number of updates of each sensor, used or refused."""
     return {name: float(len(s.nis)) for name, s in case.nis.items()}
 
 
 def rejected(case: Case) -> Values:
-    """Number of updates of each sensor with at least one component rejected by the gate."""
+    """Number of updates of each sensor with at least one component that the gate refused."""
     return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
 
 

@@ -49,7 +49,7 @@ def _relative(
 
 
 def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
-    """Root mean square of the relative pose error over times and distances, in m or deg."""
+    """Relative pose error, displacement or rotation, RMS [m or deg]: over 1s, 10s, 60s, 100m and 1km."""
     poses = case.poses
     if poses is None:
         return {}
@@ -66,7 +66,7 @@ def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
 
 
 def drift_percent(case: Case) -> Mapping[str, float | None]:
-    """Drift over the distance travelled [%]: of segments of 100 to 800 m, and at the end, horizontal."""
+    """Drift over the distance travelled [%]: segments of 100 to 800 m; end: the horizontal error."""
     if case.poses is None:
         return {}
     travelled, found = case.poses.travelled, {}

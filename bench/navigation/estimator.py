@@ -98,13 +98,13 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         FORWARD["loose-mems"],
     ),
     "loose-full": BuiltIn(
-        "loose-22 with every error of the IMU that its datasheet names",
+        "loose-22 with a state or noise for every error of the IMU that its datasheet names",
         _LOOSE,
         "FusionOptions",
         FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
-        "INS/satellites/baro: every pseudorange and range rate, receiver clock",
+        "every pseudorange and range rate, receiver clock; goes on with one to three satellites",
         "bench.navigation.models.loose_tight:Tight",
         "TightOptions",
         FORWARD["tight"],
@@ -143,7 +143,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         {},
     ),
     "error-ekf": BuiltIn(
-        "the generic filter of the errors of two systems, the INS never corrected, slow",
+        "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
         "bench.navigation.register.error_ekf:ErrorEkfEstimator",
         "ClassicOptions",
         {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
@@ -155,7 +155,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         _NO_FORM,
     ),
     "complementary": BuiltIn(
-        "complementary filter: differences of INS and aid, smoothed and taken off, slow",
+        "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
         f"{_GIVEN_GAINS}:Complementary",
         "ComplementaryOptions",
         _NO_FORM,
@@ -167,14 +167,14 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         _NO_FORM,
     ),
     "invariant-ekf": BuiltIn(
-        "invariant EKF on SE2(3) of gtsam (extra 'graph'), nine states, fixes only, slow",
+        "invariant EKF of gtsam on SE2(3), nine states; IMU biases act as noise; slow (extra 'graph')",
         "bench.navigation.models.graph.invariant_ekf:InvariantEkf",
         "InvariantOptions",
         {},
         package="gtsam",
     ),
     "graph-smoother": BuiltIn(
-        "smoother as a factor graph of preintegrated IMU and fixes, by gtsam (extra 'graph'), slow",
+        "factor graph of gtsam with the states of loose-15 over the whole record, slow (extra 'graph')",
         "bench.navigation.models.graph.factor_graph:GraphSmoother",
         "GraphOptions",
         {},

@@ -6,10 +6,8 @@ flight. Adding an option is a field here and its use in the estimator.
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Mapping
-from itertools import pairwise
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
@@ -23,29 +21,36 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bench.navigation.forward_filters import FORWARD
-from bench.wording import as_toml, describe_error, suggest
+from bench.wording import as_toml, describe_error, read_words, suggest
 
 
-def _limited(holds: Any, words: str) -> AfterValidator:
-    def check(value: Any) -> Any:
-        if not holds(value):
-            raise PydanticCustomError("message", "{words}", {"words": words})
+@dataclass(frozen=True)
+class Limit:
+    """What an option may be, checked and in words."""
+
+    allows: Callable[[Any], bool]
+    words: str
+
+    def __call__(self, value: Any) -> Any:
+        """Return an allowed value; refuse another."""
+        if not self.allows(value):
+            raise PydanticCustomError("message", "must be {words}", {"words": self.words})
         return value
 
-    return AfterValidator(check)
+
+def _limited(allows: Callable[[Any], bool], words: str) -> AfterValidator:
+    return AfterValidator(Limit(allows, words))
 
 
-def _period(value: object) -> object:
+def _is_period(value: object) -> bool:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value != "auto" and not (number and 0 <= float(value) < float("inf")):  # type: ignore[arg-type]
-        raise PydanticCustomError("message", "must be 0 or more, or 'auto'")
-    return value
+    return value == "auto" or (number and 0 <= float(value) < float("inf"))  # type: ignore[arg-type]
 
 
-Positive = Annotated[float, _limited(lambda x: x > 0, "must be positive")]
-NotNegative = Annotated[float, _limited(lambda x: x >= 0, "must not be negative")]
-Probability = Annotated[float, _limited(lambda x: 0 < x < 1, "must lie between 0 and 1")]
-Count = Annotated[int, _limited(lambda n: n >= 1, "must be at least 1")]
+Positive = Annotated[float, _limited(lambda x: x > 0, "positive")]
+NotNegative = Annotated[float, _limited(lambda x: x >= 0, "0 or more")]
+Probability = Annotated[float, _limited(lambda x: 0 < x < 1, "between 0 and 1")]
+Count = Annotated[int, _limited(lambda n: n >= 1, "at least 1")]
 _LIST = BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
 Tests = Annotated[tuple[Literal["nis", "trace", "tolerance", "velocity"], ...], _LIST]
 Spread = Annotated[tuple[NotNegative, NotNegative, NotNegative], _LIST]
@@ -74,10 +79,13 @@ class GateOptions(Options):
     """Options of every filter that tests its innovations."""
 
     gate_probability: Probability = 1e-5
-    """Chance of refusing a sound sub-vector of a matched filter."""
+    """Chance of refusing a sound measurement of a matched filter."""
     readmit_after: Count = 10
-    """Refusals in a row after which the next sub-vector is used all the same, P grown for it (A-5.4.7); every
-    satellite counts for itself."""
+    """Refusals in a row after which the next measurement is used all the same (A-5.4.7). The covariance grows
+    for it along the states that may have made a step: position, velocity, bias of the barometer or radar
+    altimeter, scale factor of the odometer, wind, slip of the wheels. A sensor for which the filter has no
+    such state stays out until it agrees. Every satellite counts for itself, and is used again without growth.
+    After an outage a fix that tells of a drift is used at once."""
 
 
 class FixOptions(GateOptions):
@@ -92,9 +100,9 @@ class IntegrityOptions(GateOptions):
     """Options of the filters that can test a measurement in more than one way."""
 
     integrity: Tests = ("nis",)
-    """Tests every sub-vector has to pass: normalized innovation squared, ratio of traces (A-5.4.7), and for
-    fixes the distance from the INS since the last one used (A-5.4.T) and the way by the velocities of the
-    receiver."""
+    """Tests that every measurement has to pass: "nis", its normalized innovation squared; "trace", the ratio
+    of traces (A-5.4.7); of fixes "tolerance", their distance from the INS since the last one used (A-5.4.T),
+    and "velocity", their way against the velocities of the receiver, in the compiled filters only."""
     max_acceleration: Positive = 20.0
     """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
     tolerance_sigmas: Positive = 5.0
@@ -127,7 +135,7 @@ class FusionOptions(IntegrityOptions, FixOptions):
     """Measurements over which the variance of a sensor is taken from its innovations; left out: the
     datasheet's."""
     standstill: bool = False
-    """Zero velocity and zero rate while the IMU stands still."""
+    """Use zero velocity and zero rate while the IMU stands still by its own account."""
     lever_arm_sd: NotNegative = 0.0
     """How well each component of the antenna's place is known [m]; above 0 it is estimated."""
     airspeed: bool = False
@@ -248,7 +256,7 @@ class UnscentedOptions(FixOptions):
     """Use the barometer."""
     covariance_hz: Positive = 10.0
     """Rate of the steps [Hz]; a measurement or an output takes one at once."""
-    spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "must lie above 0 and not above 1")] = 0.5
+    spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "above 0 and not above 1")] = 0.5
     """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
     states."""
 
@@ -266,14 +274,15 @@ class ClassicOptions(IntegrityOptions):
     discretization: Literal["van-loan", "euler"] = "van-loan"
     """Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D)."""
     rows: Literal[7, 8] = 7
-    """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its pseudo-
-    inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the 7."""
+    """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its
+    pseudo-inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the
+    7."""
     form: Literal["joseph", "conventional", "potter", "carlson", "ud"] = "joseph"
     """Form of (5.4.4) and (5.4.5): Joseph's, or P - K H P as printed for the generic filter, with all rows at
     once; a square root of P or its factors U and D, a row at a time. The answer is the same."""
     covariance_precision: Literal["double", "single"] = "double"
     """Precision of estimate, covariance and gains; the navigator is in double."""
-    floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "must be at least 0 and below 1")] = 0.0
+    floor: Annotated[float, _limited(lambda x: 0 <= x < 1, "at least 0 and below 1")] = 0.0
     """No standard deviation falls below this part of its value at the start (A-5.4.F); 0: no floor."""
     trace_limit: Positive = 10.0
     """Largest ratio of "trace"; the source asks for 10 or more."""
@@ -282,7 +291,9 @@ class ClassicOptions(IntegrityOptions):
     A-5.4.3)."""
     feedback: bool = True
     """Correct the navigator (closed loop), or its output only (open loop, B-20 to B-22)."""
-    correction_period: Annotated[float | Literal["auto"], BeforeValidator(_period)] = 0.0
+    correction_period: Annotated[
+        float | Literal["auto"], BeforeValidator(Limit(_is_period, "0 or more, or 'auto'"))
+    ] = 0.0
     """Shortest time between two corrections [s], 0: after every update; "auto": until the attitude error
     could reach admissible_deg by (A-5.4.10) with three standard deviations of P."""
     admissible_deg: Positive = 1.0
@@ -339,7 +350,7 @@ class GraphOptions(GateOptions):
     """Options of the smoother as a factor graph."""
 
     passes: Count = 10
-    """Passes after which the fit ends even if it still moves."""
+    """Passes after which the fit ends even if it still moves; the first is a filter, with its gate."""
     flat: bool = False
     """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
 
@@ -386,21 +397,8 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
 
 def described(model: type[Options]) -> list[tuple[str, str, str]]:
     """Return name, default and words of each option; a dash is the default of one that is left out."""
-    words, rows = _read_words(), []
-    for name, field in model.model_fields.items():
-        default = "-" if field.default is None else as_toml(field.default)
-        said = next(words[owner.__name__, name] for owner in model.__mro__ if (owner.__name__, name) in words)
-        rows.append((name, default, " ".join(said.split())))
-    return rows
-
-
-def _read_words() -> dict[tuple[str, str], str]:
-    """Return the text below each option by class and name; pydantic would read it on every import."""
-    found = {}
-    for one in ast.parse(Path(__file__).read_text(encoding="utf-8")).body:
-        if isinstance(one, ast.ClassDef):
-            for option, text in pairwise(one.body):
-                match option, text:
-                    case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
-                        found[one.name, name] = words
-    return found
+    words = read_words(model)
+    return [
+        (name, "-" if field.default is None else as_toml(field.default), words[name])
+        for name, field in model.model_fields.items()
+    ]

@@ -160,8 +160,7 @@ def _fill_table(
 
 def _explain(name: str) -> str:
     metric = find_metric(name)
-    function = getattr(metric, "function", None)
-    return str(getattr(function, "func", function).__doc__ or "").partition("\n")[0] if metric else ""
+    return metric.words if metric else ""
 
 
 def _make_cell(name: str, values: Mapping[str, Any]) -> Cell:

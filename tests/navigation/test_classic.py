@@ -319,7 +319,7 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"floor": 1.5}, "floor = 1.5 must be at least 0 and below 1"),
         ({"integrity": "nis"}, "integrity = 'nis' must be a list"),
         ({"integrity": ["chi"]}, "integrity[0] = 'chi' must be 'nis', 'trace', 'tolerance' or 'velocity'"),
-        ({"gate_probability": 0.0}, "gate_probability = 0 must lie between 0 and 1"),
+        ({"gate_probability": 0.0}, "gate_probability = 0 must be between 0 and 1"),
         ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number"),
         ({"feedback": 1}, "feedback = 1 must be true or false"),
         ({"correction_period": -1.0}, "correction_period = -1 must be 0 or more, or 'auto'"),

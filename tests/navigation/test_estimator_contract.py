@@ -400,7 +400,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         ("loose-15", {"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan Hz must be a finite number"),
         ("loose-15", {"covariance_hz": "fast"}, "covariance_hz = 'fast' must be a number"),
-        ("loose-15", {"gate_probability": 1.0}, "gate_probability = 1 must lie between 0 and 1"),
+        ("loose-15", {"gate_probability": 1.0}, "gate_probability = 1 must be between 0 and 1"),
         ("loose-15", {"readmit_after": 0}, "readmit_after = 0 must be at least 1"),
     ],
 )

@@ -338,7 +338,7 @@ def test_each_aiding_names_the_record_it_needs():
     ("options", "message"),
     [
         ({"adaptive_noise": 0}, "adaptive_noise = 0 must be at least 1"),
-        ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1 must not be negative"),
+        ({"lever_arm_sd": -1.0}, "lever_arm_sd = -1 must be 0 or more"),
         (
             {"integrity": ["raim"]},
             r"integrity\[0\] = 'raim' must be 'nis', 'trace', 'tolerance' or 'velocity'",

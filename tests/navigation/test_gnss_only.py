@@ -167,7 +167,7 @@ def test_48_an_ins_carries_on_between_fixes_where_a_receiver_alone_cannot(flight
     [
         ({"acceleration": 0.0}, "acceleration = 0 must be positive"),
         ({"correlation_s": "long"}, "correlation_s = 'long' must be a number"),
-        ({"gate_probability": 1.0}, "gate_probability = 1 must lie between 0 and 1"),
+        ({"gate_probability": 1.0}, "gate_probability = 1 must be between 0 and 1"),
         ({"readmit_after": 0}, "readmit_after = 0 must be at least 1"),
         ({"gnss": False}, "unknown option 'gnss'\n  known options: acceleration, correlation_s, fix_acc"),
     ],

@@ -35,7 +35,7 @@ def test_all_mistakes_of_a_file_are_told_at_once():
     assert seed.startswith("figure-eight.toml: seed = -1")
     place = "figure-eight.toml: [[estimator]]"
     assert fixed == f"{place} 1 (loose-15): options: option 'gnss_markov' is fixed to false; leave it out"
-    assert gate == f"{place} 1 (loose-15): options: gate_probability = 2 must lie between 0 and 1"
+    assert gate == f"{place} 1 (loose-15): options: gate_probability = 2 must be between 0 and 1"
     assert points.startswith(f"{place} 2 (points): options: unknown option 'spred'. Did you mean 'spread'?")
 
 

@@ -170,9 +170,9 @@ def test_the_root_is_one_of_a_singular_matrix_and_no_other():
         ({"gnss": 1}, "gnss = 1 must be true or false"),
         ({"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ({"covariance_hz": None}, "covariance_hz = None must be a number"),
-        ({"gate_probability": 1.0}, "gate_probability = 1 must lie between 0 and 1"),
+        ({"gate_probability": 1.0}, "gate_probability = 1 must be between 0 and 1"),
         ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number"),
-        ({"spread": 1.5}, "spread = 1.5 must lie above 0 and not above 1"),
+        ({"spread": 1.5}, "spread = 1.5 must be above 0 and not above 1"),
         ({"gnss_markov": True}, "unknown option 'gnss_markov'\n  known options: baro, covariance_hz"),
     ],
 )

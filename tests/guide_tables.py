@@ -1,0 +1,308 @@
+"""Write the tables of the guide that say what the code declares: ``make guide``.
+
+A table stands between two comments of its page, the first of which names it. Its rows come from the same
+declarations that the code checks against: names, limits, defaults, and the words below each.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from bench.config.datasheets import ImuSheet, LayoutTable
+from bench.config.fault_tables import FAULTS
+from bench.config.sheet import MOST, Sheet
+from bench.config.sky_sheet import SkyTable
+from bench.config.tables import Range
+from bench.errors import ConfigError
+from bench.evaluation.metrics import METRICS
+from bench.fields import figures_of, triad_figures_of
+from bench.instruments import INSTRUMENTS
+from bench.navigation import options
+from bench.navigation.estimator import BUILT_IN, RECORDS, load
+from bench.specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.units import from_si
+from bench.wording import as_toml, read_words
+from bench.workbench.guide import FOLDER
+
+Lines = Iterator[str]
+
+
+# --- how a key is put ---------------------------------------------------------------------------------
+
+
+class Key(NamedTuple):
+    """The cells of a key in a table."""
+
+    names: str
+    default: str
+    meaning: str
+
+
+def make_key(names: Iterable[str], default: str, words: str, limits: str) -> Key:
+    """Return the cells of a key; ``limits`` are what it may be, if its default does not say it."""
+    return Key(code(names), default, f"{words} May be {limits}." if limits else words)
+
+
+def code(names: Iterable[str]) -> str:
+    """Return names as code, separated by commas."""
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def toml(value: object) -> str:
+    """Return a value as a file has it."""
+    return as_toml(value).replace("'", '"')
+
+
+def write_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Lines:
+    """Yield the lines of a Markdown table, and an empty one."""
+    yield f"| {' | '.join(head)} |"
+    yield "|---" * len(head) + "|"
+    for cells in rows:
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    yield ""
+
+
+def write_keys(what: str, keys: Iterable[Key]) -> Lines:
+    """Yield the table of some keys; ``what`` says whose."""
+    yield from write_table((what, "default", "meaning"), keys)
+
+
+def find_words(kind: type, name: str, words: Mapping[str, str]) -> str:
+    """Return the words of a field of a declaration."""
+    if name not in words:
+        raise ConfigError(f"{kind.__name__}.{name} has no words: write what it means below it")
+    return words[name]
+
+
+def list_keys(
+    model: type[BaseModel], names: Iterable[str] | None = None, spec: type | None = None
+) -> list[Key]:
+    """Return the keys of a model; ``spec`` declares those that its figures make."""
+    words, found = read_words(model), []
+    made = {} if spec is None else {key.names.strip("`"): key for key in list_figures(spec)}
+    for name in model.model_fields if names is None else names:
+        field = model.model_fields[name]
+        if name in made:
+            found.append(made[name])
+            continue
+        said = field.description or find_words(model, name, words)
+        limits = describe_limits(field.annotation, field.metadata)
+        found.append(make_key([field.alias or name], describe_default(field), said, limits))
+    return found
+
+
+def describe_limits(annotation: Any, checks: Sequence[Any] = ()) -> str:
+    """Return what a key may be, in words; empty if its type alone says it."""
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return describe_limits(inner, [*more, *checks])
+    for check in checks:
+        if limit := getattr(getattr(check, "func", None), "words", ""):
+            return str(limit)
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return code(map(toml, parts))
+    if origin in (Union, UnionType):
+        return " or ".join(filter(None, (describe_limits(part) for part in parts if part is not NoneType)))
+    if origin is tuple:
+        inner = describe_limits(parts[0])
+        if Ellipsis in parts:
+            return f"a list of {inner}" if inner else "a list"
+        return f"{len(parts)} numbers" + (f", each {inner}" if inner else "")
+    return ""
+
+
+def describe_default(field: FieldInfo) -> str:
+    """Return the default of a key; empty if it may be left out."""
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    empty = value is None or isinstance(value, BaseModel) or value in ((), [], {})
+    return "" if empty else code([toml(value)])
+
+
+def list_figures(spec: type) -> list[Key]:
+    """Return the keys of the figures of a spec; what is 0 or more is not said to be."""
+    words, found = read_words(spec), []
+    for name, one in figures_of(spec).items():
+        key, limits = one.key(name), Range(one.low, one.high).words
+        if (one.low, one.high) == (0, MOST):
+            limits = "above 0" if one.reported or one.reciprocal else ""
+        default = "" if one.reciprocal else "required"
+        if one.default is not None and not one.reciprocal:
+            default = code([f"{from_si(key, one.default):.10g}"])
+        found.append(make_key([key], default, drop_unit(find_words(spec, name, words)), limits))
+    return found
+
+
+def drop_unit(words: str) -> str:
+    """Return the words of a figure without its unit in brackets: that of the file is the end of its key."""
+    return re.sub(r" \[[^]]*\](?=[.;])", "", words)
+
+
+# --- estimators -----------------------------------------------------------------------------------------
+
+
+def write_estimators() -> Lines:
+    """Yield every built-in estimator with what it needs and the options that are fixed."""
+    rows = [
+        (
+            code([name]),
+            row.title,
+            ", ".join(RECORDS[need] for need in load(name, {}).needs),  # type: ignore[attr-defined]
+            code(f"{key} = {toml(value)}" for key, value in row.fixed.items()),
+        )
+        for name, row in BUILT_IN.items()
+    ]
+    yield from write_table(("`use`", "what it is", "needs", "fixed options"), rows)
+
+
+def write_options() -> Lines:
+    """Yield the options, those of each class of declarations under the estimators that have them."""
+    for model in vars(options).values():
+        if not (isinstance(model, type) and issubclass(model, options.Options)):
+            continue
+        owners = [name for name, row in BUILT_IN.items() if issubclass(row.options, model)]
+        words, known = read_words(model), [read_words(base) for base in model.__bases__]
+        own = [
+            name for name in model.__annotations__ if all(words.get(name) != one.get(name) for one in known)
+        ]
+        if own:
+            yield from (f"Of {'all estimators' if len(owners) == len(BUILT_IN) else code(owners)}:", "")
+            yield from write_keys("option", list_keys(model, own))
+
+
+# --- datasheets -----------------------------------------------------------------------------------------
+
+
+def write_imu() -> Lines:
+    """Yield the keys of an IMU: those of both triads, those of one, and its other tables."""
+    words, both = read_words(TriadSpec), "`[gyro]` and `[accel]`"
+    keys: dict[str, list[Key]] = {both: [], "`[gyro]`": [], "`[accel]`": []}
+    for name, one in triad_figures_of(TriadSpec).items():
+        said = drop_unit(find_words(TriadSpec, name, words)) + (" By axis." if one.by_axis else "")
+        same = one.gyro == one.accel
+        for place, triad in ((both, "gyro"),) if same else (("`[gyro]`", "gyro"), ("`[accel]`", "accel")):
+            if names := one.keys(name, triad):
+                keys[place].append(make_key(names, "", said, ""))
+    choices = ImuSheet.model_fields["gyro"].annotation.model_fields  # type: ignore[union-attr]
+    for name in ("bias_model", "dead_zone_kind"):
+        limits = describe_limits(choices[name].annotation)
+        keys[both].append(make_key([name], describe_default(choices[name]), words[name], limits))
+    for place, found in keys.items():
+        yield from write_keys(f"key of {place}", found)
+    yield from write_keys("key of `[thermal]`", list_figures(ThermalSpec))
+    yield from write_keys("key of `[vibration]`", list_figures(VibrationSpec))
+    yield from write_keys("key of `[layout]`", list_keys(LayoutTable))
+
+
+def write_instruments() -> Lines:
+    """Yield the keys of each aiding instrument, and of the further tables of its datasheet."""
+    for name, row in INSTRUMENTS.items():
+        for part, spec in {name: row.spec, **row.parts}.items():
+            yield from write_keys(f"{row.title}, key of `[{part}]`", list_figures(spec))
+
+
+# --- faults ---------------------------------------------------------------------------------------------
+
+
+def write_faults() -> Lines:
+    """Yield the kinds of faults with their keys, then the keys: those that are alike in a line."""
+    kinds, of = [], {}
+    for model in FAULTS:
+        kind = get_args(model.model_fields["kind"].annotation)[0]
+        keys = list_keys(model, [name for name in model.model_fields if name != "kind"])
+        for key in keys:
+            of.setdefault(key, []).append(kind)
+        own = [key.names for key in keys if key.names not in ("`start_s`", "`duration_s`")]
+        kinds.append((code([kind]), ", ".join(own), str(model.__doc__)))
+    yield from write_table(("kind", "keys beside start and duration", "what happens"), kinds)
+    rows = [
+        (names, "all" if len(found) == len(FAULTS) else code(found), default, meaning)
+        for (names, default, meaning), found in sorted(of.items())
+    ]
+    yield from write_table(("key", "of", "default", "meaning"), rows)
+
+
+# --- metrics --------------------------------------------------------------------------------------------
+
+
+def write_metrics() -> Lines:
+    """Yield the metrics, those with the same words in one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for metric in METRICS:
+        names.setdefault((metric.words, metric.direction), []).append(metric.name)
+    yield from write_table(("metric", "meaning", "judged"), [(code(n), *line) for line, n in names.items()])
+
+
+# --- pages ----------------------------------------------------------------------------------------------
+
+
+TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
+    "estimators": {"built-in estimators": write_estimators, "options": write_options},
+    "faults": {"faults": write_faults},
+    "sensors": {
+        "all datasheets": lambda: write_keys("key", list_keys(Sheet)),
+        "imu": write_imu,
+        "gnss": lambda: write_keys("key of `[gnss]`", list_figures(GnssSpec)),
+        "sky": lambda: write_keys(
+            "key of `[sky]`", [*list_keys(SkyTable, SkyTable.__annotations__), *list_figures(SkySpec)]
+        ),
+        "instruments": write_instruments,
+    },
+    "results": {"metrics": write_metrics},
+}
+"""Page -> name of a table -> what yields its lines."""
+
+_PLACE = re.compile(r"<!-- make guide writes: (.+?) -->\n(.*?)<!-- to here -->\n", re.DOTALL)
+
+
+def rewrite_page(topic: str, text: str) -> str:
+    """Return a page with its tables as the code declares them.
+
+    Raises
+    ------
+    ConfigError
+        If a table has no place on the page, or a place no table.
+    """
+    written, places = TABLES.get(topic, {}), [name for name, _ in _PLACE.findall(text)]
+    if sorted(places) != sorted(written):
+        raise ConfigError(f"{topic}.md: has places for {sorted(places)}; the tables are {sorted(written)}")
+
+    def fill(place: re.Match[str]) -> str:
+        lines = "\n".join(written[place[1]]()).strip("\n")
+        return f"<!-- make guide writes: {place[1]} -->\n{lines}\n<!-- to here -->\n"
+
+    return _PLACE.sub(fill, text)
+
+
+def find_pages() -> dict[str, Path]:
+    """Return the pages of the guide by topic."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.md"))}
+
+
+def main() -> int:
+    """Write the pages whose tables have changed."""
+    pages = find_pages()
+    try:
+        made = {path: rewrite_page(topic, path.read_text(encoding="utf-8")) for topic, path in pages.items()}
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.status
+    for path, text in made.items():
+        if text != path.read_text(encoding="utf-8"):
+            path.write_text(text, encoding="utf-8")
+            print(f"{path.name} is new")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
