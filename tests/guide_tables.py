@@ -16,16 +16,19 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from bench.campaigns.campaign_file import CampaignTable
 from bench.config.datasheets import ImuSheet, LayoutTable
 from bench.config.fault_tables import FAULTS
 from bench.config.library import ForeignTable
 from bench.config.listing import KeyEntry, list_legs
+from bench.config.log_tables import FileTable, LogTable
 from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable
 from bench.config.sheet import MOST, Sheet, SpecTable
 from bench.config.sky_sheet import SkyTable
 from bench.config.tables import Range
-from bench.errors import ConfigError
+from bench.errors import STATUSES, ConfigError
 from bench.evaluation.metrics import METRICS
+from bench.exchange.exports import FORMATS
 from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.navigation import options
@@ -109,6 +112,8 @@ def describe_limits(annotation: Any, checks: Sequence[Any] = ()) -> str:
     for check in checks:
         if limit := getattr(getattr(check, "func", None), "words", ""):
             return str(limit)
+        if (least := getattr(check, "ge", None)) is not None:
+            return f"at least {least}"
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         return code(map(toml, parts))
@@ -198,7 +203,18 @@ def write_tables(model: type[BaseModel], skipped: Collection[str] = (), places: 
     if plain:
         yield from write_keys(f"key of {code(places) or 'the top of the file'}", list_keys(model, plain))
     for found, where in below.items():
-        yield from write_tables(found, (), where)
+        yield from write_tables(found, skipped, where)
+
+
+def write_log() -> Lines:
+    """Yield the keys of a log, those of all its files once."""
+    files = [
+        f"[{name}]"
+        for name, one in LogTable.model_fields.items()
+        if any(issubclass(found, FileTable) for found in find_tables(one.annotation))
+    ]
+    yield from write_keys(f"key of {code(files)}", list_keys(FileTable))
+    yield from write_tables(LogTable, ("estimator", *FileTable.model_fields))
 
 
 def find_tables(annotation: Any) -> list[type[BaseModel]]:
@@ -297,6 +313,21 @@ def write_metrics() -> Lines:
     yield from write_table(("metric", "meaning", "judged"), [(code(n), *line) for line, n in names.items()])
 
 
+# --- what goes out --------------------------------------------------------------------------------------
+
+
+def write_exports() -> Lines:
+    """Yield the formats in which a run can be exported."""
+    rows = [(code([name]), one.title) for name, one in FORMATS.items()]
+    yield from write_table(("`--to`", "content"), rows)
+
+
+def write_statuses() -> Lines:
+    """Yield the exit statuses."""
+    rows = [(str(number), words) for number, words in STATUSES.items()]
+    yield from write_table(("status", "meaning"), rows)
+
+
 # --- pages ----------------------------------------------------------------------------------------------
 
 
@@ -321,7 +352,10 @@ TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
         ),
         "instruments": write_instruments,
     },
-    "results": {"metrics": write_metrics},
+    "own-log": {"tables": write_log},
+    "campaigns": {"campaign file": lambda: write_keys("key", list_keys(CampaignTable))},
+    "other-tools": {"exports": write_exports},
+    "results": {"exit statuses": write_statuses, "metrics": write_metrics},
 }
 """Page -> name of a table -> what yields its lines."""
 
