@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, UNSEEN, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
-"""Exit statuses, as the help of every verb lists them."""
+"""Exit statuses."""
+
+STATUSES = {
+    DONE: "done",
+    NEGATIVE: "a verdict is negative: a limit broken, an estimator diverged, could not start, or was ended",
+    WRONG: "the command line, a file or the results folder is wrong",
+    NOT_FLOWN: "the aircraft could not be loaded, trimmed or flown",
+    MACHINE: "the machine failed: disk full, no viewer",
+    UNSEEN: "the results are written, but not their recording or report",
+    BUG: "a bug, or an estimator that raised, with its traceback",
+    INTERRUPTED: "interrupted",
+}
+"""Exit status -> what it means, as the help of every verb lists them."""
 
 
 MOST_MESSAGES = 20

@@ -58,13 +58,18 @@ MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fig
 class RunwaySpec:
     """Figures for take-off and landing of an aircraft; heights are of its centre of gravity."""
 
-    height: float = figure("m", 0.01, 20)  # above the ground at rest [m]
-    rotate_speed: float = figure("mps", 1, 200, stem="rotate")  # airspeed at which the nose is raised [m/s]
-    take_off_pitch: float = figure("deg", 0.5, 25)  # [rad]
-    approach_speed: float = figure("mps", 1, 200, stem="approach")  # airspeed on the glide path [m/s]
-    flare_height: float = figure("m", 3.5, 100, stem="flare")  # above the ground where the flare begins [m]
-    # sink rate that the flare aims at [m/s]
+    height: float = figure("m", 0.01, 20)
+    """Height of the centre of gravity above the ground at rest [m]."""
+    rotate_speed: float = figure("mps", 1, 200, stem="rotate")
+    """Airspeed at which the nose is raised [m/s]."""
+    take_off_pitch: float = figure("deg", 0.5, 25)
+    """Pitch of the take-off [rad]."""
+    approach_speed: float = figure("mps", 1, 200, stem="approach")
+    """Airspeed on the glide path [m/s]."""
+    flare_height: float = figure("m", 3.5, 100, stem="flare")
+    """Height above the ground where the flare begins [m]."""
     touch_down_sink: float = figure("mps", 0.05, 3, stem="touch_down")
+    """Sink rate that the flare aims at [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +92,16 @@ class AircraftSpec:
     folder: Path  # holds <name>.xml
     systems: Path  # holds guidance.xml
     gains: Mapping[str, float]  # properties of the guidance system, by their name below ``guidance/``
-    min_speed: float = figure("mps", *SPEEDS)  # slowest and fastest true airspeed guidance is tuned for [m/s]
+    min_speed: float = figure("mps", *SPEEDS)
+    """Slowest true airspeed that a profile may ask for [m/s]."""
     max_speed: float = figure("mps", *SPEEDS)
-    max_bank: float = figure("deg", *BANKS)  # [rad]
-    max_climb: float = figure("mps", *CLIMBS)  # largest climb rate a leg may ask for [m/s]
-    max_descent: float = figure("mps", *CLIMBS)  # largest descent rate a leg may ask for, positive [m/s]
+    """Fastest true airspeed that a profile may ask for [m/s]."""
+    max_bank: float = figure("deg", *BANKS)
+    """Largest bank of a leg [rad]."""
+    max_climb: float = figure("mps", *CLIMBS)
+    """Largest climb rate of a leg [m/s]."""
+    max_descent: float = figure("mps", *CLIMBS)
+    """Largest descent rate of a leg, positive [m/s]."""
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
     foreign: ForeignSpec | None = None  # how to fly it if it was not made for the bench
@@ -111,10 +121,14 @@ class AircraftSpec:
 class Runway:
     """Threshold and heading of a runway; all ground is at the height of the runway."""
 
-    lat: float = figure("deg", -90, 90)  # [rad]
-    lon: float = figure("deg", -180, 180)  # [rad]
-    alt: float = figure("m", *ALTITUDES)  # ellipsoidal [m]
-    heading: float = figure("deg", 0, 360)  # [rad]
+    lat: float = figure("deg", -90, 90)
+    """Latitude [rad]."""
+    lon: float = figure("deg", -180, 180)
+    """Longitude [rad]."""
+    alt: float = figure("m", *ALTITUDES)
+    """Height above the WGS 84 ellipsoid [m]."""
+    heading: float = figure("deg", 0, 360)
+    """Heading from true north [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,9 +179,12 @@ class Leg:
 class WindLayer:
     """Wind at one altitude; components are linear between altitudes and constant beyond them."""
 
-    alt: float = figure("m", *ALTITUDES)  # ellipsoidal [m]
-    wind_from: float = figure("deg", 0, 360, stem="from")  # direction the wind blows from [rad]
-    speed: float = figure("mps", 0, 100)  # [m/s]
+    alt: float = figure("m", *ALTITUDES)
+    """Ellipsoidal altitude [m]."""
+    wind_from: float = figure("deg", 0, 360, stem="from")
+    """Direction that the wind blows from [rad]."""
+    speed: float = figure("mps", 0, 100)
+    """Its speed [m/s]."""
 
 
 @declared
@@ -175,10 +192,14 @@ class Gust:
     """A discrete gust with a 1 - cosine rise and fall."""
 
     air_n: tuple[float, float, float]  # velocity added to the air mass at the peak [m/s], n
-    start: float = figure("s", 0, 86400)  # [s]
-    rise: float = figure("s", *SECONDS, default=1.0)  # [s]
-    hold: float = figure("s", 0, 600, default=0.0)  # [s]
-    fall: float = figure("s", *SECONDS, default=1.0)  # [s]
+    start: float = figure("s", 0, 86400)
+    """Instant at which it begins [s]."""
+    rise: float = figure("s", *SECONDS, default=1.0)
+    """How long it rises [s]."""
+    hold: float = figure("s", 0, 600, default=0.0)
+    """How long it holds its peak [s]."""
+    fall: float = figure("s", *SECONDS, default=1.0)
+    """How long it falls [s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
@@ -16,13 +16,19 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from bench.campaigns.campaign_file import CampaignTable
 from bench.config.datasheets import ImuSheet, LayoutTable
 from bench.config.fault_tables import FAULTS
-from bench.config.sheet import MOST, Sheet
+from bench.config.library import ForeignTable
+from bench.config.listing import KeyEntry, list_legs
+from bench.config.log_tables import FileTable, LogTable
+from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable
+from bench.config.sheet import MOST, Sheet, SpecTable
 from bench.config.sky_sheet import SkyTable
 from bench.config.tables import Range
-from bench.errors import ConfigError
+from bench.errors import STATUSES, ConfigError
 from bench.evaluation.metrics import METRICS
+from bench.exchange.exports import FORMATS
 from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.navigation import options
@@ -82,12 +88,11 @@ def find_words(kind: type, name: str, words: Mapping[str, str]) -> str:
     return words[name]
 
 
-def list_keys(
-    model: type[BaseModel], names: Iterable[str] | None = None, spec: type | None = None
-) -> list[Key]:
-    """Return the keys of a model; ``spec`` declares those that its figures make."""
+def list_keys(model: type[BaseModel], names: Iterable[str] | None = None) -> list[Key]:
+    """Return the keys of a model, or some of them."""
     words, found = read_words(model), []
-    made = {} if spec is None else {key.names.strip("`"): key for key in list_figures(spec)}
+    figures = list_figures(model.spec) if issubclass(model, SpecTable) else []
+    made = {key.names.strip("`"): key for key in figures}
     for name in model.model_fields if names is None else names:
         field = model.model_fields[name]
         if name in made:
@@ -107,6 +112,8 @@ def describe_limits(annotation: Any, checks: Sequence[Any] = ()) -> str:
     for check in checks:
         if limit := getattr(getattr(check, "func", None), "words", ""):
             return str(limit)
+        if (least := getattr(check, "ge", None)) is not None:
+            return f"at least {least}"
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         return code(map(toml, parts))
@@ -125,7 +132,7 @@ def describe_default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)
-    empty = value is None or isinstance(value, BaseModel) or value in ((), [], {})
+    empty = value is None or isinstance(value, BaseModel) or value in ("", (), [], {})
     return "" if empty else code([toml(value)])
 
 
@@ -180,6 +187,73 @@ def write_options() -> Lines:
             yield from write_keys("option", list_keys(model, own))
 
 
+# --- profiles -------------------------------------------------------------------------------------------
+
+
+def write_tables(model: type[BaseModel], skipped: Collection[str] = (), places: Sequence[str] = ()) -> Lines:
+    """Yield the keys of a file or of the tables at some places, and those of the tables below them."""
+    below: dict[type[BaseModel], list[str]] = {}
+    fields = {name: one.annotation for name, one in model.model_fields.items() if name not in skipped}
+    for name in sorted(fields, key=lambda name: name not in model.__annotations__):  # its own come first
+        inner = ".".join([*(place.strip("[]") for place in places[:1]), name])
+        place = f"[[{inner}]]" if get_origin(fields[name]) is tuple else f"[{inner}]"
+        for found in find_tables(fields[name]):
+            below.setdefault(found, []).append(place)
+    plain = [name for name in fields if not find_tables(fields[name])]
+    if plain:
+        yield from write_keys(f"key of {code(places) or 'the top of the file'}", list_keys(model, plain))
+    for found, where in below.items():
+        yield from write_tables(found, skipped, where)
+
+
+def write_log() -> Lines:
+    """Yield the keys of a log, those of all its files once."""
+    files = [
+        f"[{name}]"
+        for name, one in LogTable.model_fields.items()
+        if any(issubclass(found, FileTable) for found in find_tables(one.annotation))
+    ]
+    yield from write_keys(f"key of {code(files)}", list_keys(FileTable))
+    yield from write_tables(LogTable, ("estimator", *FileTable.model_fields))
+
+
+def find_tables(annotation: Any) -> list[type[BaseModel]]:
+    """Return the types of the tables that a key holds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    parts = () if get_origin(annotation) is Literal else get_args(annotation)
+    return [found for part in parts for found in find_tables(part)]
+
+
+def write_legs() -> Lines:
+    """Yield the kinds of legs with their keys, then the keys: those that are alike in a line."""
+    kinds, of = [], {}
+    for leg in list_legs():
+        for key in leg.keys:
+            of.setdefault(describe_leg_key(key), []).append(leg.name)
+        kinds.append((code([leg.name]), code(key.name for key in leg.keys), leg.title))
+    yield from write_table(("kind", "keys", "flies"), kinds)
+    yield from write_shared_keys(of, len(kinds))
+
+
+def describe_leg_key(key: KeyEntry) -> Key:
+    """Return the cells of a key of a leg."""
+    default = "required" if key.required else "" if key.default is None else code([toml(key.default)])
+    limits = code(f'"{text}"' for text in key.choices)
+    if key.low is not None and key.high is not None:
+        limits = Range(key.low, key.high).words
+    return make_key([key.name], default, f"{key.words[0].upper()}{key.words[1:]}.", limits)
+
+
+def write_shared_keys(of: Mapping[Key, Sequence[str]], kinds: int) -> Lines:
+    """Yield a table of keys and of the kinds that have them, out of so many."""
+    rows = [
+        (names, "all" if len(found) == kinds else code(found), default, meaning)
+        for (names, default, meaning), found in sorted(of.items())
+    ]
+    yield from write_table(("key", "of", "default", "meaning"), rows)
+
+
 # --- datasheets -----------------------------------------------------------------------------------------
 
 
@@ -225,11 +299,7 @@ def write_faults() -> Lines:
         own = [key.names for key in keys if key.names not in ("`start_s`", "`duration_s`")]
         kinds.append((code([kind]), ", ".join(own), str(model.__doc__)))
     yield from write_table(("kind", "keys beside start and duration", "what happens"), kinds)
-    rows = [
-        (names, "all" if len(found) == len(FAULTS) else code(found), default, meaning)
-        for (names, default, meaning), found in sorted(of.items())
-    ]
-    yield from write_table(("key", "of", "default", "meaning"), rows)
+    yield from write_shared_keys(of, len(FAULTS))
 
 
 # --- metrics --------------------------------------------------------------------------------------------
@@ -243,11 +313,35 @@ def write_metrics() -> Lines:
     yield from write_table(("metric", "meaning", "judged"), [(code(n), *line) for line, n in names.items()])
 
 
+# --- what goes out --------------------------------------------------------------------------------------
+
+
+def write_exports() -> Lines:
+    """Yield the formats in which a run can be exported."""
+    rows = [(code([name]), one.title) for name, one in FORMATS.items()]
+    yield from write_table(("`--to`", "content"), rows)
+
+
+def write_statuses() -> Lines:
+    """Yield the exit statuses."""
+    rows = [(str(number), words) for number, words in STATUSES.items()]
+    yield from write_table(("status", "meaning"), rows)
+
+
 # --- pages ----------------------------------------------------------------------------------------------
 
 
 TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
     "estimators": {"built-in estimators": write_estimators, "options": write_options},
+    "profiles": {
+        "tables": lambda: write_tables(ProfileTable, ("leg", "fault")),
+        "antenna": lambda: write_keys("key of `[antenna]`", list_keys(AntennaTable)),
+        "legs": write_legs,
+    },
+    "aircraft": {
+        "aircraft.toml": lambda: write_tables(ForeignTable),
+        "scripts": lambda: write_keys("key", list_keys(ScriptTable, ScriptTable.__annotations__)),
+    },
     "faults": {"faults": write_faults},
     "sensors": {
         "all datasheets": lambda: write_keys("key", list_keys(Sheet)),
@@ -258,7 +352,10 @@ TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
         ),
         "instruments": write_instruments,
     },
-    "results": {"metrics": write_metrics},
+    "own-log": {"tables": write_log},
+    "campaigns": {"campaign file": lambda: write_keys("key", list_keys(CampaignTable))},
+    "other-tools": {"exports": write_exports},
+    "results": {"exit statuses": write_statuses, "metrics": write_metrics},
 }
 """Page -> name of a table -> what yields its lines."""
 

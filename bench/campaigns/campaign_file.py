@@ -24,15 +24,25 @@ MOST_CONDITIONS = 10_000
 """Conditions of a campaign."""
 
 
-class _CampaignTable(Table):
+class CampaignTable(Table):
+    """The file of a campaign."""
+
     profiles: Annotated[tuple[str, ...], ROWS, Field(min_length=1)]
+    """Shipped profiles, or files beside this one."""
     runs: Annotated[int, Field(ge=1)] = 200
+    """Noise draws of each flight."""
     flights: Annotated[int, Field(ge=1)] = 1
+    """Flights of each condition, each with turbulence of its own."""
     seed: Annotated[int, Field(ge=0)] | None = None
+    """Seed of all; that of each profile if left out."""
     estimators: Annotated[tuple[str, ...], ROWS, Field(min_length=1)] | None = None
+    """Filters to run; those of each profile if left out."""
     set_: dict[str, Any] = Field(default_factory=dict, alias="set")
+    """A table: values for all conditions, by the keys of --set."""
     variant: Annotated[tuple[dict[str, Any], ...], ROWS] = ()
+    """Tables of values that belong together, a condition each."""
     sweep: dict[str, Any] = Field(default_factory=dict)
+    """A table: lists of values; every combination is a condition."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +77,7 @@ def read_campaign_file(source: str, *, allow_code: bool = False) -> CampaignSpec
         If the file is wrong, or names code without permission.
     """
     path = Path(source)
-    table = check_table(_CampaignTable, read_toml(path, source), source)
+    table = check_table(CampaignTable, read_toml(path, source), source)
     fixed = _flatten(table.set_)
     variants = [_flatten(row) for row in table.variant] or [{}]
     sweep = _flatten(table.sweep)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench import __version__
-from bench.errors import BUG, DONE, NEGATIVE
+from bench.errors import BUG, DONE, NEGATIVE, STATUSES
 from bench.moved import OPTIONS
 from bench.wording import replace_control
 
@@ -21,14 +22,8 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 if TYPE_CHECKING:
     from rich.console import Console
 
-STATUS = """\b
-Exit status: 0 done; 1 a verdict is negative (a limit broken, an estimator
-diverged, could not start, or was ended); 2 the command line, a file or the
-results folder is wrong; 3 the aircraft could not be loaded, trimmed or flown;
-4 the machine failed (disk full, no viewer); 5 the results are written, but
-not their recording or report; 70 a bug, or an estimator that raised, with its
-traceback; 130 interrupted.
-"""
+_LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
+STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
 
 _HELP = {"max_content_width": 100, "show_default": True}
 

@@ -23,8 +23,11 @@ class _Position(Table):
     """A position on board relative to the centre of gravity."""
 
     forward_m: Annotated[float, between(-100, 100)]
+    """Ahead of the centre of gravity."""
     right_m: Annotated[float, between(-100, 100)]
+    """To its right."""
     down_m: Annotated[float, between(-100, 100)]
+    """Below it."""
 
     @classmethod
     def at_cg(cls) -> Self:
@@ -35,14 +38,22 @@ class _Trim(Table):
     """Altitude and airspeed of a steady level flight."""
 
     alt_m: Altitude
+    """Ellipsoidal altitude of a steady level flight."""
     speed_mps: Speed
+    """Its true airspeed; a [start] without airspeed takes the nearest in altitude."""
 
 
-class _AircraftTable(Table):
+class AircraftTable(Table):
+    """The file of an aircraft."""
+
     title: str
+    """What it is, in words."""
     category: Category = Field(alias="class")
+    """Class: shape in the recording, limits of the sanity report."""
     source: str = ""
+    """Where the figures are from."""
     assumed: Annotated[tuple[str, ...], ROWS] = ()
+    """Tables that no source states."""
     limits: make_table_type(AircraftSpec)  # type: ignore[valid-type]
     trim: Annotated[tuple[_Trim, ...], ROWS] = ()
     imu: _Position = Field(default_factory=_Position.at_cg)
@@ -50,7 +61,9 @@ class _AircraftTable(Table):
     static_port: _Position = Field(default_factory=_Position.at_cg)
     runway: make_table_type(RunwaySpec) | None = None  # type: ignore[valid-type]
     configuration: Annotated[tuple[Literal["flaps", "gear"], ...], ROWS] = ()
+    """Parts that a leg may move."""
     guidance: dict[str, float] = Field(default_factory=dict)
+    """A table: gains of the autopilot, by their names in guidance.xml."""
 
 
 def find_profile(name: str) -> tuple[Path, str]:
@@ -72,8 +85,12 @@ def find_profile(name: str) -> tuple[Path, str]:
     return PROFILES / f"{name}.toml", f"{name}.toml"
 
 
-class _ForeignTable(_AircraftTable):
+class ForeignTable(AircraftTable):
+    """The file of an aircraft that was not made for the bench."""
+
     properties: dict[str, float] = Field(default_factory=dict)
+    """A table: JSBSim properties set before the start; in aircraft/jsbsim, and for a model of yours without
+    the autopilot."""
 
 
 def find_aircraft(name: str, beside: Path) -> Path:
@@ -109,11 +126,11 @@ def read_aircraft(folder: Path, beside: Path) -> AircraftSpec:
     shown = f"{name}/aircraft.toml"
     model = folder / f"{name}.xml"
     if folder.parent in list_aircraft_folders():
-        table = check_table(_AircraftTable, read_toml(folder / "aircraft.toml", shown), shown)
+        table = check_table(AircraftTable, read_toml(folder / "aircraft.toml", shown), shown)
         foreign = None
     else:
         guided = external_truth.has_guidance(model)
-        kind = _AircraftTable if guided else _ForeignTable
+        kind = AircraftTable if guided else ForeignTable
         table = check_table(kind, read_toml(folder / "aircraft.toml", shown), shown)
         foreign = _make_foreign(table, external_truth.find_jsbsim_root(None, beside))
     if not model.is_file():
@@ -147,18 +164,18 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
             f"profile, with limits, antenna and guidance as in those of {', '.join(shipped)}"
         )
     shown = f"jsbsim/{name}.toml"
-    table = check_table(_ForeignTable, read_toml(file, shown), shown)
+    table = check_table(ForeignTable, read_toml(file, shown), shown)
     return _make_aircraft(table, shown, folder / "aircraft" / name, beside, _make_foreign(table, folder))
 
 
-def _make_foreign(table: _AircraftTable, root: Path) -> ForeignSpec:
-    if isinstance(table, _ForeignTable):
+def _make_foreign(table: AircraftTable, root: Path) -> ForeignSpec:
+    if isinstance(table, ForeignTable):
         return ForeignSpec(root, table.properties)
     return ForeignSpec(root, {}, guided=True)
 
 
 def _make_aircraft(
-    table: _AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
+    table: AircraftTable, shown: str, folder: Path, beside: Path, foreign: ForeignSpec | None
 ) -> AircraftSpec:
     limits, imu = table.limits, table.imu
     if limits.min_speed_mps >= limits.max_speed_mps:

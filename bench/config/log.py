@@ -1,25 +1,21 @@
-"""Read the TOML file of a log: recorded files, mounting, assumed datasheets, start, estimators."""
+"""Read the TOML file of a log and check what its tables say against each other and the files they name."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
+from typing import Any
 
 from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
+from bench.config.log_tables import FileTable, LogAlignmentTable, LogTable
 from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, describe_choice, make_choices
-from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
-from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between, check_table, collect_errors
+from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.specs import DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, Guard
@@ -43,115 +39,6 @@ WITHHOLD = 5
 """One fix in so many judges a log without a reference."""
 _TOPICS = ("ulog", "rosbag", "mcap", "navego")
 """Formats that name what they hold; so does a table, if it is a MATLAB file."""
-
-_Angle = Annotated[float, between(-360, 360)]
-_Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
-_Arm = Annotated[float, between(-100, 100)]
-_Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
-_Shift = Annotated[float, between(-10, 10)]
-_Clock = Annotated[float, between(-1e10, 1e10)]
-
-
-def _check_column_names(value: dict[str, str]) -> dict[str, str]:
-    twice = [name for name, count in Counter(value.values()).items() if count > 1]
-    if twice:
-        raise PydanticCustomError("message", f"must not name the column '{twice[0]}' twice")
-    return value
-
-
-_Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
-
-
-class _FileTable(Table):
-    """A file, its format, its column names, and the offset of its clock."""
-
-    file: str
-    format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
-    topic: str | None = None
-    columns: _Columns = Field(default_factory=dict)
-    time_offset_s: _Clock = 0.0
-
-
-class ImuTable(_FileTable):
-    """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
-
-    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
-    misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
-    position_m: _Arm3 = (0.0, 0.0, 0.0)
-
-
-class GnssTable(_FileTable):
-    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use."""
-
-    position_m: _Arm3 = (0.0, 0.0, 0.0)
-    velocity_offset_s: _Shift = 0.0
-    quality: Annotated[tuple[int, ...], ROWS] = ()
-    quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)
-
-
-class BaroTable(_FileTable):
-    """The barometer."""
-
-
-class ReferenceTable(_FileTable):
-    """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
-
-    position_m: _Arm3 = (0.0, 0.0, 0.0)
-    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
-    quality: Annotated[tuple[int, ...], ROWS] = ()
-
-
-class LogAssumedTable(Table):
-    """The datasheets that the filters assume."""
-
-    imu: str
-    gnss: str | None = None
-    baro: str | None = None
-
-
-class LogSensorsTable(Table):
-    """What is known of the sensors."""
-
-    assumed: LogAssumedTable
-
-
-class LogAlignmentTable(AlignmentTable):
-    """What the estimators know of the initial state; they find the rest by alignment.
-
-    ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
-    ``course``: nothing.
-    """
-
-    kind: Literal["given", "level", "course"] = "course"
-    at_s: Annotated[float, between(0, 86400)] = 0.0
-    roll_deg: _Angle | None = None
-    pitch_deg: Annotated[float, between(-90, 90)] | None = None
-    heading_deg: _Angle | None = None
-    tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
-    heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
-
-
-class LogEvaluationTable(EvaluationTable):
-    """Withhold every n-th fix from the filters to judge them by; 0 withholds none.
-
-    Left out: 5, or 0 where a reference judges.
-    """
-
-    withhold: Annotated[int, NOT_NEGATIVE] | None = None
-
-
-class LogTable(Table):
-    """The file of a log."""
-
-    title: str | None = None
-    imu: ImuTable
-    gnss: GnssTable | None = None
-    baro: BaroTable | None = None
-    reference: ReferenceTable | None = None
-    sensors: LogSensorsTable
-    alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)
-    estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
-    evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,7 +236,7 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
 
 
 def _find_source(
-    row: _FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
+    row: FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
 ) -> SourceSpec | None:
     if row is None:
         return None

@@ -84,40 +84,63 @@ class StartTable(RunwayTable):  # type: ignore[misc, valid-type]
     """
 
     speed_mps: Speed | None = None
+    """True airspeed; if left out, that of the nearest [[trim]] of the aircraft."""
     on_ground: bool = False
+    """Begin at rest: the start is the threshold of a runway."""
 
 
 class WindTable(Table):
     """Wind, by the direction it blows from, constant or in layers; turbulence by name or Milspec severity."""
 
     from_deg: Annotated[float, between(0, 360)] = 0.0
+    """Direction that the wind blows from."""
     speed_mps: Annotated[float, between(0, 40)] = 0.0
+    """Its speed."""
     layers: Annotated[tuple[make_table_type(WindLayer), ...], ROWS] = ()  # type: ignore[valid-type]
+    """Wind by altitude, in place of the two."""
     turbulence: Annotated[Any, AfterValidator(_check_turbulence)] = "none"
+    """Severity: "none", "light", "moderate", "severe", or its Milspec index, 0 to 7."""
     turbulence_model: Literal["milspec", "tustin"] = "milspec"
+    """Discretization of the spectra."""
 
 
 class GustTable(make_table_type(Gust)):  # type: ignore[misc]
     """A 1 - cosine gust: air velocity at its peak, and how long it rises, holds and falls."""
 
     north_mps: Annotated[float, between(-40, 40)] = 0.0
+    """Velocity of the air at the peak, north."""
     east_mps: Annotated[float, between(-40, 40)] = 0.0
+    """The same, east."""
     up_mps: Annotated[float, between(-40, 40)] = 0.0
+    """The same, up."""
 
 
-_AIDING: dict[str, Any] = dict.fromkeys(("gnss", *INSTRUMENTS), (str | None, None))
+def _list_aiding(words: str) -> dict[str, Any]:
+    titles = {"gnss": "GNSS receiver", **{name: row.title for name, row in INSTRUMENTS.items()}}
+    return {
+        kind: (str | None, Field(None, description=f"{words} {title}.")) for kind, title in titles.items()
+    }
+
 
 if TYPE_CHECKING:
     SensorsTable = Any
 else:
-    AssumedTable = create_model("AssumedTable", __base__=Table, imu=(str | None, None), **_AIDING)
+    AssumedTable = create_model(
+        "AssumedTable",
+        __base__=Table,
+        imu=(str | None, Field(None, description="The datasheet that filters believe of the IMU.")),
+        **_list_aiding("That of the"),
+    )
     """The datasheets that the filters assume, where they differ from the sensors on board."""
     SensorsTable = create_model(
         "SensorsTable",
         __base__=Table,
-        imu=(str, ...),
-        **_AIDING,
-        qnh_hpa=(Annotated[float, between(850, 1100)] | None, None),
+        imu=(str, Field(description="The IMU: a catalog name, or the path of a datasheet.")),
+        **_list_aiding("The"),
+        qnh_hpa=(
+            Annotated[float, between(850, 1100)] | None,
+            Field(None, description="Setting of a barometer with [physical]; standard if left out."),
+        ),
         assumed=(AssumedTable, Field(default_factory=AssumedTable)),
     )
     """The sensors on board, each a catalog name or the path of a datasheet."""
@@ -132,16 +155,22 @@ class OutageTable(Table):
     """A time without GNSS."""
 
     start_s: Annotated[float, between(0, 86400)]
+    """First instant without fixes."""
     duration_s: Seconds
+    """How long there are none."""
 
 
 class InitialErrorSdTable(Table):
     """Standard deviations of the initial errors; position and velocity are north, east, down."""
 
     pos_m: _Sd3 = (3.0, 3.0, 5.0)
+    """Position: north, east, down."""
     vel_mps: _Sd3 = (0.2, 0.2, 0.2)
+    """Velocity: north, east, down."""
     tilt_deg: Annotated[float, between(1e-4, 30)] = 0.5
+    """Roll and pitch."""
     heading_deg: Annotated[float, between(1e-4, 180)] = 2.0
+    """Heading."""
 
 
 class AlignmentTable(Table):
@@ -151,42 +180,61 @@ class AlignmentTable(Table):
     """
 
     kind: Literal["given", "level", "course"] = "given"
+    """What the estimators are told of the start."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
+    """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10
+    if left out."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
+    """With "course" the standard deviation of the angle from course to heading, by wind and sideslip, 10 if
+    left out."""
 
 
 class EstimatorTable(Table):
     """An estimator by its built-in name or ``module:Class``."""
 
     use: str
+    """A built-in name, module:Class, file:SOLUTION or command:PROGRAM."""
     label: str | None = None
+    """Its name in the results."""
     options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
-    timeout_s: Annotated[float, between(0.1, 1e6)] | None = None  # of a class of others or a program
+    """A table of its options."""
+    timeout_s: Annotated[float, between(0.1, 1e6)] | None = None
+    """Wall time of a flight, of a filter that is not built in."""
 
 
 class EvaluationTable(Table):
     """End of the alignment window, and output rate of the solutions."""
 
     from_s: Annotated[float, between(0, 86400)] = 60.0
+    """End of the alignment window: the metrics count from here on."""
     output_hz: Annotated[float, between(0.1, 400)] = 10.0
+    """How often a solution is asked for."""
 
 
 class AntennaTable(Table):
     """GNSS antenna relative to the IMU, for an external truth."""
 
     forward_m: Annotated[float, between(-100, 100)] = 0.0
+    """Ahead of the IMU."""
     right_m: Annotated[float, between(-100, 100)] = 0.0
+    """To its right."""
     down_m: Annotated[float, between(-100, 100)] = 0.0
+    """Below it."""
 
 
 class ExperimentTable(Table):
     """The keys that all profiles share, whatever their truth is made of."""
 
     title: str | None = None
+    """What it is, in words."""
     rate_hz: Literal[100, 200, 400] = 200
+    """Rate of truth and IMU."""
     seed: Seed = 0
+    """All noise follows from this number."""
     date: Date | None = None
+    """Day of the flight, for the magnetic field; of a receiver with [sky] its day, else 2026-01-01."""
     duration_s: Seconds | None = None
+    """Length of the flight: the last leg is held until then, or cut."""
     sensors: SensorsTable
     gnss_outage: Annotated[tuple[OutageTable, ...], ROWS] = ()
     fault: Annotated[tuple[Annotated[FaultTable, Field(discriminator="kind")], ...], ROWS] = ()
@@ -200,8 +248,11 @@ class ProfileTable(ExperimentTable):
     """The file of a profile with legs."""
 
     aircraft: str
+    """Name of the aircraft."""
     jsbsim_root: str | None = None
+    """JSBSim root of yours that it comes from."""
     turbulence_seed: Seed | None = None
+    """Seed of the turbulence; that of the noise if left out."""
     start: StartTable
     runway: RunwayTable | None = None  # type: ignore[valid-type]
     wind: WindTable = Field(default_factory=WindTable)
@@ -229,12 +280,17 @@ class ScriptTable(_ExternalTable):
     """The file of a profile that flies a JSBSim script: a name in the jsbsim wheel or a path."""
 
     script: str
+    """Its name in the jsbsim wheel, or a path to an .xml."""
     jsbsim_root: str | None = None
+    """JSBSim root with its aircraft; if left out, the wheel, or the root in whose scripts an .xml lies."""
     turbulence_seed: Seed | None = None
+    """Seed of JSBSim's random numbers if the script sets none; that of the noise if left out."""
     category: Category = Field(default="light", alias="class")
+    """Class of the aircraft: the limits that the sanity report uses."""
 
 
 class TrajectoryTable(_ExternalTable):
     """The file of a profile whose truth is a trajectory table."""
 
     trajectory: str
+    """A .csv or .parquet file, beside the profile."""

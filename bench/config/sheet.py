@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
@@ -37,7 +37,13 @@ class Sheet(Table):
     """Figures without a source, by "table.key"."""
 
 
-def make_table_type(spec: type) -> type[Table]:
+class SpecTable(Table):
+    """A table whose keys are the figures of a spec."""
+
+    spec: ClassVar[type]
+
+
+def make_table_type(spec: type) -> type[SpecTable]:
     """Return the table type for a spec: the keys of its figures, with their limits and defaults."""
     rows: dict[str, Any] = {}
     for name, figure in figures_of(spec).items():
@@ -48,7 +54,9 @@ def make_table_type(spec: type) -> type[Table]:
             rows[figure.key(name)] = (limited, ...)
         else:
             rows[figure.key(name)] = (limited, from_si(figure.key(name), figure.default))
-    return create_model(f"{spec.__name__}Table", __base__=Table, __doc__=spec.__doc__, **rows)
+    table = create_model(f"{spec.__name__}Table", __base__=SpecTable, __doc__=spec.__doc__, **rows)
+    table.spec = spec
+    return table
 
 
 def convert_figures(spec: type, table: Table) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class Range:
     @property
     def words(self) -> str:
         """The range in words."""
-        return f"{self.low:.10g} to {self.high:.10g}"
+        return f"{self.low:.16g} to {self.high:.16g}"
 
     def __call__(self, value: float) -> float:
         """Return a value in the range; refuse another."""

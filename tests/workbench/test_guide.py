@@ -274,16 +274,6 @@ def test_the_page_of_profiles_names_every_key_and_leg(capsys):
     assert (keys | kinds) - in_blocks <= said("profiles") | {"gnss_outage", "fault"}
 
 
-def test_the_page_of_profiles_says_of_legs_what_bench_list_legs_says():
-    listed = {leg.name: {key.name.rpartition(".")[2] for key in leg.keys} for leg in bench.list_legs()}
-    rows = PAGES["profiles"].read_text().partition("## Legs")[2].partition("## Watch out")[0]
-    for row in rows.split("\n| `")[2:]:
-        kinds, keys, _ = (re.findall(r"`([^`]+)`", cell) for cell in f"`{row}".split("|")[:3])
-        found = {word for span in keys for word in re.findall(r"\b[a-z_0-9]+", span) if '"' not in span}
-        for kind in kinds:
-            assert found == listed[kind] - ({"speed_mps"} - found), kind
-
-
 @pytest.mark.usefixtures("empty_folder")
 def test_the_page_of_aircraft_names_the_keys_of_scripts(capsys):
     keys = known(capsys, "keys", script="c1723", **WRONG) - known(capsys, "keys", **WRONG)

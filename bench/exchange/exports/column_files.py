@@ -12,8 +12,8 @@ from bench.store import parquet, write_json
 from bench.store.columns import Layout
 
 FORMATS = {
-    "csv": "CSV, a table per sensor, output.csv and start.json",
-    "parquet": "Parquet, a table per sensor with units and frames in its metadata, and start.json",
+    "csv": "CSV: a table per sensor, every digit; output: the instants asked for; start.json: the start",
+    "parquet": "the same in Parquet, with units and frames in its metadata",
 }
 START = "start.json"
 

@@ -18,7 +18,9 @@ from bench.exchange.exports.outgoing import ExportData
 from bench.specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
-FORMATS = {"kf-gins": "text for KF-GINS and OB_GINS, and a kf-gins.yaml"}
+FORMATS = {
+    "kf-gins": "text for KF-GINS and OB_GINS: increments, fixes, .nav of solutions, a kf-gins.yaml that runs"
+}
 NEEDS_START = True
 IMU, GNSS, CONFIGURATION = "imu.txt", "gnss.txt", "kf-gins.yaml"
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h

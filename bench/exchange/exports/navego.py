@@ -15,7 +15,7 @@ from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
 
-FORMATS = {"navego": "NaveGo's imu, gnss and ref structures"}
+FORMATS = {"navego": "the structures imu, gnss and ref of NaveGo"}
 NEEDS_START = True
 FILE = "navego.mat"
 

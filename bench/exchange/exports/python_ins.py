@@ -17,7 +17,7 @@ from bench.arrays import FloatArray
 from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
-FORMATS = {"python-ins": "DataFrames of python-ins, in Parquet"}
+FORMATS = {"python-ins": "the DataFrames of python-ins in Parquet, and the Python that runs it on them"}
 NEEDS_START = True
 _LLA, _VEL, _RPH = ("lat", "lon", "alt"), ("VN", "VE", "VD"), ("roll", "pitch", "heading")
 _IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")

@@ -16,7 +16,7 @@ from bench.errors import ExportError
 from bench.exchange.exports.local import to_enu, to_flu, to_poses
 from bench.exchange.exports.outgoing import Calendar, ExportData
 
-FORMATS = {"rosbag2": "a ROS 2 bag (pip install 'ins-gnss-bench[logs]')"}
+FORMATS = {"rosbag2": "a ROS 2 bag in the axes of REP 103 (pip install 'ins-gnss-bench[logs]')"}
 FOLDER = "bag"
 _STANDARD = (101325.0, 288.15, 0.0065, 5.25588)  # ISO 2533: [Pa], [K], [K/m], g / (R L) below 11 km
 

@@ -12,7 +12,7 @@ from bench.exchange.exports.local import to_poses
 from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
-FORMATS = {"tum": "poses for evo and the TUM tools: --with truth or --with solution:NAME"}
+FORMATS = {"tum": "poses, east-north-up, for evo and the TUM tools: --with truth or --with solution:NAME"}
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:

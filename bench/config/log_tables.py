@@ -1,0 +1,150 @@
+"""The tables of the file of a log: keys, limits and defaults, in the units of the file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
+from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between
+
+_Angle = Annotated[float, between(-360, 360)]
+_Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
+_Arm = Annotated[float, between(-100, 100)]
+_Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
+_Shift = Annotated[float, between(-10, 10)]
+_Clock = Annotated[float, between(-1e10, 1e10)]
+
+
+def _check_column_names(value: dict[str, str]) -> dict[str, str]:
+    twice = [name for name, count in Counter(value.values()).items() if count > 1]
+    if twice:
+        raise PydanticCustomError("message", f"must not name the column '{twice[0]}' twice")
+    return value
+
+
+_Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
+
+
+class FileTable(Table):
+    """A file, its format, its column names, and the offset of its clock."""
+
+    file: str
+    """A path relative to the log."""
+    format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
+    """Format of the file; that of its ending if left out."""
+    topic: str | None = None
+    """What the file calls it: a message, a topic or a structure."""
+    columns: _Columns = Field(default_factory=dict)
+    """A table: a column with its unit, and what the file calls it."""
+    time_offset_s: _Clock = 0.0
+    """Added to its times."""
+
+
+class ImuTable(FileTable):
+    """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
+
+    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes relative to forward, right, down."""
+    misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """What it is turned beyond that: roll, pitch, yaw."""
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """Where it is, from any point on board: forward, right, down."""
+
+
+class GnssTable(FileTable):
+    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use."""
+
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """Where the antenna is, from the same point."""
+    velocity_offset_s: _Shift = 0.0
+    """Time from a fix to its velocity."""
+    quality: Annotated[tuple[int, ...], ROWS] = ()
+    """Classes of the fixes that count; all if left out."""
+    quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)
+    """A table: class of a fix, and its standard deviation."""
+
+
+class BaroTable(FileTable):
+    """The barometer."""
+
+
+class ReferenceTable(FileTable):
+    """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
+
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """The point whose motion it gives, from the same point as the IMU."""
+    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes in those of the vehicle."""
+    quality: Annotated[tuple[int, ...], ROWS] = ()
+    """Classes of the rows that count; all if left out."""
+
+
+class LogAssumedTable(Table):
+    """The datasheets that the filters assume."""
+
+    imu: str
+    """Datasheet that the filters believe of the IMU."""
+    gnss: str | None = None
+    """That of the GNSS receiver; needed if there is one."""
+    baro: str | None = None
+    """That of the barometer; needed if there is one."""
+
+
+class LogSensorsTable(Table):
+    """What is known of the sensors."""
+
+    assumed: LogAssumedTable
+
+
+class LogAlignmentTable(AlignmentTable):
+    """What the estimators know of the initial state; they find the rest by alignment.
+
+    ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
+    ``course``: nothing.
+    """
+
+    kind: Literal["given", "level", "course"] = "course"
+    drift_deg: Annotated[float, between(0, 90)] | None = None
+    """With "course" the standard deviation of the angle from course to heading, 2 if left out."""
+    at_s: Annotated[float, between(0, 86400)] = 0.0
+    """Earliest start, since the first row of the IMU."""
+    roll_deg: _Angle | None = None
+    """With "given"."""
+    pitch_deg: Annotated[float, between(-90, 90)] | None = None
+    """With "given"."""
+    heading_deg: _Angle | None = None
+    """With "given"."""
+    tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
+    """With "given": how well roll and pitch are known, 0.5 if left out."""
+    heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
+    """With "given": how well the heading is known, 2 if left out."""
+
+
+class LogEvaluationTable(EvaluationTable):
+    """Withhold every n-th fix from the filters to judge them by; 0 withholds none.
+
+    Left out: 5, or 0 where a reference judges.
+    """
+
+    withhold: Annotated[int, NOT_NEGATIVE] | None = None
+    """Of so many fixes one is kept from the filters to judge them; 0: none. If left out 5, or 0 beside a
+    reference."""
+
+
+class LogTable(Table):
+    """The file of a log."""
+
+    title: str | None = None
+    """What it is, in words."""
+    imu: ImuTable
+    gnss: GnssTable | None = None
+    baro: BaroTable | None = None
+    reference: ReferenceTable | None = None
+    sensors: LogSensorsTable
+    alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)
+    estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
+    evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
