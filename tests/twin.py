@@ -315,11 +315,15 @@ OWN = {"position": [0, 1, 2], "velocity": [3, 4, 5], "baro": [15]}
 
 
 class Aiding:
-    """Gate and use sub-vectors by filterpy; the state of the counters of refusals."""
+    """Gate and use sub-vectors by filterpy; when each was refused since the last use.
 
-    def __init__(self, kf, gate_probability, readmit_after):
-        self.kf, self.sound, self.readmit_after = kf, 1 - gate_probability, readmit_after
-        self.refused, self.rows = {}, []
+    After so many seconds of at least three refusals one that has states of its own is taken back.
+    """
+
+    def __init__(self, kf, gate_probability, readmit_after_s):
+        self.kf, self.sound, self.readmit_after_s = kf, 1 - gate_probability, readmit_after_s
+        self.now, self.refused, self.rows = 0.0, {}, []
+        self.used = {"position": -np.inf, "velocity": -np.inf}
 
     def drifted(self, z, H, R):
         """A position is beyond the gate, and its velocity too, or what P makes of such a drift."""
@@ -339,15 +343,20 @@ class Aiding:
         S = wide @ kf.P @ wide.T + R
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
         sound = nis <= chi2.ppf(self.sound, len(z))
-        accepted = sound or drifted or self.refused.get(name, 0) >= self.readmit_after
-        self.refused[name] = 0 if accepted else self.refused.get(name, 0) + 1
+        before = self.refused.get(name, [])
+        late = len(before) > 2 and self.now - before[0] > self.readmit_after_s - 1e-6
+        accepted = sound or drifted or (late and name in OWN)
+        self.refused[name] = [] if accepted else [*before, self.now]
         self.rows.append((nis, accepted))
-        if accepted and not sound and name in OWN:  # a step of its own, or an error P had too small
+        if accepted and not sound:  # a step of its own, or an error P had too small
             refused = kf.P @ wide.T @ np.linalg.solve(S, innovation)
+            if name == "baro" and max(map(self.used.get, ("position", "velocity"))) > before[0]:
+                refused[:] = 0.0  # GNSS was used meanwhile: the filter is where it should be
             step = np.zeros(kf.dim_x)
             step[OWN[name]] = 0.0 if drifted else innovation[:, 0]
             kf.P = kf.P + refused @ refused.T + np.diag(step**2)
         if accepted:
+            self.used[name] = self.now
             kf.update(column, R=R, H=wide)
             assert kf.x.shape == (kf.dim_x, 1)
         return accepted
@@ -382,7 +391,7 @@ def use_satellite(aiding, o, row, state, lever, w_b, sky):
     aiding.use(("rate", *name), [z], H[1:], np.array([[o.sd_range_rate[row] ** 2]]))
 
 
-def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=False):
+def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tight=False):
     """Run the twin over a record without faulty rows; ``tight`` takes satellites in place of fixes."""
     imu, specs = sensors.imu, sensors.specs
     n = (15 if sensors.baro is None else 16) + 3 * tight
@@ -408,7 +417,7 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
     if sensors.baro is not None:
         baro_at = first_sample(imu.t, sensors.baro.t_arrival)
         kf.P[15, 15], q[15] = specs.baro.bias_sd**2, specs.baro.bias_walk**2
-    aiding = Aiding(kf, gate_probability, readmit_after)
+    aiding = Aiding(kf, gate_probability, readmit_after_s)
 
     lla, vel, C = initial.lla, initial.vel_n, quaternion_matrix(initial.q_nb)
     bias = np.zeros(n - 9)
@@ -438,14 +447,14 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after=10, tight=Fa
                 Q[clock, clock] += walk * T**3 / 3
                 Q[clock, clock + 1] = Q[clock + 1, clock] = walk * T**2 / 2
             kf.predict(F=Phi, Q=Q)
-        points = []
+        points, aiding.now = [], now
         if k in fixes_at:
             row = fixes_at[k]
             place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
             z = np.concatenate(
                 [(place - sensors.fixes.lla[row]) * metres(lla), speed - sensors.fixes.vel_n[row]]
             )
-            missed = aiding.refused.get("position", 0) + aiding.refused.get("velocity", 0)
+            missed = aiding.refused.get("position", []) + aiding.refused.get("velocity", [])
             drifted = now - used >= 10.0 and not missed and aiding.drifted(z, H, fix_R)
             accepted = aiding.use("position", z[:3], H[:3], fix_R[:3, :3], drifted)
             if np.isfinite(z).all():

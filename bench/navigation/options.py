@@ -80,12 +80,12 @@ class GateOptions(Options):
 
     gate_probability: Probability = 1e-5
     """Chance of refusing a sound measurement of a matched filter."""
-    readmit_after: Count = 10
-    """Refusals in a row after which the next measurement is used all the same (A-5.4.7). The covariance grows
-    for it along the states that may have made a step: position, velocity, bias of the barometer or radar
-    altimeter, scale factor of the odometer, wind, slip of the wheels. A sensor for which the filter has no
-    such state stays out until it agrees. Every satellite counts for itself, and is used again without growth.
-    After an outage a fix that tells of a drift is used at once."""
+    readmit_after_s: NotNegative = 10.0
+    """Time of nothing but refusals, at least three, after which a sensor is believed again (A-5.4.7) [s]. The
+    covariance grows for it along the states that may have made a step: position, velocity, clock of the
+    receiver, bias of the barometer or radar altimeter, scale factor of the odometer, wind, slip of the
+    wheels. A sensor for which the filter has no such state stays out until it agrees, and a satellite while
+    half of those in view do. After an outage a fix that tells of a drift is used at once."""
 
 
 class FixOptions(GateOptions):
@@ -94,6 +94,28 @@ class FixOptions(GateOptions):
     fix_accuracy: FixAccuracy = "datasheet"
     """What the noise of a fix comes from: the datasheet, what the receiver reported with it, or the larger; a
     log whose fixes come with standard deviations takes "reported"."""
+
+
+class AidingOptions(FixOptions):
+    """Options of the filters that take every aiding sensor: which of them they use."""
+
+    gnss: bool = True
+    """Use GNSS."""
+    baro: bool = True
+    """Use the barometer; without it and GNSS the IMU alone navigates."""
+    airspeed: bool = False
+    """Use true airspeed, with the wind as two states."""
+    magnetometer: bool = False
+    """Use the direction and size of the magnetic field."""
+    radar: bool = False
+    """Use the height above the runway of a radar altimeter, with its bias as a state."""
+    odometer: bool = False
+    """Use the speed of a wheel, with its scale factor as a state."""
+
+    @property
+    def accuracy(self) -> FixAccuracy | None:
+        """How fixes are weighed; None if none are used."""
+        return self.fix_accuracy if self.gnss else None
 
 
 class IntegrityOptions(GateOptions):
@@ -109,13 +131,9 @@ class IntegrityOptions(GateOptions):
     """Multiple of the standard deviation of the receiver that "tolerance" grants."""
 
 
-class FusionOptions(IntegrityOptions, FixOptions):
+class FusionOptions(IntegrityOptions, AidingOptions):
     """Options of the compiled filters."""
 
-    gnss: bool = True
-    """Use GNSS."""
-    baro: bool = True
-    """Use the barometer; without it and GNSS the IMU alone navigates, with its open-loop covariance."""
     covariance_hz: Positive | None = 20.0
     """Rate of the covariance step [Hz]; the rate of the IMU or more, or None from Python: every sample."""
     trace_ratio: Positive = 10.0
@@ -138,14 +156,6 @@ class FusionOptions(IntegrityOptions, FixOptions):
     """Use zero velocity and zero rate while the IMU stands still by its own account."""
     lever_arm_sd: NotNegative = 0.0
     """How well each component of the antenna's place is known [m]; above 0 it is estimated."""
-    airspeed: bool = False
-    """Use true airspeed, with the wind as two states."""
-    magnetometer: bool = False
-    """Use the direction and size of the magnetic field."""
-    radar: bool = False
-    """Use the height above the runway of a radar altimeter, with its bias as a state."""
-    odometer: bool = False
-    """Use the speed of a wheel, with its scale factor as a state."""
     nonholonomic: bool = False
     """A vehicle on wheels: its rear axle moves neither sideways nor up and down, but for slip and suspension;
     their angles, the mounting of the IMU and the place of the axle are states."""
@@ -168,11 +178,6 @@ class FusionOptions(IntegrityOptions, FixOptions):
     """How well it is known, and how well the IMU is aligned with the nose [deg]."""
     gust_sd: Positive = 2.0
     """Gusts that the wind may hold, each component [m/s]: 2 in moderate turbulence."""
-
-    @property
-    def accuracy(self) -> FixAccuracy | None:
-        """How fixes are weighed; None if none are used."""
-        return self.fix_accuracy if self.gnss else None
 
     @property
     def tight(self) -> bool:
@@ -247,23 +252,14 @@ class GnssOnlyOptions(FixOptions):
     """How long a manoeuvre lasts [s]."""
 
 
-class UnscentedOptions(FixOptions):
+class UnscentedOptions(AidingOptions):
     """Options of the filter by sigma points."""
 
-    gnss: bool = True
-    """Use GNSS."""
-    baro: bool = True
-    """Use the barometer."""
     covariance_hz: Positive = 10.0
     """Rate of the steps [Hz]; a measurement or an output takes one at once."""
     spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "above 0 and not above 1")] = 0.5
     """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
     states."""
-
-    @property
-    def accuracy(self) -> FixAccuracy | None:
-        """How fixes are weighed; None if none are used."""
-        return self.fix_accuracy if self.gnss else None
 
 
 class ClassicOptions(IntegrityOptions):
@@ -355,6 +351,9 @@ class GraphOptions(GateOptions):
     """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
 
 
+_OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of refusals in seconds"}
+"""What to use for options that files of others may still hold."""
+
 _O = TypeVar("_O", bound=Options)
 _T = TypeVar("_T")
 
@@ -387,7 +386,7 @@ def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any
         key = "".join(f"[{part}]" if isinstance(part, int) else part for part in place)
         if kind == "extra_forbidden":
             known = [name for name in model.model_fields if name not in fixed]
-            lines.append(f"unknown option {key!r}{suggest(key, known, 'options')}")
+            lines.append(f"unknown option {key!r}{_OTHERWISE.get(key) or suggest(key, known, 'options')}")
         elif kind == "whole":
             lines.append(detail["msg"])
         else:

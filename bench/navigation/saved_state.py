@@ -16,7 +16,7 @@ from bench.arrays import IntArray
 from bench.navigation.engine.kept_rows import Rows
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
 
-_GROWING = ("epoch_start", "H", "z", "r", "tags", "live", "misses", "used")
+_GROWING = ("epoch_start", "H", "z", "r", "tags", "live", "misses", "since", "used")
 """Arrays that have rows before the first piece, and get more."""
 
 _SUB_VECTOR = 3  # its longest [components]
@@ -166,10 +166,12 @@ def _check_run(run: Any) -> None:
     now = {"state": (n + 1,), "P": P.shape, "dx": (n,)}
     for name, shape in now.items():
         _require_numbers(f"now/{name}", getattr(run.now, name), shape)
-    sensors = len(gate.readmit_after)
-    channels = len(gate.misses)
-    _require(channels >= sensors, "gate/misses", f"must have at least {sensors} rows")
-    _require(gate.used.shape == (channels,), "gate/used", f"must have {channels} rows")
+    sensors, trust = len(gate.opens), gate.trust
+    channels = len(trust.misses)
+    _require(channels >= sensors, "gate/trust/misses", f"must have at least {sensors} rows")
+    for name in ("since", "used"):
+        same = getattr(trust, name).shape == (channels,)
+        _require(same, f"gate/trust/{name}", f"must have {channels} rows")
     _require_numbers("gate/level", gate.level, (sensors,))
     slots, width = len(pending.live), pending.width
     rows = slots * width
@@ -202,7 +204,7 @@ def _check_passage(passage: Any) -> None:
         np.maximum.at(most, rows.slot, held)
     most[0] = 2 * _SUB_VECTOR
     _require(bool((live <= most).all()), "pending/live", "must be of the measurements that wait")
-    _check_range("sky/which (channel)", schedule.sky.which[:, 1:], len(run.gate.misses))
+    _check_range("sky/which (channel)", schedule.sky.which[:, 1:], len(run.gate.trust.misses))
 
 
 def _require(good: bool, place: str, wanted: str) -> None:

@@ -320,7 +320,7 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"integrity": "nis"}, "integrity = 'nis' must be a list"),
         ({"integrity": ["chi"]}, "integrity[0] = 'chi' must be 'nis', 'trace', 'tolerance' or 'velocity'"),
         ({"gate_probability": 0.0}, "gate_probability = 0 must be between 0 and 1"),
-        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number"),
+        ({"readmit_after_s": "1"}, "readmit_after_s = '1' must be a number"),
         ({"feedback": 1}, "feedback = 1 must be true or false"),
         ({"correction_period": -1.0}, "correction_period = -1 must be 0 or more, or 'auto'"),
         ({"correction_period": "soon"}, "correction_period = 'soon' must be 0 or more, or 'auto'"),

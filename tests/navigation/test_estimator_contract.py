@@ -401,7 +401,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan Hz must be a finite number"),
         ("loose-15", {"covariance_hz": "fast"}, "covariance_hz = 'fast' must be a number"),
         ("loose-15", {"gate_probability": 1.0}, "gate_probability = 1 must be between 0 and 1"),
-        ("loose-15", {"readmit_after": 0}, "readmit_after = 0 must be at least 1"),
+        ("loose-15", {"readmit_after_s": -1.0}, "readmit_after_s = -1 s must be 0 or more"),
     ],
 )
 def test_an_estimator_that_cannot_be_built_says_why(use, options, message):
@@ -490,7 +490,7 @@ def test_a_gate_refuses_the_share_it_is_told(truth):
     counts = {}
     for probability in (1e-5, 0.01, 0.2):
         counts[probability] = sum(
-            refused(Loose(gate_probability=probability, readmit_after=1000).run(s.data, s.initial))
+            refused(Loose(gate_probability=probability, readmit_after_s=1000.0).run(s.data, s.initial))
             for s in data
         )
     total = 8 * (2 * 30 + 150)
@@ -501,19 +501,19 @@ def test_a_gate_refuses_the_share_it_is_told(truth):
     )  # refusing a fifth unsettles the filter: no bound above
 
 
-@pytest.mark.parametrize("after", [1, 4, 9])
-def test_a_sub_vector_is_used_again_after_so_many_refusals(sensed, after):
-    """The receiver is 1 km off from 10 s on."""
+@pytest.mark.parametrize(("after", "refusals"), [(0.0, 3), (2.5, 3), (4.0, 4), (9.0, 9)])
+def test_a_sub_vector_is_used_again_after_seconds_of_refusals_and_at_least_three(sensed, after, refusals):
+    """The receiver, of 1 Hz, is 1 km off from 10 s on."""
     fixes = sensed.data.fixes
     lla = fixes.lla.copy()
     lla[fixes.t > 9.5, 0] += 1000.0 / 6.37e6
     columns = {f.name: getattr(fixes, f.name) for f in fields(fixes)}
     data = replace(sensed.data, fixes=type(fixes)(**{**columns, "lla": lla}))
-    innovations = Loose(readmit_after=after).run(data, sensed.initial).innovations
+    innovations = Loose(readmit_after_s=after).run(data, sensed.initial).innovations
     position = (innovations.code == innovations.sensor.index("gnss_position")) & (innovations.component == 0)
     accepted = innovations.accepted[position]
     assert accepted[:9].all()
-    assert_array_equal(accepted[9 : 10 + after], [False] * after + [True])
+    assert_array_equal(accepted[9 : 10 + refusals], [False] * refusals + [True])
 
 
 @pytest.mark.parametrize("option", ["gnss", "baro"])
@@ -540,7 +540,7 @@ ABSURD = {
 @pytest.mark.parametrize("case", ABSURD)
 def test_a_filter_that_diverges_is_a_result(truth, sensed, case):
     data = replace(sensed.data, specs=replace(sensed.data.specs, **ABSURD[case]))
-    solution = Loose(readmit_after=2).run(data, sensed.initial)
+    solution = Loose(readmit_after_s=0.0).run(data, sensed.initial)
     assert_array_equal(solution.t, data.output_t)
     _, judged = metrics.judge(truth, solution, evaluation_from=10.0, outages=())
     assert "converged" in judged
@@ -548,7 +548,7 @@ def test_a_filter_that_diverges_is_a_result(truth, sensed, case):
 
 def test_a_filter_of_nan_did_not_converge(truth, sensed):
     data = replace(sensed.data, specs=replace(sensed.data.specs, **ABSURD["gyro noise of NaN"]))
-    solution = Loose(readmit_after=2).run(data, sensed.initial)
+    solution = Loose(readmit_after_s=0.0).run(data, sensed.initial)
     assert np.isnan(solution.lla[-1]).all()
     _, judged = metrics.judge(truth, solution, evaluation_from=10.0, outages=())
     assert judged["converged"] is False

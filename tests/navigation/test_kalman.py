@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bench.navigation.engine.gate import DRIFTED, LOST, STEPPED, growth
 from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
 
 N = 16
@@ -99,13 +100,21 @@ def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m
     var, work = np.empty(m), np.zeros((m, m + 1))
     opened, before = P.copy(), 2.0 * P
     assert nis_kernel(P, dx, H, z, r, var, work, np.empty_like(H)) > 899.0
-    open_kernel(opened, before, H, e, 0, m, work, np.empty(N))
+    own = np.arange(N) < m
+    open_kernel(opened, before, H, e, own, True, work, np.empty(N))
     x = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(r), e)
     step = np.zeros(N)
     step[:m] = e
     size = np.sqrt(np.diag(P))
     unit = np.outer(size, size)
     assert_allclose((opened - P) / unit, (np.outer(x, x) + np.diag(step**2)) / unit, rtol=1e-6, atol=1e-6)
+    for verdict, part in ((LOST, opened - P), (STEPPED, np.diag(step**2)), (DRIFTED, np.outer(x, x))):
+        E = growth(verdict, x, H, e, own)
+        assert_allclose(E @ E.T / unit, part / unit, rtol=1e-6, atol=1e-6)
+    alone, same = P.copy(), 2.0 * P
+    open_kernel(alone, same, H, e, own, False, work, np.empty(N))
+    assert_allclose((alone - P) / unit, np.diag(step**2) / unit, rtol=1e-6, atol=1e-6)
+    assert_allclose((same - 2.0 * P) / unit, (alone - P) / unit, rtol=1e-9, atol=1e-9)
     assert_allclose((before - 2.0 * P) / unit, (opened - P) / unit, rtol=1e-9, atol=1e-9)
     assert_array_equal(opened, opened.T)
     assert nis(opened, dx, H, z, r)[0] <= m
@@ -191,7 +200,8 @@ def test_two_states_seen_together_open_by_the_least_step_that_explains():
     work = np.zeros((1, 2))
     nis_kernel(P, dx, H, H @ dx + e, r, np.empty(1), work, np.empty_like(H))
     opened = P.copy()
-    open_kernel(opened, P.copy(), H, e, 2, 2, work, np.empty(N))
+    own = (np.arange(N) >= 2) & (np.arange(N) < 4)
+    open_kernel(opened, P.copy(), H, e, own, True, work, np.empty(N))
     x = P @ H[0] * (e[0] / (H[0] @ P @ H[0] + r[0]))
     step = opened - P - np.outer(x, x)
     assert_allclose(step[2:4, 2:4], 2500.0 * np.outer([-0.6, 0.8], [-0.6, 0.8]), rtol=1e-9, atol=1e-6)

@@ -119,9 +119,7 @@ class Probe:
         feedback_kernel(run.now.state, -error)  # takes an error out: here it puts one in
         n = len(error)
         run.now.P[:, :n] = P
-        run.gate = run.gate._replace(
-            nis=np.full(4, -1.0), readmit_after=np.full_like(run.gate.readmit_after, 10**9)
-        )
+        run.gate = run.gate._replace(nis=np.full(4, -1.0), readmit_after_s=np.inf)
         passage.take(self.data, last=True)
         solution, nodes = passage.go()
         table = solution.innovations

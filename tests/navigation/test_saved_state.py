@@ -120,9 +120,9 @@ ALTERED = {
     ),
     "a channel that is not there": (
         "tight",
-        f"{RUN}/gate/misses",
+        f"{RUN}/gate/trust/misses",
         lambda a: a[:13],
-        "used must have 13 rows",
+        "since must have 13 rows",
     ),
     "fewer sensors": ("loose-22", f"{RUN}/gate/level", lambda a: a[:-1], r"level must have shape \(13,\)"),
     "a smaller covariance": (

@@ -241,11 +241,26 @@ def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
     sat = int(np.bincount(which).argmax())
     rows = np.flatnonzero((which == sat) & (o.t >= 30.0))
     data = replace(sensed.data, observations=shifted(o, rows, 100.0))
-    solution = Tight(readmit_after=100).run(data, sensed.initial)
+    solution = Tight().run(data, sensed.initial)
     assert refused(solution, names[sat]) == [(30.0, f"{names[sat]} range: 31 in a row refused")]
     assert len(solution.events.select("refused")) == 1  # and no other with it
-    sound = Tight(readmit_after=100).run(sensed.data, sensed.initial)
+    sound = Tight().run(sensed.data, sensed.initial)
     assert np.abs(earth.difference_n(solution.lla[-1], sound.lla[-1])).max() < 2.0
+
+
+def test_a_step_of_all_ranges_is_believed_after_ten_seconds_and_the_clock_takes_it(sensed):
+    """3 km, as of the receiver's clock: no satellite speaks for the filter, so P grows for all of them."""
+    o = sensed.data.observations
+    data = replace(sensed.data, observations=shifted(o, np.flatnonzero(o.t >= 30.0), 3000.0))
+    solution, sound = (Tight().run(one, sensed.initial) for one in (data, sensed.data))
+    table = solution.innovations
+    ranges = table.code == table.sensor.index("pseudorange")
+    after = ranges & (table.t > 30.0 - 1e-6)
+    assert not table.accepted[after & (table.t < 40.0 - 1e-6)].any()
+    assert table.accepted[after & (table.t > 40.0 - 1e-6)].all()
+    assert np.abs(earth.difference_n(solution.lla[-1], sound.lla[-1])).max() < 2.0
+    clock = solution.extra_names.index("clock_offset_m")
+    assert solution.extra[-1, clock] - sound.extra[-1, clock] == pytest.approx(3000.0, abs=5.0)
 
 
 def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
@@ -260,7 +275,7 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
     delay = {}
     for rate in (0.0, 1.0, 10.0):
         data = replace(sensed.data, observations=shifted(o, rows, rate * (o.t[rows] - 20.0)))
-        found = refused(Tight(readmit_after=100).run(data, sensed.initial), names[sat])
+        found = refused(Tight(readmit_after_s=100.0).run(data, sensed.initial), names[sat])
         delay[rate] = found[0][0] - 20.0 if found else np.inf
     assert delay[0.0] == np.inf
     assert 0 < delay[10.0] <= 3.0

@@ -111,7 +111,7 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     decay_time[at], stationary[at] = 1 / tau, sd**2
     process = model.process._replace(decay_time=decay_time, stationary=stationary)
     model = replace(model, process=process)
-    flight = ukf._Flight(Unscented().options, model, sensed.initial)
+    flight = ukf.SigmaPointFlight(Unscented().options, model, sensed.initial, np.zeros((4, 3)))
     flight.P[at, :] = flight.P[:, at] = 0.0
     flight.P[at, at] = 25.0
     flight.estimate[10:] = np.arange(1.0, len(flight.estimate) - 9) * 1e-4
@@ -171,9 +171,9 @@ def test_the_root_is_one_of_a_singular_matrix_and_no_other():
         ({"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ({"covariance_hz": None}, "covariance_hz = None must be a number"),
         ({"gate_probability": 1.0}, "gate_probability = 1 must be between 0 and 1"),
-        ({"readmit_after": 1.5}, "readmit_after = 1.5 must be a whole number"),
+        ({"readmit_after_s": "1"}, "readmit_after_s = '1' must be a number"),
         ({"spread": 1.5}, "spread = 1.5 must be above 0 and not above 1"),
-        ({"gnss_markov": True}, "unknown option 'gnss_markov'\n  known options: baro, covariance_hz"),
+        ({"gnss_markov": True}, "unknown option 'gnss_markov'\n  known options: airspeed, baro"),
     ],
 )
 def test_a_wrong_option_says_why(options, message):
@@ -190,7 +190,7 @@ def test_every_option_moves_the_answer(sensed):
     bench.check_estimator(Unscented(spread=0.3), data, sensed.initial)
     for options in (
         {"gnss": False}, {"baro": False}, {"covariance_hz": 20.0}, {"gate_probability": 0.3},
-        {"readmit_after": 2}, {"spread": 0.3},
+        {"readmit_after_s": 2.0}, {"spread": 0.3},
     ):  # fmt: skip
         assert not np.array_equal(Unscented(**options).run(data, sensed.initial).lla, plain.lla), options
 

@@ -420,7 +420,7 @@ def test_40_a_step_of_100_m_is_refused_at_the_first_epoch(minutes, test):
     assert not accepted[t >= 59.5][0]
     velocity = epochs(solution, "gnss_velocity")[1]
     assert velocity.all()  # only the sub-vector at fault is left out
-    assert any(f"gnss_position refused by {test}" in text for text in solution.events.text)
+    assert any(text.startswith("gnss_position:") for _, _, text in solution.events.select("refused"))
 
 
 def test_40_the_tolerance_test_lets_sound_fixes_pass():
@@ -475,11 +475,11 @@ def test_41_a_ramp_of_1_m_s_is_refused_late_or_never(minutes, sound):
 
 @pytest.mark.parametrize("name", ["classic-22", "gnss-only", "loose-15", "loose-22", "loose-mems", "ukf"])
 def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
-    """A step that stays: refused readmit_after times, then P grows and the filter goes there."""
+    """A step that stays: refused for readmit_after_s, then P grows and the filter goes there."""
     _, sensed = minutes
     fixes = sensed.data.fixes
     data = shifted(sensed.data, np.where(fixes.t >= 59.5, 200.0, 0.0))
-    solution = load(name, {"readmit_after": 4}).run(data, sensed.initial)
+    solution = load(name, {"readmit_after_s": 4.0}).run(data, sensed.initial)
     sound = load(name, {}).run(sensed.data, sensed.initial)
     t, accepted = epochs(solution, "gnss_position")
     assert not accepted[t >= 59.5][:4].any()
@@ -499,7 +499,7 @@ def test_41_position_and_velocity_are_taken_back_together(minutes, name):
     off = np.where(fixes.t >= 59.5, 200.0 + 10.0 * (fixes.t - 59.5), 0.0)
     vel_n = fixes.vel_n + np.outer(fixes.t >= 59.5, [10.0, 0.0, 0.0])
     data = faulted(shifted(sensed.data, off), "fixes", vel_n=vel_n)
-    solution = load(name, {"readmit_after": 4}).run(data, sensed.initial)
+    solution = load(name, {"readmit_after_s": 4.0}).run(data, sensed.initial)
     for sensor in ("gnss_position", "gnss_velocity"):
         t, accepted = epochs(solution, sensor)
         assert not accepted[t >= 59.5][:4].any()

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from bench.arrays import FloatArray
 from bench.units import STANDARD_GRAVITY
 
-OUTAGE = 10.0
-"""Time without fixes after which a filter takes its own drift for possible [s]."""
 SCHULER_RADIUS = 6_371_000.0  # sphere of the Schuler loop, R3 [m], equations 1.5
 
 
@@ -49,36 +47,6 @@ def trace_ratio(y: ArrayLike, S: ArrayLike) -> float:
     """
     y = np.asarray(y, float)
     return float(y @ y / np.trace(np.asarray(S, float)))
-
-
-def tells_of_drift(y: ArrayLike, S: ArrayLike, r: ArrayLike, limit: float) -> bool:
-    """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
-
-    A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
-    to be beyond the gate as well; or to be expected once the position is used, if the filter claims to know
-    its place worse than the fix does.
-
-    Parameters
-    ----------
-    y, S : (6,) and (6, 6) array
-        Innovation of position [m] and velocity [m/s] and its covariance.
-    r : (3,) array
-        Variance of the position of the fix [m^2].
-    limit : float
-        Largest NIS of three components.
-
-    Examples
-    --------
-    >>> S, r = np.eye(6) + 4.0 * np.kron([[1.0, 0.95], [0.95, 1.0]], np.eye(3)), np.ones(3)
-    >>> moved = [(12.0, 0.0), (12.0, 9.0), (30.0, 12.0)]  # a step, what is to be expected, both beyond
-    >>> [tells_of_drift([p, 0, 0, v, 0, 0], S, r, 25.9) for p, v in moved]
-    [False, True, True]
-    """
-    y, S = np.asarray(y, float), np.asarray(S, float)
-    apart = float(np.trace(S[:3, :3])) > 2.0 * float(np.sum(r))
-    position = nis(y[:3], S[:3, :3])
-    expected = apart and nis(y, S) - position <= limit
-    return position > limit and (expected or nis(y[3:], S[3:, 3:]) > limit)
 
 
 def tolerance(

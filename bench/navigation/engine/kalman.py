@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.compiled import kernel
 
 
@@ -57,31 +57,6 @@ def nis_kernel(
 
 
 @kernel
-def drifted_kernel(
-    P: FloatArray,
-    dx: FloatArray,
-    H: FloatArray,
-    z: FloatArray,
-    r: FloatArray,
-    limit: float,
-    var: FloatArray,
-    work: FloatArray,
-    HP: FloatArray,
-) -> bool:
-    """Return `integrity.tells_of_drift` of a fix (6,) whose position is beyond the gate.
-
-    ``work`` (6, 7) and ``HP`` (6, n) end as :func:`nis_kernel` of the position leaves them.
-    """
-    both = nis_kernel(P, dx, H, z, r, var, work, HP)
-    velocity = nis_kernel(P, dx, H[3:], z[3:], r[3:], var, work, HP)
-    position = nis_kernel(P, dx, H[:3], z[:3], r[:3], var, work, HP)
-    apart = 0.0
-    for a in range(3):
-        apart += var[a] - 2.0 * r[a]
-    return velocity > limit or (apart > 0.0 and both - position <= limit)
-
-
-@kernel
 def stretch_kernel(P: FloatArray, H: FloatArray, work: FloatArray, row: FloatArray) -> None:
     """Let P (n, n) grow by x x', x = P H' S^-1 e the correction that the filter refused; ``row`` ends as x.
 
@@ -111,33 +86,48 @@ def open_kernel(
     before: FloatArray,
     H: FloatArray,
     e: FloatArray,
-    own: int,
-    count: int,
+    opens: BoolArray,
+    lost: bool,
     work: FloatArray,
     row: FloatArray,
 ) -> None:
     """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
 
-    It has two explanations, and P grows by both: an error along the covariance (:func:`stretch_kernel`), and
-    a step of the ``count`` states from ``own`` on alone, the least that explains it. The next measurements
+    A step of the states ``opens`` (n,) alone explains it, the least that does. If the filter may be ``lost``,
+    so does an error along the covariance (:func:`stretch_kernel`): P grows by both, and the next measurements
     tell them apart. ``before`` (n, n), the P that a smoother uses, grows alike.
     """
     m, n = H.shape
-    stretch_kernel(P, H, work, row)
-    for i in range(n):
-        for j in range(n):
-            before[i, j] += row[i] * row[j]
+    if lost:
+        stretch_kernel(P, H, work, row)
+        for i in range(n):
+            for j in range(n):
+                before[i, j] += row[i] * row[j]
     for a in range(m):
         size2 = 0.0
-        for i in range(own, own + count):
-            size2 += H[a, i] * H[a, i]
+        for i in range(n):
+            if opens[i]:
+                size2 += H[a, i] * H[a, i]
         if size2 == 0.0:
             continue
-        for i in range(own, own + count):
-            for j in range(own, own + count):
-                grown = H[a, i] * H[a, j] * (e[a] / size2) ** 2
-                P[i, j] += grown
-                before[i, j] += grown
+        for i in range(n):
+            for j in range(n):
+                if opens[i] and opens[j]:
+                    grown = H[a, i] * H[a, j] * (e[a] / size2) ** 2
+                    P[i, j] += grown
+                    before[i, j] += grown
+
+
+@kernel
+def open_all_kernel(P: FloatArray, before: FloatArray, size: float, opens: BoolArray) -> None:
+    """Let P (n, n), and ``before`` with it, grow by a step of some size of each of the states ``opens``.
+
+    For a row that is one of many refused together: which of the states made the step, the others tell.
+    """
+    for i in range(P.shape[0]):
+        if opens[i]:
+            P[i, i] += size * size
+            before[i, i] += size * size
 
 
 @kernel

@@ -14,14 +14,22 @@ from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
+from bench.navigation.engine.gate import (
+    Log,
+    Trust,
+    innovations,
+    new_log,
+    pack_refused,
+    unpack_refused,
+)
 from bench.navigation.engine.rejection_events import refusals
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.gate import Gate, Log, use_kernel, with_channels
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
     SENSORS,
     Measurements,
 )
+from bench.navigation.error_state_filter.measurement_update import Gate, use_kernel
 from bench.navigation.error_state_filter.propagation import (
     FilterState,
     ImuSteps,
@@ -252,7 +260,7 @@ class ForwardRun:
         H, z, r, tags, live, width = self.pending
         other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
         gate = self.gate
-        other.gate = gate._replace(misses=gate.misses.copy(), used=gate.used.copy(), level=gate.level.copy())
+        other.gate = gate._replace(trust=gate.trust.copy(), level=gate.level.copy())
         other.refused = dict(self.refused)
         return other
 
@@ -263,9 +271,9 @@ class ForwardRun:
             "now": self.now._asdict(),
             "carried": self.work.carried.whole,
             "pending": self.pending._asdict(),
-            "gate": {"misses": gate.misses, "used": gate.used, "level": gate.level},
+            "gate": {"trust": gate.trust._asdict(), "level": gate.level},
             "moved": self.moved,
-            "refused": [[channel, *so_far] for channel, so_far in self.refused.items()],
+            "refused": pack_refused(self.refused),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -274,8 +282,9 @@ class ForwardRun:
         self.now = FilterState(now["state"], widened(now["P"]), now["dx"])
         self.work.carried.whole[:] = state["carried"]
         self.pending, self.moved = Pending(**state["pending"]), state["moved"]
-        self.gate = self.gate._replace(**state["gate"])
-        self.refused = {channel: tuple(so_far) for channel, *so_far in state["refused"]}
+        trust, level = Trust(**state["gate"]["trust"]), state["gate"]["level"]
+        self.gate = self.gate._replace(trust=trust, level=level)
+        self.refused = unpack_refused(state["refused"])
 
     def nothing(self) -> NavSolution:
         """Return a solution without instants."""
@@ -303,9 +312,10 @@ class ForwardRun:
         start = schedule.t
         visible = int(np.diff(sky.epoch_start).max(initial=0))
         self.pending = grown(self.pending, plan.slots, 2 * visible + 6)
-        self.gate = with_channels(self.gate, len(names), self.initial.t)
+        trust = self.gate.trust.with_channels(len(names), self.initial.t)
+        self.gate = self.gate._replace(trust=trust)
         size = 7 * len(plan.variance) + 2 * len(sky.t)
-        log = Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+        log = new_log(size)
         m = len(plan.outputs)
         at = np.unique(entries[entries[:, 1] != GO_ON, 0]) if keep else np.empty(0, np.int64)
         whole = schedule.last and start == self.initial.t
@@ -377,24 +387,8 @@ class ForwardRun:
             model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
         )
         table = Events.from_rows(events)
-        marked = innovations(numbers, marks)
+        marked = innovations(SENSORS, numbers, marks)
         return answers(t, model.layout, state, cov, variance, marked, table), nodes
-
-
-def innovations(numbers: FloatArray, marks: IntArray) -> Innovations:
-    """Return the table of the innovations a kernel has logged."""
-    if len(numbers) == 0:
-        return no_innovations()
-    return Innovations(
-        t=numbers[:, 0],
-        sensor=SENSORS,
-        code=marks[:, 0],
-        component=marks[:, 1],
-        z=numbers[:, 1],
-        S=numbers[:, 2],
-        nis=numbers[:, 3],
-        accepted=marks[:, 2].astype(np.bool_),
-    )
 
 
 def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, radii_kernel
 from bench.navigation.error_state_filter.corrections import (
@@ -33,7 +33,7 @@ from bench.navigation.error_state_filter.corrections import (
     motion_factors_kernel,
     motion_kernel,
 )
-from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
+from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL, StateLayout
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.navigation.error_state_filter.vehicle_motion import along_kernel
@@ -62,15 +62,27 @@ OPENS = {
     POSITION: ("pos",),
     VELOCITY: ("vel",),
     BARO: ("baro_bias",),
+    PSEUDORANGE: ("pos", "clock_offset"),
+    RANGE_RATE: ("vel", "clock_drift"),
     AIRSPEED: ("wind_north", "wind_east"),
     RADAR: ("radar_bias",),
     ODOMETER: ("odometer_scale",),
     NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
 }
-"""The states, one after the other, that may have made a step where a sensor is believed again after refusals.
+"""The states that may have made a step where a sensor is believed again after refusals.
 
 A sensor whose states a filter does not have stays out until it agrees with the rest.
 """
+
+
+def opened_states(code: int, layout: StateLayout) -> BoolArray:
+    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
+    opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
+    if all(layout.has(name) for name in names):
+        for name in names:
+            opens[layout.slice(name)] = True
+    return opens
+
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8

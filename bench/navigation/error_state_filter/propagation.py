@@ -87,6 +87,7 @@ class UpdateWork(NamedTuple):
     square: FloatArray  # (6, 7)
     rows: FloatArray  # (6, n)
     var: FloatArray  # (6,)
+    innovation: FloatArray  # (6,)
 
 
 class Carried(NamedTuple):
@@ -150,7 +151,9 @@ def work_for(n: int, drives: IntArray) -> Work:
             np.zeros(D),
             np.ones(6),
         ),
-        update=UpdateWork(np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6)),
+        update=UpdateWork(
+            np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6), np.zeros(6)
+        ),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray, IntArray
-from bench.data import InitialState
+from bench.data import InitialState, SensorData
 from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
 from bench.navigation.error_state_filter.state_processes import (
@@ -331,6 +331,12 @@ def vehicle(options: FusionOptions) -> list[Block]:
         States("gust_n", "m_s", 3, gust, decay_time=1.0 / GUST_TIME, stationary=gust),
     ]
     return [Block("nonholonomic", lambda _: wheels), Block("coordinated", lambda _: wings)]
+
+
+def used_blocks(blocks: Iterable[Block], sensors: SensorData, used: Iterable[str]) -> list[Block]:
+    """Return the blocks some record of which is there and ``used``; one that needs none always is."""
+    records = {name for name in used if getattr(sensors, name) is not None}
+    return [block for block in blocks if not block.records or records & set(block.records)]
 
 
 def chosen_blocks(options: FusionOptions) -> list[Block]:

@@ -24,6 +24,7 @@ from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import long_records
+from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.piecewise import InPieces, answer_now
@@ -42,8 +43,8 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     unmodelled,
 )
 from bench.navigation.error_state_filter.filter_run import ForwardRun, Nodes
-from bench.navigation.error_state_filter.gate import Gate
-from bench.navigation.error_state_filter.measurement_rows import OPENS, PSEUDORANGE, RANGE_RATE, SENSORS
+from bench.navigation.error_state_filter.measurement_rows import SENSORS, opened_states
+from bench.navigation.error_state_filter.measurement_update import Gate
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (
@@ -52,6 +53,7 @@ from bench.navigation.error_state_filter.state_blocks import (
     chosen_blocks,
     moving_states,
     state_model,
+    used_blocks,
 )
 from bench.navigation.error_state_filter.state_processes import Block
 from bench.navigation.error_state_filter.vehicle_motion import VehicleSampler
@@ -62,7 +64,6 @@ from bench.navigation.start.restart import between_gaps
 from bench.navigation.start.turn_on import FromTurnOn
 from bench.specs import AssumedSpecs, ImuSpec
 
-_NEVER = np.iinfo(np.int64).max
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
 _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]
 
@@ -162,8 +163,7 @@ class Fusion:
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
-        records = {sensor.record for sensor in self.aiding() if getattr(sensors, sensor.record) is not None}
-        return [block for block in self.blocks() if not block.records or records & set(block.records)]
+        return used_blocks(self.blocks(), sensors, [sensor.record for sensor in self.aiding()])
 
     def identity(self, sensors: SensorData) -> tuple[object, ...]:
         """Return what a solution follows from: filters of equal identity are the same on this record.
@@ -187,22 +187,15 @@ class Fusion:
         options, bounds = self.options, np.full(4, np.inf)
         if "nis" in options.integrity:
             bounds[1:] = [nis_limit(m, options.gate_probability) for m in (1, 2, 3)]
-        readmit, opens = np.full(len(SENSORS), _NEVER), np.zeros((len(SENSORS), 2), np.int64)
-        readmit[[PSEUDORANGE, RANGE_RATE]] = options.readmit_after  # of many satellites: one opens nothing
-        for code, names in OPENS.items():
-            if model.layout.has(names[0]):
-                first, last = (model.layout.slice(name) for name in (names[0], names[-1]))
-                readmit[code], opens[code] = options.readmit_after, (first.start, last.stop - first.start)
         return Gate(
             nis=bounds,
             trace=options.trace_ratio if "trace" in options.integrity else np.inf,
             max_acceleration=options.max_acceleration if "tolerance" in options.integrity else np.inf,
             sigmas=options.tolerance_sigmas,
             memory=0.0 if options.adaptive_noise is None else 1.0 / options.adaptive_noise,
-            readmit_after=readmit,
-            opens=opens,
-            misses=np.zeros(channels, np.int64),
-            used=np.full(channels, start),
+            readmit_after_s=options.readmit_after_s,
+            opens=np.array([opened_states(code, model.layout) for code in range(len(SENSORS))]),
+            trust=new_trust(channels, start),
             level=np.ones(len(SENSORS)),
         )
 

@@ -1,7 +1,8 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
-States, datasheets, gates and rows are those of `loose_tight.Loose`, but each measurement is
-compared with the state at its arrival, however late. Sigma points and their weights are filterpy's (R. van
+States, datasheets, gate and predictions are those of `loose_tight.Loose`, but each measurement is
+compared with the state at its arrival, however late. A row of H only says along what P grows where a refused
+sensor is believed again. Sigma points and their weights are filterpy's (R. van
 der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x
 (estimate minus truth) stands for the truth "estimate less x". Each step draws sigma points of the error about
 zero, carries the truth each one stands for through the strapdown with the same increments less its own
@@ -11,47 +12,69 @@ measurement is predicted from each of the truths the points stand for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
 from bench.arrays import FloatArray
+from bench.call_at import call_at
 from bench.compiled import kernel
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation.engine.integrity import OUTAGE, nis, nis_limit, tells_of_drift
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
+from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.error_state_filter.aiding_sensors import (
-    BARO,
-    FIXES,
+    AIDING,
+    MAGNETOMETER,
+    SATELLITES,
     AidingSensor,
+    magnetic_map,
     records_needed,
     unmodelled,
 )
 from bench.navigation.error_state_filter.error_state import (
     GYRO,
     PHI,
-    POS,
     VEL,
     less_errors,
     reset_kernel,
     state_errors,
 )
 from bench.navigation.error_state_filter.filter_run import solution
-from bench.navigation.error_state_filter.measurement_rows import FIX_ROWS
+from bench.navigation.error_state_filter.measurement_rows import (
+    ABSENT,
+    POSITION,
+    SENSORS,
+    Measurements,
+    opened_states,
+)
+from bench.navigation.error_state_filter.propagation import (
+    FilterState,
+    MeasureWork,
+    Pending,
+    pending_for,
+    work_for,
+)
+from bench.navigation.error_state_filter.ranging import empty_sky, place_fillers
 from bench.navigation.error_state_filter.schedule import Schedule
-from bench.navigation.error_state_filter.state_blocks import BARO_BIAS, StateModel, state_model
+from bench.navigation.error_state_filter.state_blocks import (
+    Index,
+    StateModel,
+    chosen_blocks,
+    state_model,
+    used_blocks,
+)
+from bench.navigation.error_state_filter.state_processes import Block
 from bench.navigation.mechanization import body_step_kernel, step_kernel
 from bench.navigation.models.stepped_filters import Measured, SteppedPassage
-from bench.navigation.options import UnscentedOptions, read_options
+from bench.navigation.options import AidingOptions, FusionOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
 from bench.specs import AssumedSpecs
 
-SENSORS = ("gnss_position", "gnss_velocity", "baro")
 _STEP = ("dt", "dtheta", "dvel", "unknown")  # what a step is made of
 
 
@@ -79,8 +102,38 @@ def _carry_kernel(
             step_kernel(points[s], dt[k], rotvec, dv_start, C, dv_n)
 
 
+@kernel
+def _predict_kernel(
+    fill: int,
+    truths: FloatArray,
+    w_ib_b: FloatArray,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+    z: FloatArray,
+) -> int:
+    """Fill z (S, 6): what each of the truths (S, n + 1) is predicted to show less what was measured.
+
+    Return the number of rows, 0 if the measurement tells one of them nothing. The rows that ``pending`` ends
+    with are those of the first truth. No state of this filter goes by the specific force.
+    """
+    least: int = z.shape[1]
+    for s in range(truths.shape[0] - 1, -1, -1):
+        for i in range(truths.shape[1]):
+            now.state[i] = truths[s, i]
+        for i in range(3):
+            work.last[0, i] = w_ib_b[i] - truths[s, 10 + i]
+        made: int = call_at(fill, 0, 0, now, data, index, pending, work)
+        for i in range(made):
+            z[s, i] = pending.z[i]
+        least = min(least, made)
+    return least
+
+
 class Unscented:
-    """Loosely coupled INS/GNSS/baro by sigma points.
+    """Loosely coupled filter of fixes and every other aiding sensor, by sigma points.
 
     Options: `bench.navigation.options.UnscentedOptions`.
     """
@@ -105,12 +158,14 @@ class Unscented:
 
     def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
         used = [sensor for sensor in self._aiding() if getattr(first, sensor.record) is not None]
-        model = state_model(initial, first.specs, [BARO_BIAS] if BARO in used else [])
+        blocks = used_blocks(self._blocks(), first, [sensor.record for sensor in used])
+        model = state_model(initial, first.specs, blocks)
+        field = magnetic_map(initial.lla, first.date) if MAGNETOMETER in used else np.zeros((4, 3))
         schedule = Schedule(
             initial.t, first.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
         )
         schedule.events += events
-        flight = _Flight(self.options, model, initial)
+        flight = SigmaPointFlight(self.options, model, initial, field)
         return SteppedPassage(flight, schedule, used, first, initial, model.layout)
 
     @property
@@ -120,10 +175,17 @@ class Unscented:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
-        return unmodelled(specs, self._aiding(), ())
+        taken = {words for block in self._blocks() for words in block.takes}
+        return unmodelled(specs, self._aiding(), taken)
+
+    def _blocks(self) -> list[Block]:
+        """Return the states of the aiding sensors that the options ask for."""
+        asked = self.options.model_dump(include=set(AidingOptions.model_fields))
+        return chosen_blocks(FusionOptions(**asked))
 
     def _aiding(self) -> list[AidingSensor]:
-        return [FIXES] * self.options.gnss + [BARO] * self.options.baro
+        every = (sensor for sensor in AIDING if sensor is not SATELLITES)
+        return [sensor for sensor in every if getattr(self.options, sensor.option)]
 
 
 @dataclass
@@ -135,24 +197,27 @@ class _Points:
     cov: FloatArray  # (S,)
 
 
-class _Flight:
+class SigmaPointFlight:
     """The estimate and its covariance over one record (`stepped_filters.Flight`)."""
 
     one_antenna = False
 
-    def __init__(self, options: UnscentedOptions, model: StateModel, initial: InitialState) -> None:
+    def __init__(
+        self, options: UnscentedOptions, model: StateModel, initial: InitialState, field: FloatArray
+    ) -> None:
         self.options, self.model = options, model
         n = model.layout.size
         self.shapes: tuple[tuple[int, ...], ...] = ((n + 1,), (n, n))
         self.interval = (1.0 - 1e-6) / options.covariance_hz
-        rest = np.zeros(model.layout.size - 9)
-        self.estimate = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, rest])
+        self.estimate = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
         self.P = model.P.copy()
         self.before = np.zeros(7)
-        self.gates = {m: nis_limit(m, options.gate_probability) for m in (1, 3)}
-        self.misses = [0, 0, 0]
-        self.used = initial.t  # instant of the last fix of which a part was used [s]
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
+        self.opens = np.array([opened_states(code, model.layout) for code in range(len(SENSORS))])
+        self.data = Measurements(np.zeros((1, 9)), np.zeros((1, 6)), np.zeros(3), field, initial.lla.copy())
+        self.pending = pending_for(n, 1, 6)
+        self.work = work_for(n, model.process.drives)
+        self.fillers: dict[int, int] = {}  # where the rows of a kind of record are filled
         self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
         self.covered = initial.t  # until when P is carried [s]
         self.since: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []  # steps since
@@ -178,11 +243,8 @@ class _Flight:
 
     def measure(self, now: float, arrived: list[Measured]) -> None:
         """Use what has arrived."""
-        for kind, values, variance in arrived:
-            if kind == FIX_ROWS:
-                self.use_fix(now, values[:6], variance, values[6:], self.w_ib_b)
-            else:
-                self.use_baro(now, float(values[0]), float(variance[0]))
+        for one in arrived:
+            self.use(now, one)
 
     def answer(self, now: float) -> tuple[FloatArray, ...]:
         """Return the state (n + 1,) and its covariance (n, n)."""
@@ -192,15 +254,15 @@ class _Flight:
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers at instants (M,) [s], with the innovations since this was called last."""
-        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        table, refused = self.gate.take(last=last)
         estimates, P = answers
-        return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events))
+        return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events + refused))
 
-    def copy(self) -> _Flight:
+    def copy(self) -> SigmaPointFlight:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
-        other.estimate, other.P, other.misses = self.estimate.copy(), self.P.copy(), list(self.misses)
-        other.since, other.innovations = list(self.since), list(self.innovations)
+        other.estimate, other.P, other.since = self.estimate.copy(), self.P.copy(), list(self.since)
+        other.gate = self.gate.copy()
         return other
 
     def state(self) -> dict[str, Any]:
@@ -209,8 +271,7 @@ class _Flight:
             "estimate": self.estimate,
             "P": self.P,
             "before": self.before,
-            "misses": self.misses,
-            "used": self.used,
+            "gate": self.gate.state(),
             "covered": self.covered,
             "since": {str(k): dict(zip(_STEP, step, strict=True)) for k, step in enumerate(self.since)},
             "w_ib_b": self.w_ib_b,
@@ -219,8 +280,8 @@ class _Flight:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
         self.estimate, self.P, self.before = state["estimate"], state["P"], state["before"]
-        self.misses, self.covered, self.w_ib_b = list(state["misses"]), state["covered"], state["w_ib_b"]
-        self.used = state["used"]
+        self.covered, self.w_ib_b = state["covered"], state["w_ib_b"]
+        self.gate.restore(state["gate"])
         self.since = [(one["dt"], *(one[name] for name in _STEP[1:])) for one in state["since"].values()]
 
     def points(self) -> _Points:
@@ -271,91 +332,66 @@ class _Flight:
         self.estimate[10:] *= decay[9:]
         self._feed_back(mean)
 
-    def use_fix(
-        self,
-        t: float,
-        fix: FloatArray,
-        r: FloatArray,
-        antenna_b: FloatArray,
-        w_ib_b: FloatArray,
-    ) -> None:
-        """Use position and velocity of a fix, each gated by itself; there may be no velocity."""
-        if self.lost:
+    def use(self, t: float, one: Measured) -> None:
+        """Use a measurement, each of its sub-vectors gated by itself."""
+        self.data.values[0], self.data.variance[0] = one.values, one.variance
+        at = 0
+        while not self.lost:
+            points = self.points()
+            z = self._predict(one.kind, points)
+            if at >= z.shape[1]:
+                return
+            code, _, _, m = self.pending.tags[at].tolist()
+            if code == POSITION and z.shape[1] == 6:
+                y, S, _ = self._expect(points, z)
+                self.gate.see_fix(t, -y, S, self.pending.r[:3])
+            elif code == POSITION:
+                self.gate.see_position()
+            if code != ABSENT:
+                self._update(t, one.kind, code, slice(at, at + m), points, z)
+            at += m
+
+    def _predict(self, kind: int, points: _Points) -> FloatArray:
+        """Return what the truths that the points stand for show less what was measured (S, m)."""
+        work, now = self.work, self.work.ahead
+        if kind not in self.fillers:
+            arguments = now, self.data, self.model.index, self.pending, work.measure
+            self.fillers[kind] = int(place_fillers(np.array([kind]), arguments, empty_sky())[kind])
+        truths, z = less_errors(self.estimate, points.x), np.empty((len(points.x), 6))
+        rows = _predict_kernel(
+            self.fillers[kind], truths, self.w_ib_b, now, self.data, self.model.index, self.pending,
+            work.measure, z,
+        )  # fmt: skip
+        return z[:, :rows]
+
+    def _update(self, t: float, kind: int, code: int, part: slice, points: _Points, z: FloatArray) -> None:
+        """Gate and use a sub-vector: ``part`` of the rows z (S, m) that the points predict."""
+        H, m = self.pending.H[part].copy(), part.stop - part.start
+        y, S, K = self._expect(points, z, part)
+        value, opens = nis(y, S), self.opens[code]
+        verdict = self.gate.decide(
+            t, code, -y, np.diag(S), value,
+            sound=value <= self.gate.limits[m], opens=bool(opens.any()),
+        )  # fmt: skip
+        if verdict == REFUSED:
             return
-
-        def place(x: FloatArray) -> FloatArray:
-            truth = less_errors(self.estimate, x)
-            return rotation.rotate(truth[:, 6:10], antenna_b) + earth.difference_n(truth[:, :3], fix[:3])
-
-        def motion(x: FloatArray) -> FloatArray:
-            truth = less_errors(self.estimate, x)
-            lat, q_nb = self.estimate[0], truth[:, 6:10]
-            earth_n = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
-            w_b = w_ib_b - truth[:, 10:13] - rotation.rotate(rotation.conjugate(q_nb), earth_n)
-            return truth[:, 3:6] + rotation.rotate(q_nb, np.cross(w_b, antenna_b)) - fix[3:]
-
-        moving, drifted = bool(np.isfinite(fix[3:]).all()), False
-        if moving and t - self.used >= OUTAGE and self.misses[:2] == [0, 0]:
-            y, S, _ = self._expect(lambda x: np.hstack([place(x), motion(x)]), r)
-            drifted = tells_of_drift(y, S, r[:3], self.gates[3])
-        self._update(t, 0, place, r[:3], slice(POS, POS + 3), drifted)
-        if moving:
-            self._update(t, 1, motion, r[3:], slice(VEL, VEL + 3), drifted)
-
-    def use_baro(self, t: float, alt_baro: float, r: float) -> None:
-        """Use a barometric altitude."""
-        if self.lost:
-            return
-
-        at = self.model.index.baro_bias
-
-        def height(x: FloatArray) -> FloatArray:
-            y = self.estimate[2] + x[:, POS + 2] - alt_baro + self.estimate[at + 1] - x[:, at]
-            return np.asarray(y[:, None])
-
-        self._update(t, 2, height, np.array([r]), slice(at, at + 1))
-
-    def _update(
-        self,
-        t: float,
-        code: int,
-        measure: Callable[[FloatArray], FloatArray],
-        r: FloatArray,
-        own: slice,
-        drifted: bool = False,
-    ) -> None:
-        """Gate and use a sub-vector of the states ``own``.
-
-        ``measure`` says of errors (S, n) what the truth is predicted to show less what was measured (S, m).
-        """
-        y, S, K = self._expect(measure, r)
-        value = nis(y, S)
-        sound = value <= self.gates[len(r)]
-        use = sound or drifted or self.misses[code] >= self.options.readmit_after
-        self.misses[code] = 0 if use else self.misses[code] + 1
-        for i in range(len(r)):
-            self.innovations.append((t, code, i, -y[i], S[i, i], value, use))
-        if not use:
-            return
-        if code < 2:
-            self.used = t
-        if not sound:
-            x = K @ y  # as `kalman.open_kernel`, or `stretch_kernel`
-            self.P += np.outer(x, x)
-            if not drifted:
-                self.P[own, own] += np.diag(y**2)
-            y, S, K = self._expect(measure, r)
+        if verdict != SOUND:
+            E = growth(verdict, K @ y, H, y, opens)
+            self.P += E @ E.T
+            points = self.points()
+            y, S, K = self._expect(points, self._predict(kind, points), part)
         P = self.P - K @ S @ K.T
         self.P = 0.5 * (P + P.T)
         self._feed_back(K @ -y)
 
-    def _expect(self, measure: Callable[[FloatArray], FloatArray], r: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the mean (m,) and covariance (m, m) of a sub-vector, and its gain (n, m)."""
-        points = self.points()
-        y = measure(points.x)
+    def _expect(
+        self, points: _Points, z: FloatArray, part: slice = slice(None)
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the mean (m,) and covariance (m, m) of rows z (S, m), and their gain (n, m)."""
+        y = z[:, part]
         mean = points.mean @ y
         spread = y - mean
-        S = (spread.T * points.cov) @ spread + np.diag(r)
+        S = (spread.T * points.cov) @ spread + np.diag(self.pending.r[: z.shape[1]][part])
         cross = (points.x.T * points.cov) @ spread
         return mean, S, np.asarray(np.linalg.solve(S, cross.T).T, np.float64)
 

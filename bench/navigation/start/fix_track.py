@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.data import GnssFixes, Innovations
+from bench.navigation.engine.gate import Trust, innovations, new_log, new_trust
 from bench.navigation.engine.integrity import nis_limit
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.options import GnssOnlyOptions
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
-from bench.navigation.start.singer import Fixes, FixLog, Manoeuvres, Track, track_kernel, track_work
+from bench.navigation.start.singer import Fixes, Manoeuvres, Track, track_kernel, track_work
 
-SENSORS = ("gnss_position", "gnss_velocity")
 SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
 
 
@@ -49,17 +50,15 @@ class FixTrack:
     ) -> None:
         P = np.diag(np.repeat([0.0, 0.0, options.acceleration**2], 3))
         P[:6, :6] = cov
-        self._now = Track(
-            np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, np.zeros(2, np.int64)
-        )
+        self._now = Track(np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, new_trust(2, t))
         self._model = Manoeuvres(
             float(options.acceleration),
             float(options.correlation_s),
             nis_limit(3, options.gate_probability),
-            options.readmit_after,
+            float(options.readmit_after_s),
         )
         self._work = track_work()
-        self._rows = [(np.empty((0, 4)), np.empty((0, 3), np.int64))]
+        self._rows = [(np.empty((0, 4)), np.empty((0, 4), np.int64))]
 
     @classmethod
     def begin(
@@ -98,8 +97,7 @@ class FixTrack:
 
     def _run(self, fixes: Fixes, output_t: ArrayLike) -> tuple[FloatArray, FloatArray]:
         output_t = np.asarray(output_t, float)
-        count, m = 6 * len(fixes.t), len(output_t)
-        log = FixLog(np.empty((count, 4)), np.empty((count, 3), np.int64), np.zeros(1, np.int64))
+        log, m = new_log(6 * len(fixes.t)), len(output_t)
         x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
         track_kernel(self._now, fixes, read_only(output_t), self._model, log, x, P, self._work)
         if filled := int(log.filled[0]):
@@ -114,22 +112,20 @@ class FixTrack:
     def copy(self) -> FixTrack:
         """Return a track that goes on from here by itself."""
         other, now = copy(self), self._now
-        other._now = Track(now.t.copy(), now.x.copy(), now.P.copy(), now.misses.copy())
+        other._now = Track(now.t.copy(), now.x.copy(), now.P.copy(), now.trust.copy())
         other._rows = list(self._rows)
         return other
 
     def state(self) -> dict[str, Any]:
         """Return the filter as arrays by name; innovations not taken are left out."""
-        return self._now._asdict()
+        return {**self._now._asdict(), "trust": self._now.trust._asdict()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
-        self._now = Track(**state)
+        self._now = Track(**{**state, "trust": Trust(**state["trust"])})
 
     def take_innovations(self) -> Innovations:
         """Return the innovations of the fixes since this was called last."""
         numbers, marks = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))
         self._rows = self._rows[:1]
-        code, component, accepted = marks.T
-        t, z, S, nis = numbers.T
-        return Innovations(t, SENSORS, code, component, z, S, nis, accepted.astype(np.bool_))
+        return innovations(SENSORS, numbers, marks)

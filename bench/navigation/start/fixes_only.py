@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.data import Events, GnssFixes, Innovations, NavSolution, SensorData, no_innovations
+from bench.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import columns, join_rows, take_rows
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_blocks import assumed
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
-from bench.navigation.start.fix_track import SENSORS, FixTrack, unknown_arm
+from bench.navigation.start.fix_track import FixTrack, unknown_arm
 
 _HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
 _TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
@@ -96,8 +95,8 @@ class Coast:
             else:
                 self._track.run(used, np.array([k]), r, np.zeros(1, np.int64), np.empty(0))
 
-    def answers(self, t: FloatArray, sensor: tuple[str, ...]) -> NavSolution:
-        """Return the answers at instants t (M,), in order of time; innovations name their ``sensor``."""
+    def answers(self, t: FloatArray) -> NavSolution:
+        """Return the answers at instants t (M,), in order of time, with the innovations since the last."""
         m, end = len(t), self.end
         lla, vel_n, cov = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 9, 9))
         for k in range(m):
@@ -108,17 +107,10 @@ class Coast:
             vel_n=vel_n,
             cov=cov,
             extra_names=self._names,
-            innovations=self.innovations(sensor),
+            innovations=self._track.take_innovations() if self._track else no_innovations(),
             events=Events.from_rows([]),
             **{name: np.tile(getattr(end, name), (m, 1)) for name in _HELD},
         )
-
-    def innovations(self, sensor: tuple[str, ...]) -> Innovations:
-        """Return the innovations since this was asked last; their codes are of ``sensor``."""
-        if self._track is None:
-            return no_innovations()
-        own = self._track.take_innovations()
-        return replace(own, sensor=sensor, code=np.array([sensor.index(name) for name in SENSORS])[own.code])
 
     def copy(self) -> Coast:
         """Return one that goes on from here by itself."""

@@ -39,7 +39,6 @@ from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
 from bench.navigation.start.alignment import StartSearch
 from bench.navigation.start.course import LEAST_SPEED
-from bench.navigation.start.fix_track import SENSORS as FIX_SENSORS
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes
 from bench.navigation.start.learnt_biases import LearntBiases, learn_biases
 from bench.specs import ImuSpec
@@ -133,7 +132,6 @@ class BetweenGaps:
         self.lost: dict[str, int] = {}  # samples without use since the last, by what was wrong
         self.held: SensorData | None = None  # what came after the last sample
         self.newest = -np.inf  # validity of the fixes taken [s]
-        self.sensor: tuple[str, ...] = FIX_SENSORS  # of the innovations
         self.pause: _Pause | None = None
         self.stopped: End | None = None  # before the last gap
         self.names: tuple[str, ...] = ()  # of the further states
@@ -217,8 +215,6 @@ class BetweenGaps:
             self.stopped, self.names = _last_answer(solution), solution.extra_names
             self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases)
             self.filter = None
-        if len(found[-1].innovations.t):
-            self.sensor = found[-1].innovations.sensor
 
     def _stop(self, silent: tuple[float, float]) -> None:
         """Go on by the fixes alone from a gap from one instant until another [s]."""
@@ -239,7 +235,7 @@ class BetweenGaps:
         pause.wanted = np.append(pause.wanted, part.output_t)
         stretch = replace(cut_piece(part, slice(None), begin, np.inf), output_t=np.empty(0))
         if pause.record is None:
-            found.append(pause.coast.answers(pause.due(begin), self.sensor))
+            found.append(pause.coast.answers(pause.due(begin)))
             pause.record, pause.ways = stretch, _ways(begin, pause.coast)
         else:
             pause.record = join_pieces(pause.record, stretch)
@@ -253,17 +249,17 @@ class BetweenGaps:
                 continue
             if aligned is None:
                 until = pause.ways[0].tried - alignment.SETTLED
-                found.append(pause.coast.answers(pause.due(until), self.sensor))
+                found.append(pause.coast.answers(pause.due(until)))
                 return None
             start, ((_, _, _, text, *_),) = aligned
         length = f"{begin - stopped:.6g} s"
         if start is None:
             until = self.end if ended is None else ended
             text = f"not started again: {'; '.join(pause.why)}"
-            coasted = pause.coast.answers(pause.due(until), self.sensor)
+            coasted = pause.coast.answers(pause.due(until))
         else:
             until, text = start.t, f"until {start.t:.6g} s; {text}"
-            coasted = pause.coast.answers(pause.due(until - 2.0 * timeline.TIME_TOLERANCE), self.sensor)
+            coasted = pause.coast.answers(pause.due(until - 2.0 * timeline.TIME_TOLERANCE))
         text = f"IMU silent for {length}{pause.because}: position and velocity by the fixes alone {text}"
         events: list[EventRow] = [
             (stopped, begin, "timeline", f"imu: gap of {length}", "imu"),
@@ -315,14 +311,13 @@ class BetweenGaps:
             "held": None if self.held is None else as_plain(self.held),
             "lost": self.lost,
             "newest": self.newest,
-            "sensor": list(self.sensor),
             "pause": None if self.pause is None else self.pause.state(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
         self.start, self.biases = InitialState(**state["start"]), LearntBiases(**state["biases"])
-        self.again, self.newest, self.sensor = state["again"], state["newest"], tuple(state["sensor"])
+        self.again, self.newest = state["again"], state["newest"]
         self.intake.newest, self.intake.before = state["taken"]
         self.lost = dict(state["lost"])
         self.held = None if state["held"] is None else from_plain(state["held"], self.head.specs)

@@ -16,10 +16,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.earth import difference_kernel, displace_kernel
-from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.engine.gate import (
+    DRIFTED,
+    LOST,
+    REFUSED,
+    SOUND,
+    Log,
+    Trust,
+    decide_kernel,
+    fix_kernel,
+    note_kernel,
+)
+from bench.navigation.engine.kalman import nis_kernel, open_kernel, stretch_kernel, update_kernel
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -34,7 +45,7 @@ class Manoeuvres(NamedTuple):
     sd: float  # of the acceleration along each axis [m/s^2]
     tau: float  # its correlation time [s]
     nis: float  # largest NIS of a position or a velocity
-    readmit_after: int  # refusals in a row after which the next one is used
+    readmit_after_s: float  # time of nothing but refusals after which fixes are believed again [s]
 
 
 class Track(NamedTuple):
@@ -43,7 +54,7 @@ class Track(NamedTuple):
     t: FloatArray  # (1,) [s]
     x: FloatArray  # (9,) position [rad, rad, m], velocity [m/s] and acceleration [m/s^2], n
     P: FloatArray  # (9, 9)
-    misses: IntArray  # (2,) refusals in a row of positions and of velocities
+    trust: Trust  # in positions and in velocities
 
 
 class Fixes(NamedTuple):
@@ -56,14 +67,6 @@ class Fixes(NamedTuple):
     at: IntArray  # (N,) the first output after each
 
 
-class FixLog(NamedTuple):
-    """Rows of the innovation table."""
-
-    numbers: FloatArray  # (6 N, 4) t, innovation, its variance, NIS
-    marks: IntArray  # (6 N, 3) position 0 or velocity 1, component, accepted
-    filled: IntArray  # (1,) rows written
-
-
 class TrackWork(NamedTuple):
     """Memory of the kernels."""
 
@@ -73,13 +76,15 @@ class TrackWork(NamedTuple):
     block: FloatArray  # (3, 3)
     product: FloatArray  # (3, 3)
     way: FloatArray  # (3,)
-    H: FloatArray  # (2, 3, 9) of a position and of a velocity
-    z: FloatArray  # (3,)
-    e: FloatArray  # (3,)
+    H: FloatArray  # (6, 9) of a position and a velocity
+    opens: BoolArray  # (2, 9) states that may have made a step
+    z: FloatArray  # (6,)
+    e: FloatArray  # (6,)
+    innovation: FloatArray  # (6,)
     dx: FloatArray  # (9,)
-    var: FloatArray  # (3,)
-    square: FloatArray  # (3, 4)
-    rows: FloatArray  # (3, 9)
+    var: FloatArray  # (6,)
+    square: FloatArray  # (6, 7)
+    rows: FloatArray  # (6, 9)
     row: FloatArray  # (9,)
     other_row: FloatArray  # (9,)
     unused: FloatArray  # (9, 9)
@@ -95,13 +100,15 @@ def track_work() -> TrackWork:
         block=matrix.copy(),
         product=matrix.copy(),
         way=vector.copy(),
-        H=np.eye(9)[:6].reshape(2, 3, 9),
-        z=vector.copy(),
-        e=vector.copy(),
+        H=np.eye(9)[:6],
+        opens=np.repeat(np.eye(3, dtype=np.bool_)[:2], 3, axis=1),
+        z=np.zeros(6),
+        e=np.zeros(6),
+        innovation=np.zeros(6),
         dx=states.copy(),
-        var=vector.copy(),
-        square=np.zeros((3, 4)),
-        rows=np.zeros((3, 9)),
+        var=np.zeros(6),
+        square=np.zeros((6, 7)),
+        rows=np.zeros((6, 9)),
         row=states.copy(),
         other_row=states.copy(),
         unused=np.zeros((9, 9)),
@@ -222,34 +229,36 @@ def _carry_kernel(
 
 
 @inner
-def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: FixLog, work: TrackWork) -> None:
+def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: Log, work: TrackWork) -> None:
     """Use a fix that is valid now, position and velocity (if it has one) each tested by itself."""
-    x, P, z, e, dx = now.x, now.P, work.z, work.e, work.dx
-    vel_n = fixes.vel_n[k]
-    for code in range(2 if np.isfinite(vel_n[0] + vel_n[1] + vel_n[2]) else 1):
-        if code == 0:
-            difference_kernel(fixes.lla[k], x, e)
-        else:
-            for i in range(3):
-                e[i] = vel_n[i] - x[3 + i]
+    x, P, z, e, dx, r = now.x, now.P, work.z, work.e, work.dx, fixes.r[k]
+    t, trust, vel_n, drifted, moves = now.t[0], now.trust, fixes.vel_n[k], False, True
+    parts = 2 if np.isfinite(vel_n[0] + vel_n[1] + vel_n[2]) else 1
+    for code in range(parts):
+        part = slice(3 * code, 3 * code + 3)
+        difference_kernel(fixes.lla[k], x, e)
         for i in range(3):
+            e[3 + i] = vel_n[i] - x[3 + i]
+        for i in range(6):
             z[i] = -e[i]
-        H, r = work.H[code], fixes.r[k, 3 * code : 3 * code + 3]
-        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
+        nis = nis_kernel(P, dx, work.H[part], z[part], r[part], work.var, work.square, work.rows)
         sound = nis <= model.nis
-        accepted = sound or now.misses[code] >= model.readmit_after
-        now.misses[code] = 0 if accepted else now.misses[code] + 1
+        if code == 0 and parts == 2:
+            drifted, moves = fix_kernel(
+                t, P, dx, work.H, z, r, model.nis, model.readmit_after_s, trust,
+                work.innovation, work.var, work.square, work.rows,
+            )  # fmt: skip
+        verdict = decide_kernel(t, code, sound, drifted, moves, model.readmit_after_s, 2, trust)
         for i in range(3):
-            row = log.filled[0]
-            log.numbers[row, 0], log.numbers[row, 1] = now.t[0], e[i]
-            log.numbers[row, 2], log.numbers[row, 3] = work.var[i], nis
-            log.marks[row, 0], log.marks[row, 1], log.marks[row, 2] = code, i, accepted
-            log.filled[0] += 1
-        if accepted:
-            if not sound:
-                open_kernel(P, work.unused, H, e, 3 * code, 3, work.square, work.row)
-            for i in range(3):
-                update_kernel(P, dx, H[i], z[i], r[i], work.row, work.other_row)
+            note_kernel(t, code, code, i, e[3 * code + i], work.var[i], nis, verdict != REFUSED, log)
+        if verdict != REFUSED:
+            if verdict == DRIFTED:
+                stretch_kernel(P, work.H[part], work.square, work.row)
+            elif verdict != SOUND:
+                opens, lost = work.opens[code], verdict == LOST
+                open_kernel(P, work.unused, work.H[part], e[part], opens, lost, work.square, work.row)
+            for i in range(3 * code, 3 * code + 3):
+                update_kernel(P, dx, work.H[i], z[i], r[i], work.row, work.other_row)
             for i in range(3):
                 work.way[i] = -dx[i]
                 x[3 + i] -= dx[3 + i]
@@ -265,7 +274,7 @@ def track_kernel(
     fixes: Fixes,
     output_t: FloatArray,
     model: Manoeuvres,
-    log: FixLog,
+    log: Log,
     x: FloatArray,
     P: FloatArray,
     work: TrackWork,

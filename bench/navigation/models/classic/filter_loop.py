@@ -14,10 +14,12 @@ from numpy.typing import ArrayLike
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation.engine import integrity, timeline
-from bench.navigation.engine.integrity import correction_period, nis, nis_limit, tolerance, trace_ratio
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.navigation.engine import timeline
+from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
+from bench.navigation.engine.integrity import correction_period, nis, tolerance, trace_ratio
 from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.models.classic import process_model
 from bench.navigation.models.classic.covariance_forms import Form, make_form
 from bench.navigation.models.classic.extrapolation import extrapolate
@@ -47,13 +49,12 @@ from bench.navigation.models.classic.observation_model import (
 from bench.navigation.models.stepped_filters import Measured
 from bench.navigation.options import ClassicOptions
 
-SENSORS = ("gnss_position", "gnss_velocity", "baro")
 _CURVE = 8  # estimates that a curve needs
 _ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
 _LAYOUT = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
 _CARRIED = (
     "eps", "da", "scale", "elapsed", "lost", "B_sum", "dv_sum", "w_b", "before", "next_correction",
-    "satellites", "misses", "refused",
+    "satellites",
 )  # fmt: skip
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
@@ -65,8 +66,8 @@ class FilterLoop:
     one_antenna = True
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
-        self.options, self.interval, self.began = options, (1.0 - 1e-6) / options.covariance_hz, initial.t
-        self.gates = {name: nis_limit(len(rows), options.gate_probability) for name, rows in _ROWS.items()}
+        self.options, self.interval = options, (1.0 - 1e-6) / options.covariance_hz
+        self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
         self.sig = replace(
             process_model.sigmas(sensors.specs),
             jump_white=options.jump_white_sd,
@@ -101,12 +102,8 @@ class FilterLoop:
 
         self.next_correction = -np.inf
         self.satellites: int | None = None
-        self.misses = dict.fromkeys(_ROWS, 0)
-        self.refused: dict[str, tuple[float, float, str]] = {}
         self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
-        self.drifted = False  # while there were no fixes: so says the one in use
         self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
         self.events: list[EventRow] = []
 
     def increments(self, increments_b: FloatArray) -> list[list[float]]:
@@ -211,10 +208,14 @@ class FilterLoop:
         use = []
         moving = fix is not None and bool(np.isfinite(fix.vel_n).all())  # a fix may have no velocity
         y_m, S_m = y * metres, S * np.outer(metres, metres)
-        self.drifted = moving and self._has_drifted(now, y_m, S_m, np.diag(R) * metres**2)
+        both, r_m = slice(1, 7), np.diag(R) * metres**2
+        if moving:
+            self.gate.see_fix(now, y_m[both], S_m[both, both], r_m[1:4])
+        else:
+            self.gate.see_position()
         given = ("gnss_position", fix is not None), ("gnss_velocity", moving), ("baro", alt_baro is not None)
         for name, there in given:
-            if there and self._is_sound(now, name, apart, y_m, S_m, PH * metres):
+            if there and self._is_sound(now, name, apart, y, S, H, PH, metres):
                 use += _ROWS[name]
         if fix is not None and alt_baro is not None:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
@@ -263,56 +264,41 @@ class FilterLoop:
         return Y
 
     def _is_sound(
-        self, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, PH: FloatArray
+        self,
+        now: float,
+        name: str,
+        apart: FloatArray,
+        y: FloatArray,
+        S: FloatArray,
+        H: FloatArray,
+        PH: FloatArray,
+        metres: FloatArray,
     ) -> bool:
-        """Test one sub-vector, all in metres, and note the outcome; readmit after too many refusals.
+        """Return whether one sub-vector is used, by its tests in metres and the gate.
 
         S and PH are those before any of an instant is used; the compiled filter uses one after the other.
         """
-        rows, options = _ROWS[name], self.options
-        y, S = y[rows], S[np.ix_(rows, rows)]
-        value = nis(y, S)
-        failed = [
-            test for test in options.integrity if self._fails(test, now, name, apart[rows], y, S, value)
-        ]
-        refused = PH[:, rows] @ np.linalg.solve(S, y)  # as `kalman.stretch_kernel`
-        if self.drifted and name != "baro" and failed == ["nis"]:
-            self.form.add(refused[:, None])
-            failed = []
-        readmitted = bool(failed) and self.misses[name] >= options.readmit_after
-        use = not failed or readmitted
-        if readmitted:
-            earth = ellipsoid(self.nav.lat, self.nav.h)
-            unit = [*reduced(self.nav, earth), 1.0] if name == "gnss_position" else np.ones(len(rows))
-            states = _STATES[name]
-            self.form.add(refused[:, None])  # as `kalman.open_kernel`
-            self._grow(states, np.square(y * unit))
-        if failed and not readmitted:
-            self.misses[name] += 1
-            start = self.refused.get(name, (now, now, failed[0]))[0]
-            self.refused[name] = (start, now, failed[0])
-        else:
-            self.misses[name] = 0
-            self.close(name)
-        along_n = -(NED_OF_ENU @ y) if len(rows) == 3 else -y  # measured less predicted
-        variance = np.diag(S)[[1, 0, 2]] if len(rows) == 3 else np.diag(S)
-        for i, (z, s) in enumerate(zip(along_n.tolist(), variance.tolist(), strict=True)):
-            self.innovations.append((now, SENSORS.index(name), i, z, s, value, use))
-        return use
-
-    def _has_drifted(self, now: float, y: FloatArray, S: FloatArray, r: FloatArray) -> bool:
-        """Return whether a fix comes after an outage, its position beyond the gate by a drift."""
-        used = max((at for at, _ in self.accepted.values()), default=self.began)
-        if self.misses["gnss_position"] + self.misses["gnss_velocity"] or now - used < integrity.OUTAGE:
-            return False
-        return integrity.tells_of_drift(y[1:7], S[1:7, 1:7], r[1:4], self.gates["gnss_position"])
+        rows = _ROWS[name]
+        y, S, unit = y[rows], S[np.ix_(rows, rows)], metres[rows]
+        y_m, S_m = y * unit, S * np.outer(unit, unit)
+        value, tests = nis(y_m, S_m), self.options.integrity
+        failed = [test for test in tests if self._fails(test, now, name, apart[rows], y_m, S_m, value)]
+        along_n = -(NED_OF_ENU @ y_m) if len(rows) == 3 else -y_m  # measured less predicted
+        variance = np.diag(S_m)[[1, 0, 2]] if len(rows) == 3 else np.diag(S_m)
+        code, drifts = SENSORS.index(name), failed == ["nis"]
+        verdict = self.gate.decide(now, code, along_n, variance, value, sound=not failed, drifts=drifts)
+        if verdict not in (REFUSED, SOUND):
+            opens = np.zeros(process_model.SIZE, np.bool_)
+            opens[_STATES[name]] = True
+            self.form.add(growth(verdict, PH[:, rows] @ np.linalg.solve(S, y), H[rows], y, opens))
+        return verdict != REFUSED
 
     def _fails(
         self, test: str, now: float, name: str, apart: FloatArray, y: FloatArray, S: FloatArray, value: float
     ) -> bool:
         options = self.options
         if test == "nis":
-            return value > self.gates[name]
+            return value > self.gate.limits[len(y)]
         if test == "trace":
             return trace_ratio(y, S) > options.trace_limit
         if name not in self.accepted:  # no fix to carry on yet, or the barometer
@@ -330,12 +316,6 @@ class FilterLoop:
             sigmas=options.tolerance_sigmas,
         )
         return bool((np.abs(apart - offset) > bound).any())
-
-    def close(self, name: str) -> None:
-        """Report a stretch of refusals that has ended."""
-        if name in self.refused:
-            start, end, test = self.refused.pop(name)
-            self.events.append((start, end, "integrity", f"{name} refused by {test}", name))
 
     def _correct(self, now: float) -> None:
         """Feed the estimate back when it is due (A-5.4.8, A-5.4.9, A-5.4.11)."""
@@ -396,12 +376,9 @@ class FilterLoop:
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers at instants (M,) [s], with innovations and events since this was called last."""
-        if last:
-            for name in list(self.refused):
-                self.close(name)
         lla, vel_n, q_nb, states, sd, cov = answers
-        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
-        events, self.events = events + self.events, []
+        table, refused = self.gate.take(last=last)
+        events, self.events = events + self.events + refused, []
         return NavSolution(
             t=t,
             lla=lla,
@@ -422,8 +399,7 @@ class FilterLoop:
     def copy(self) -> Self:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
-        other.form = self.form.copy()
-        other.innovations, other.events = list(self.innovations), list(self.events)
+        other.form, other.gate, other.events = self.form.copy(), self.gate.copy(), list(self.events)
         other.restore(deepcopy(self.state()))
         return other
 
@@ -432,6 +408,7 @@ class FilterLoop:
         known_t, errors = zip(*self.known, strict=True) if self.known else ((), np.empty((0, 9)))
         return {
             "form": self.form.state(),
+            "gate": self.gate.state(),
             "nav": asdict(self.nav),
             "start": asdict(self.start),
             **{name: getattr(self, name) for name in _CARRIED},
@@ -442,6 +419,7 @@ class FilterLoop:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
         self.form.restore(state["form"])
+        self.gate.restore(state["gate"])
         self.nav, self.start = Nav(**state["nav"]), Nav(**state["start"])
         for name in _CARRIED:
             setattr(self, name, state[name])

@@ -13,18 +13,19 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation.engine.integrity import nis, nis_limit
+from bench.data import Events, InitialState, NavSolution, SensorData
+from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
+from bench.navigation.engine.integrity import nis
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.filter_run import answers
 from bench.navigation.error_state_filter.imu_states import core_states
+from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.error_state_filter.schedule import OUTPUT
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, plan_fixes
-from bench.navigation.models.graph.invariant_ekf import SENSORS
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GraphOptions, read_options
 from bench.navigation.start.whole_records import run_between_gaps
@@ -86,8 +87,9 @@ class GraphSmoother:
             if not passes:
                 text = f"the fit still moves after {self.options.passes} passes"
                 events.append((initial.t, float(sensors.output_t[-1]), "graph", text))
-        table = Innovations.from_rows(SENSORS, chain.innovations)
-        return answers(sensors.output_t, StateLayout(), out, cov, variance, table, Events.from_rows(events))
+        table, refused = chain.gate.take(last=True)
+        told = Events.from_rows(events + refused)
+        return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
@@ -107,7 +109,7 @@ class _Vector(NamedTuple):
     """Position or velocity of a fix."""
 
     t: float
-    code: int  # row of SENSORS
+    code: int  # POSITION or VELOCITY
     z: FloatArray  # (3,), t
     C_tn: FloatArray  # (3, 3)
     r: FloatArray  # (3,) variance, n
@@ -152,9 +154,7 @@ class _Chain:
         self.states, self.bias = [self.prior], [np.zeros(6)]
         self.links: list[_Link] = []
         self.fixes: list[list[_Vector]] = [[]]
-        self.limit, self.readmit_after = nis_limit(3, options.gate_probability), options.readmit_after
-        self.misses = [0, 0]
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
+        self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
 
     def read_fix(self, t: float, fix: FloatArray, r: FloatArray, w_b: FloatArray) -> list[_Vector]:
         """Return position and velocity of a fix; there may be no velocity."""
@@ -186,9 +186,11 @@ class _Chain:
         Rz = np.column_stack([self.R0 @ before, -self.R0 @ np.concatenate([r, self.bias[0]])])
         for k, fixes in enumerate(self.fixes):
             kept = []
-            for one in fixes:
+            for i, one in enumerate(fixes):
                 H, y = self._compare(k, one)
                 if first:
+                    if one.code == POSITION:
+                        self._see(k, fixes[i : i + 2], Rz)
                     grown = self._test(one, H, y, Rz)
                     if grown is None:
                         continue
@@ -299,6 +301,16 @@ class _Chain:
         H[:, :3], H[:, at : at + 3] = -C_tb @ rotation.skew(arm), C_tb
         return H, one.z - own - C_tb @ arm
 
+    def _see(self, k: int, fix: list[_Vector], Rz: FloatArray) -> None:
+        """Show the gate a fix as a whole, a position and, if it has one, a velocity."""
+        if [one.code for one in fix] != [POSITION, VELOCITY]:
+            self.gate.see_position()
+            return
+        H, y = (np.concatenate(both) for both in zip(*(self._compare(k, one) for one in fix), strict=True))
+        root = solve_triangular(Rz[:, :15], np.eye(15))
+        R = block_diag(*(one.C_tn @ np.diag(one.r) @ one.C_tn.T for one in fix))
+        self.gate.see_fix(fix[0].t, y, H @ root @ root.T @ H.T + R, np.diag(R)[:3])
+
     def _test(self, one: _Vector, H: FloatArray, y: FloatArray, Rz: FloatArray) -> FloatArray | None:
         """Note the innovation of a vector of a fix; return the rows (15, 16) before its use, None without.
 
@@ -308,20 +320,17 @@ class _Chain:
         P = root @ root.T
         S = H @ P @ H.T + one.C_tn @ np.diag(one.r) @ one.C_tn.T
         value = nis(y, S)
-        sound = bool(value <= self.limit)
-        use = sound or self.misses[one.code] >= self.readmit_after
-        self.misses[one.code] = 0 if use else self.misses[one.code] + 1
         along, variance = one.C_tn.T @ y, np.diag(one.C_tn.T @ S @ one.C_tn)
-        for i in range(3):
-            self.innovations.append((one.t, one.code, i, along[i], variance[i], value, use))
-        if not use:
+        sound = value <= self.gate.limits[3]
+        verdict = self.gate.decide(one.t, one.code, along, variance, value, sound=sound)
+        if verdict == REFUSED:
             return None
-        if sound:
+        if verdict == SOUND:
             return Rz
-        x, own = P @ H.T @ np.linalg.solve(S, y), slice(3 + 3 * one.code, 6 + 3 * one.code)
-        P = P + np.outer(x, x)  # as `kalman.open_kernel`
-        P[own, own] += np.diag((H[:, own].T @ y) ** 2)
-        return np.column_stack([_triangle(_invert_root(P)), Rz[:, 15]])
+        opens = np.zeros(15, np.bool_)
+        opens[3 + 3 * one.code : 6 + 3 * one.code] = True
+        E = growth(verdict, P @ H.T @ np.linalg.solve(S, y), H, y, opens)
+        return np.column_stack([_triangle(_invert_root(P + E @ E.T)), Rz[:, 15]])
 
     def answer(self, node: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the state (16,) of a node, its covariance (9, 9) and the variances of the biases (6,)."""

@@ -16,11 +16,13 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.navigation.engine.integrity import nis, nis_limit
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
+from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.error_state_filter.aiding_sensors import FIXES
 from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.models.classic.process_model import bias_and_walk
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, schedule_fixes
 from bench.navigation.models.stepped_filters import Measured, SteppedPassage
@@ -28,8 +30,6 @@ from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
 from bench.specs import AssumedSpecs, ImuSpec
-
-SENSORS = ("gnss_position", "gnss_velocity")
 
 
 class InvariantEkf:
@@ -89,10 +89,8 @@ class _Flight:
         self._begin(gtsam.NavState(gtsam.Rot3(C_tb), p_t, v_t), P)
         self.gravity = self.frame.gravity(p_t)
         self.coriolis = 2.0 * rotation.skew(self.frame.w_t)
-        self.limit = nis_limit(3, options.gate_probability)
-        self.misses = [0, 0]
+        self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
         self.w_ib_b = np.zeros(3)  # of the last step after which something is measured [rad/s]
-        self.innovations: list[tuple[float, int, int, float, float, float, bool]] = []
 
     def _begin(self, state: Any, P: FloatArray) -> None:
         self.ekf = self.gtsam.NavStateImuEKF(state, P, self.params)
@@ -141,7 +139,7 @@ class _Flight:
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers at instants (M,) [s], with the innovations since this was called last."""
-        table, self.innovations = Innovations.from_rows(SENSORS, self.innovations), []
+        table, refused = self.gate.take(last=last)
         state, cov = answers
         blank, none = np.full((len(t), 3), np.nan), np.empty((len(t), 0))
         return NavSolution(
@@ -156,14 +154,14 @@ class _Flight:
             extra=none,
             extra_sd=none,
             innovations=table,
-            events=Events.from_rows(events),
+            events=Events.from_rows(events + refused),
         )
 
     def copy(self) -> _Flight:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
         other._begin(self.ekf.state(), self.ekf.covariance())
-        other.misses, other.innovations = list(self.misses), list(self.innovations)
+        other.gate = self.gate.copy()
         return other
 
     def state(self) -> dict[str, Any]:
@@ -175,7 +173,7 @@ class _Flight:
             "v_t": state.velocity(),
             "P": self.ekf.covariance(),
             "gravity": self.gravity,
-            "misses": self.misses,
+            "gate": self.gate.state(),
             "w_ib_b": self.w_ib_b,
         }
 
@@ -183,7 +181,8 @@ class _Flight:
         """Take over what :meth:`state` returned."""
         attitude = self.gtsam.Rot3(state["C_tb"])
         self._begin(self.gtsam.NavState(attitude, state["p_t"], state["v_t"]), state["P"])
-        self.gravity, self.misses, self.w_ib_b = state["gravity"], list(state["misses"]), state["w_ib_b"]
+        self.gate.restore(state["gate"])
+        self.gravity, self.w_ib_b = state["gravity"], state["w_ib_b"]
 
     def use_fix(
         self, t: float, fix: FloatArray, r: FloatArray, antenna_b: FloatArray, w_b: FloatArray
@@ -191,35 +190,53 @@ class _Flight:
         """Use position and velocity of a fix, each gated by itself; there may be no velocity."""
         place, C_tn = self.frame.locate(fix[:3])
         self.gravity = self.frame.gravity(self.ekf.state().position())
-        C_tb = self.ekf.state().attitude().matrix()
-        self._update(t, 0, place, C_tn, r[:3], antenna_b)
-        if np.isfinite(fix[3:]).all():
-            swept = np.cross(w_b - C_tb.T @ self.frame.w_t, antenna_b)
-            self._update(t, 1, C_tn @ fix[3:], C_tn, r[3:], swept)
+        moving = bool(np.isfinite(fix[3:]).all())
+        z, C = np.concatenate([place, C_tn @ fix[3:]]), np.kron(np.eye(2), C_tn)
+        R: FloatArray = (C * r) @ C.T
+        if moving:
+            y, H = self._compare(z, antenna_b, w_b)
+            self.gate.see_fix(t, y, H @ self.ekf.covariance() @ H.T + R, np.diag(R)[:3])
+        else:
+            self.gate.see_position()
+        for code in (POSITION, VELOCITY)[: 1 + moving]:
+            self._update(t, code, z, R, C_tn, antenna_b, w_b)
+
+    def _compare(
+        self, z: FloatArray, antenna_b: FloatArray, w_b: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the innovation (6,) of position and velocity z (6,) of the antenna, t, and H (6, 9)."""
+        state = self.ekf.state()
+        C_tb = state.attitude().matrix()
+        swept = np.cross(w_b - C_tb.T @ self.frame.w_t, antenna_b)
+        H = np.zeros((6, 9))
+        H[:3, :3], H[3:, :3] = -C_tb @ rotation.skew(antenna_b), -C_tb @ rotation.skew(swept)
+        H[:3, 3:6], H[3:, 6:] = C_tb, C_tb
+        own = np.concatenate([state.position() + C_tb @ antenna_b, state.velocity() + C_tb @ swept])
+        return z - own, H
 
     def _update(
-        self, t: float, code: int, z: FloatArray, C_tn: FloatArray, r: FloatArray, arm: FloatArray
+        self,
+        t: float,
+        code: int,
+        z: FloatArray,
+        R: FloatArray,
+        C_tn: FloatArray,
+        antenna_b: FloatArray,
+        w_b: FloatArray,
     ) -> None:
-        """Gate and use a vector of t that is, beside the state's own, an arm (3,) along b."""
-        state, P = self.ekf.state(), self.ekf.covariance()
-        C_tb = state.attitude().matrix()
-        own = state.position() if code == 0 else state.velocity()
-        H, R = np.zeros((3, 9)), C_tn @ np.diag(r) @ C_tn.T
-        H[:, 0:3], H[:, 3 + 3 * code : 6 + 3 * code] = -C_tb @ rotation.skew(arm), C_tb
-        predicted = own + C_tb @ arm
-        y, S = z - predicted, H @ P @ H.T + R
+        """Gate and use the position or the velocity of z (6,), t."""
+        part = slice(3 * code, 3 * code + 3)
+        y, H = (one[part] for one in self._compare(z, antenna_b, w_b))
+        P, R = self.ekf.covariance(), R[part, part]
+        S = H @ P @ H.T + R
         value = nis(y, S)
-        sound = value <= self.limit
-        use = sound or self.misses[code] >= self.options.readmit_after
-        self.misses[code] = 0 if use else self.misses[code] + 1
-        along, spread = C_tn.T @ y, np.diag(C_tn.T @ S @ C_tn)
-        for i in range(3):
-            self.innovations.append((t, code, i, along[i], spread[i], value, bool(use)))
-        if not use:
+        spread, sound = np.diag(C_tn.T @ S @ C_tn), value <= self.gate.limits[3]
+        verdict = self.gate.decide(t, code, C_tn.T @ y, spread, value, sound=sound)
+        if verdict == REFUSED:
             return
-        if not sound:
-            x = P @ H.T @ np.linalg.solve(S, y)  # as `kalman.open_kernel`
-            added = np.outer(x, x)
-            added[3 + 3 * code : 6 + 3 * code, 3 + 3 * code : 6 + 3 * code] += np.diag((C_tb.T @ y) ** 2)
-            self._grow(added)
-        self.ekf.updateWithVector(predicted, H, z, R)
+        if verdict != SOUND:
+            opens = np.zeros(9, np.bool_)
+            opens[3 + 3 * code : 6 + 3 * code] = True
+            E = growth(verdict, P @ H.T @ np.linalg.solve(S, y), H, y, opens)
+            self._grow(E @ E.T)
+        self.ekf.updateWithVector(z[part] - y, H, z[part], R)

@@ -1,4 +1,4 @@
-"""The tests that a measurement has to pass, and the update with what passes."""
+"""A measurement of a compiled filter: its tests, the gate, and the update with what passes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray
 from bench.compiled import inner
-from bench.navigation.engine.integrity import OUTAGE
+from bench.navigation.engine.gate import (
+    DRIFTED,
+    LOST,
+    REFUSED,
+    SOUND,
+    Log,
+    Trust,
+    decide_kernel,
+    fix_kernel,
+    note_kernel,
+)
 from bench.navigation.engine.kalman import (
-    drifted_kernel,
     nis_kernel,
+    open_all_kernel,
     open_kernel,
     stretch_kernel,
     update_kernel,
@@ -21,6 +31,8 @@ from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     MAGNETIC,
     POSITION,
+    PSEUDORANGE,
+    RANGE_RATE,
     VELOCITY,
     ZERO_RATE,
     ZERO_VELOCITY,
@@ -30,33 +42,41 @@ from bench.navigation.error_state_filter.rough_heading import blind_kernel
 
 
 class Gate(NamedTuple):
-    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T) and their memories."""
+    """The tests of a sub-vector (A-5.4.6, A-5.4.7, A-5.4.T), and what is remembered of each channel."""
 
     nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: no test
     trace: float  # largest trace ratio; inf: no test
     max_acceleration: float  # tolerance test: unnoticed acceleration of the aircraft [m/s^2]; inf: no test
     sigmas: float  # tolerance test: standard deviations granted to the receiver
     memory: float  # weight of a new measurement in the adapted noise; 0: noise of the datasheet
-    readmit_after: IntArray  # (sensors,) refusals in a row after which the next measurement is used
-    opens: IntArray  # (sensors, 2) first and number of the states whose variance then grows; 0: none
-    misses: IntArray  # (channels,) refusals in a row
-    used: FloatArray  # (channels,) instant of the last measurement used [s]
+    readmit_after_s: float  # time of nothing but refusals after which a sensor is believed again [s]
+    opens: BoolArray  # (sensors, n) states whose variance then grows; none: it stays out until it agrees
+    trust: Trust
     level: FloatArray  # (sensors,) adapted variance over that of the datasheet
 
 
-class Log(NamedTuple):
-    """Rows of the innovation table."""
-
-    numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
-    marks: IntArray  # (N, 4) sensor, component, accepted, channel
-    filled: IntArray  # (1,) number of rows written
+@inner
+def opens_kernel(code: int, opens: BoolArray) -> bool:
+    """Return whether a filter has states that may have made a step where a sensor disagrees."""
+    found = False
+    for i in range(opens.shape[1]):
+        found = found or opens[code, i]
+    return found
 
 
 @inner
-def returns_kernel(t: float, gate: Gate) -> bool:
-    """Return whether a fix comes after an outage: none was there, used or refused."""
-    waited = t - max(gate.used[POSITION], gate.used[VELOCITY])
-    return bool(gate.misses[POSITION] + gate.misses[VELOCITY] == 0 and waited >= OUTAGE)
+def outvoted_kernel(code: int, first: int, rows: int, pending: Pending, trust: Trust) -> bool:
+    """Return whether half of the satellites of an epoch, or more, agree with the filter in range, or rate.
+
+    One that does not is then at fault, not the filter.
+    """
+    seen, agree = 0, 0
+    for a in range(first, first + rows):
+        if pending.tags[a, 0] == code:
+            seen += 1
+            if trust.misses[pending.tags[a, 1]] == 0:
+                agree += 1
+    return 2 * agree >= seen
 
 
 @inner
@@ -75,10 +95,14 @@ def use_kernel(
 
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
-    P, dx, n = now.P, now.dx, now.P.shape[0]
+    P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
     if rows > 0 and pending.tags[first, 0] != MAGNETIC:
         blind_kernel(now.state, P, pending.H[first : first + rows])
-    a, drifted = first, False
+    a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
+    satellites: int = gate.opens.shape[0]
+    if rows > 0 and pending.tags[first, 0] == PSEUDORANGE:
+        ranges_agree = outvoted_kernel(PSEUDORANGE, first, rows, pending, trust)
+        rates_agree = outvoted_kernel(RANGE_RATE, first, rows, pending, trust)
     while a < first + rows:
         code, channel, m = pending.tags[a, 0], pending.tags[a, 1], pending.tags[a, 3]
         if code == ABSENT:
@@ -90,17 +114,19 @@ def use_kernel(
             r[b] *= level
         nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
         sound = nis <= gate.nis[m]
-        if not sound and code == POSITION and a + 3 < first + rows and returns_kernel(t, gate):
+        doubted = not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0
+        if doubted and code == POSITION and a + 3 < first + rows:
             H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
-            drifted = drifted_kernel(P, dx, H_6, z_6, r_6, gate.nis[3], work.var, work.square, work.rows)
-        beyond = drifted and not sound
-        sound = sound or beyond
-        squares, spread, excess = 0.0, 0.0, 0.0
-        waited = t - gate.used[channel]
+            drifted, moves = fix_kernel(
+                t, P, dx, H_6, z_6, r_6, gate.nis[3], gate.readmit_after_s, trust,
+                work.innovation, work.var, work.square, work.rows,
+            )  # fmt: skip
+        passed = sound or drifted
+        squares, spread, excess, e = 0.0, 0.0, 0.0, work.innovation
+        waited = t - trust.used[channel]
         reach = gate.max_acceleration * waited
         if code == POSITION:
             reach *= 0.5 * waited
-        row = log.filled[0]
         for b in range(m):
             innovation = -z[b]  # measured minus predicted
             for i in range(n):
@@ -111,26 +137,31 @@ def use_kernel(
             most = min(innovation * innovation, gate.nis[1] * work.var[b])
             excess += (most - work.var[b] + r[b]) / (r[b] / level) / m
             if code <= VELOCITY and abs(innovation) > reach + gate.sigmas * np.sqrt(r[b]):
-                sound = False
-            log.numbers[row + b, 0], log.numbers[row + b, 1] = t, innovation
-            log.numbers[row + b, 2], log.numbers[row + b, 3] = work.var[b], nis
+                passed = False
+            e[b] = innovation
         if not squares <= gate.trace * spread:
-            sound = False
-        if code == ZERO_RATE and gate.misses[ZERO_VELOCITY] > 0:
-            sound = False  # in flight the mean rate is not that of the Earth alone
-        accepted = sound or gate.misses[channel] >= gate.readmit_after[code]
-        gate.misses[channel] = 0 if accepted else gate.misses[channel] + 1
+            passed = False
+        if code == ZERO_RATE and trust.misses[ZERO_VELOCITY] > 0:
+            passed = False  # in flight the mean rate is not that of the Earth alone
+        opens = opens_kernel(code, gate.opens)
+        if (code == PSEUDORANGE and ranges_agree) or (code == RANGE_RATE and rates_agree):
+            opens = False
+        if code <= VELOCITY and not moves:
+            opens = False
+        verdict = decide_kernel(
+            t, channel, passed and sound, passed, opens, gate.readmit_after_s, satellites, trust
+        )
         for b in range(m):
-            log.marks[row + b, 0], log.marks[row + b, 1] = code, pending.tags[a + b, 2]
-            log.marks[row + b, 2], log.marks[row + b, 3] = accepted, channel
-        log.filled[0] += m
-        if accepted:
-            gate.used[channel] = t
-            if not sound and gate.opens[code, 1] > 0:
-                e, first_own, count = log.numbers[row : row + m, 1], gate.opens[code, 0], gate.opens[code, 1]
-                open_kernel(P, before, H, e, first_own, count, work.square, work.row)
-            elif beyond:
+            component = pending.tags[a + b, 2]
+            note_kernel(t, code, channel, component, e[b], work.var[b], nis, verdict != REFUSED, log)
+        if verdict != REFUSED:
+            if verdict == DRIFTED:
                 stretch_kernel(P, H, work.square, work.row)
+            elif verdict != SOUND and code in (PSEUDORANGE, RANGE_RATE):
+                open_all_kernel(P, before, e[0], gate.opens[code])
+            elif verdict != SOUND:
+                lost = verdict == LOST
+                open_kernel(P, before, H, e, gate.opens[code], lost, work.square, work.row)
             for b in range(m):
                 update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
         if gate.memory > 0.0 and np.isfinite(excess):
@@ -144,13 +175,3 @@ def use_kernel(
         reset_kernel(P, dx[8])
         turn_rows_kernel(pending.H, np.sin(dx[8]), np.cos(dx[8]))
     feedback_kernel(now.state, dx)
-
-
-def with_channels(gate: Gate, channels: int, start: float) -> Gate:
-    """Return a gate with memories of at least so many channels."""
-    new = channels - len(gate.misses)
-    if new <= 0:
-        return gate
-    return gate._replace(
-        misses=np.append(gate.misses, np.zeros(new, np.int64)), used=np.append(gate.used, np.full(new, start))
-    )

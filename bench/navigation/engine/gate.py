@@ -1,0 +1,365 @@
+"""The gate: what becomes of a measurement after its tests, what is remembered of it, and the log of all.
+
+Compiled filters call the kernels, filters in Python an :class:`InnovationGate` around the same kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import inner, kernel
+from bench.data import EventRow, Innovations, no_innovations
+from bench.navigation.engine.integrity import nis, nis_limit
+from bench.navigation.engine.kalman import nis_kernel
+from bench.navigation.engine.rejection_events import refusals
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+
+OUTAGE = 10.0
+"""Time without fixes after which a filter takes its own drift for possible [s]."""
+LEAST_REFUSALS = 3
+"""So many measurements of a sensor are refused before one is believed again, however long that takes."""
+NOISIER = 3.0
+"""A receiver may be so many times as noisy as its datasheet says and is still believed again."""
+REFUSED, SOUND, DRIFTED, STEPPED, LOST = range(5)
+"""What becomes of a measurement. It is used where it is sound, or tells that the filter drifted while there
+were no fixes, and after long refusals: then the instrument made a step, or the filter itself may be lost."""
+
+
+class Trust(NamedTuple):
+    """What a gate remembers of each channel: a sensor's part that is tested by itself.
+
+    Channels 0 and 1 are position and velocity of a fix.
+    """
+
+    misses: IntArray  # (channels,) refusals in a row
+    since: FloatArray  # (channels,) instant of the first of them [s]
+    used: FloatArray  # (channels,) instant of the last measurement used [s]
+    way: FloatArray  # (3, 3) of refused fixes: first innovation of position, integral of velocity's, its last
+    way_t: FloatArray  # (2,) instants of the first, since which they agree, and of the last of them [s]
+
+    def copy(self) -> Trust:
+        """Return a memory that goes on from here by itself."""
+        return Trust(
+            self.misses.copy(), self.since.copy(), self.used.copy(), self.way.copy(), self.way_t.copy()
+        )
+
+    def with_channels(self, channels: int, start: float) -> Trust:
+        """Return a memory of at least so many channels."""
+        new = channels - len(self.misses)
+        if new <= 0:
+            return self
+        late = np.full(new, start)
+        misses = np.append(self.misses, np.zeros(new, np.int64))
+        since, used = np.append(self.since, late), np.append(self.used, late)
+        return self._replace(misses=misses, since=since, used=used)
+
+
+def new_trust(channels: int, start: float) -> Trust:
+    """Return the memory at the start of a record [s]."""
+    first = np.full(channels, start)
+    return Trust(np.zeros(channels, np.int64), first, first.copy(), np.zeros((3, 3)), np.full(2, start))
+
+
+class Log(NamedTuple):
+    """Rows of the innovation table."""
+
+    numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
+    marks: IntArray  # (N, 4) sensor, component, accepted, channel
+    filled: IntArray  # (1,) number of rows written
+
+
+def new_log(size: int) -> Log:
+    """Return a log for so many rows."""
+    return Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+
+
+def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) -> Innovations:
+    """Return the table of the rows of a log."""
+    if len(numbers) == 0:
+        return no_innovations()
+    t, z, S, found = numbers.T
+    code, component, accepted = marks.T[:3]
+    return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
+
+
+@kernel
+def decide_kernel(
+    t: float,
+    channel: int,
+    sound: bool,
+    drifted: bool,
+    opens: bool,
+    readmit_after_s: float,
+    satellites: int,
+    trust: Trust,
+) -> int:
+    """Return what becomes of a measurement at t [s], and remember it (A-5.4.7).
+
+    ``sound``: it passes its tests; ``drifted``: it fails by a drift of the filter (:func:`drift_kernel`);
+    ``opens``: the filter has states that may have made a step, and can grow for it. After
+    ``readmit_after_s`` of nothing but refusals, at least `LEAST_REFUSALS`, it is believed again. Where GNSS
+    was used meanwhile another instrument made a step, and the filter is not lost. Channels of satellites
+    begin at ``satellites``.
+    """
+    verdict, waited = REFUSED, t - trust.since[channel]
+    if sound:
+        verdict = SOUND
+    elif drifted:
+        verdict = DRIFTED
+    elif opens and trust.misses[channel] >= LEAST_REFUSALS and waited >= readmit_after_s - TIME_TOLERANCE:
+        verdict = LOST
+        if 2 <= channel < satellites:
+            for other in range(trust.used.shape[0]):
+                if (other < 2 or other >= satellites) and trust.used[other] > trust.since[channel]:
+                    verdict = STEPPED
+    if verdict == REFUSED:
+        if trust.misses[channel] == 0:
+            trust.since[channel] = t
+        trust.misses[channel] += 1
+    else:
+        trust.misses[channel] = 0
+        trust.used[channel] = t
+    return verdict
+
+
+@kernel
+def returns_kernel(t: float, trust: Trust) -> bool:
+    """Return whether a fix comes after an outage: none was there, used or refused.
+
+    Channels 0 and 1 are its position and velocity.
+    """
+    waited = t - max(trust.used[0], trust.used[1])
+    return bool(trust.misses[0] + trust.misses[1] == 0 and waited >= OUTAGE)
+
+
+@kernel
+def moves_kernel(
+    t: float, y: FloatArray, var: FloatArray, limit: float, readmit_after_s: float, trust: Trust
+) -> bool:
+    """Return whether refused fixes have moved as their velocities say for readmit_after_s; remember this one.
+
+    A receiver that is right where the filter is wrong does; one whose output is frozen, or whose position
+    alone is pulled away, does not, and is not believed again. y (6,) are the innovations of position [m] and
+    velocity [m/s] in axes that do not turn, var (6,) their variances, ``limit`` the largest NIS of three
+    components.
+    """
+    first, way, last, at = trust.way[0], trust.way[1], trust.way[2], trust.way_t
+    begins, squares = trust.misses[0] + trust.misses[1] == 0, 0.0
+    if not begins:
+        dt, T = t - at[1], t - at[0]
+        for i in range(3):
+            way[i] += 0.5 * dt * (last[i] + y[3 + i])
+            off = y[i] - first[i] - way[i]
+            squares += off * off / (2.0 * NOISIER * NOISIER * var[i] + T * T * var[3 + i])
+    if begins or not squares <= limit:
+        at[0] = t
+        for i in range(3):
+            first[i], way[i] = y[i], 0.0
+    at[1] = t
+    for i in range(3):
+        last[i] = y[3 + i]
+    return bool(t - at[0] >= readmit_after_s - TIME_TOLERANCE)
+
+
+@kernel
+def drift_kernel(position: float, velocity: float, both: float, apart: float, limit: float) -> bool:
+    """Return :func:`tells_of_drift` from the NIS of position, velocity and both.
+
+    ``apart`` is the trace of S less twice that of the noise of the position: above 0 the filter claims to
+    know its place worse than the fix does.
+    """
+    return position > limit and (velocity > limit or (apart > 0.0 and both - position <= limit))
+
+
+@inner
+def fix_kernel(
+    t: float,
+    P: FloatArray,
+    dx: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+    r: FloatArray,
+    limit: float,
+    readmit_after_s: float,
+    trust: Trust,
+    y: FloatArray,
+    var: FloatArray,
+    work: FloatArray,
+    HP: FloatArray,
+) -> tuple[bool, bool]:
+    """Return :func:`tells_of_drift`, after an outage, and :func:`moves_kernel` of a fix z (6,) = H dx + v.
+
+    dx is 0. ``work`` (6, 7) and ``HP`` (6, n) end as `kalman.nis_kernel` of the position leaves them.
+    """
+    both = nis_kernel(P, dx, H, z, r, var, work, HP)
+    for i in range(6):
+        y[i] = -z[i]
+    moves = moves_kernel(t, y, var, limit, readmit_after_s, trust)
+    velocity = nis_kernel(P, dx, H[3:], z[3:], r[3:], var, work, HP)
+    position = nis_kernel(P, dx, H[:3], z[:3], r[:3], var, work, HP)
+    apart = 0.0
+    for a in range(3):
+        apart += var[a] - 2.0 * r[a]
+    drifted = returns_kernel(t, trust) and drift_kernel(position, velocity, both, apart, limit)
+    return drifted, moves
+
+
+def tells_of_drift(y: ArrayLike, S: ArrayLike, r: ArrayLike, limit: float) -> bool:
+    """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
+
+    A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
+    to be beyond the gate as well; or to be expected once the position is used, if the filter claims to know
+    its place worse than the fix does.
+
+    Parameters
+    ----------
+    y, S : (6,) and (6, 6) array
+        Innovation of position [m] and velocity [m/s] and its covariance.
+    r : (3,) array
+        Variance of the position of the fix [m^2].
+    limit : float
+        Largest NIS of three components.
+
+    Examples
+    --------
+    >>> S, r = np.eye(6) + 4.0 * np.kron([[1.0, 0.95], [0.95, 1.0]], np.eye(3)), np.ones(3)
+    >>> moved = [(12.0, 0.0), (12.0, 9.0), (30.0, 12.0)]  # a step, what is to be expected, both beyond
+    >>> [tells_of_drift([p, 0, 0, v, 0, 0], S, r, 25.9) for p, v in moved]
+    [False, True, True]
+    """
+    y, S = np.asarray(y, float), np.asarray(S, float)
+    apart = float(np.trace(S[:3, :3])) - 2.0 * float(np.sum(r))
+    position, velocity = nis(y[:3], S[:3, :3]), nis(y[3:], S[3:, 3:])
+    return bool(drift_kernel(position, velocity, nis(y, S), apart, limit))
+
+
+@inner
+def note_kernel(
+    t: float, code: int, channel: int, component: int, z: float, S: float, value: float, used: bool, log: Log
+) -> None:
+    """Write a row of the log: an innovation z of variance S, and whether it was used."""
+    row = log.filled[0]
+    log.numbers[row, 0], log.numbers[row, 1] = t, z
+    log.numbers[row, 2], log.numbers[row, 3] = S, value
+    log.marks[row, 0], log.marks[row, 1] = code, component
+    log.marks[row, 2], log.marks[row, 3] = used, channel
+    log.filled[0] = row + 1
+
+
+def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: BoolArray) -> FloatArray:
+    """Return columns E (n, m + 1): P grows by E E' where compiled filters let an array grow in place.
+
+    `kalman.open_kernel` says why. ``x`` (n,) is the correction that the filter refused, P H' S^-1 e; H (m, n)
+    and e (m,) are those of the sub-vector, ``opens`` (n,) the states that may have made a step.
+    """
+    along = np.where(opens, H, 0.0)
+    size2 = np.sum(along**2, axis=1)
+    steps = along * (e / np.where(size2 > 0, size2, 1.0))[:, None]
+    return np.column_stack([x * (verdict != STEPPED), steps.T * (verdict != DRIFTED)])
+
+
+class InnovationGate:
+    """The gate of a filter in Python.
+
+    Parameters
+    ----------
+    sensors : tuple of str
+        Names by code; the code of a sensor is its channel. The first two are position and velocity of a fix.
+    start : float
+        Start of the record [s].
+    probability : float
+        Chance of refusing a sound measurement.
+    readmit_after_s : float
+        As :func:`decide_kernel` takes it.
+    """
+
+    def __init__(
+        self, sensors: tuple[str, ...], start: float, probability: float, readmit_after_s: float
+    ) -> None:
+        self.sensors, self.readmit_after_s = sensors, readmit_after_s
+        self.limits = {m: nis_limit(m, probability) for m in (1, 2, 3)}
+        self.trust = new_trust(len(sensors), start)
+        self.drifted, self.moves = False, True  # the fix in use: by a drift of the filter; as it says itself
+        self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
+        self._numbers: list[tuple[float, float, float, float]] = []
+        self._marks: list[tuple[int, int, int, int]] = []
+
+    def decide(
+        self,
+        t: float,
+        code: int,
+        z: Iterable[float],
+        S: Iterable[float],
+        value: float,
+        *,
+        sound: bool,
+        drifts: bool = True,
+        opens: bool = True,
+    ) -> int:
+        """Return what becomes of a measurement, and log it.
+
+        It is measured less predicted z (m,) of variances S (m,), with the NIS ``value``. ``drifts``: a drift
+        of the filter may be why it is not sound.
+        """
+        of_fix = code < 2
+        drifted, opens = of_fix and drifts and self.drifted, opens and (self.moves or not of_fix)
+        verdict = decide_kernel(
+            t, code, bool(sound), drifted, opens, self.readmit_after_s, len(self.sensors), self.trust
+        )
+        for component, (one, variance) in enumerate(zip(z, S, strict=True)):
+            self._numbers.append((t, float(one), float(variance), value))
+            self._marks.append((code, component, int(verdict != REFUSED), code))
+        return int(verdict)
+
+    def see_fix(self, t: float, y: FloatArray, S: FloatArray, r: FloatArray) -> None:
+        """See a fix with a velocity before its parts are decided on (:func:`fix_kernel`).
+
+        y (6,) and S (6, 6) are in axes that do not turn, r (3,) the variance of its position.
+        """
+        returns = bool(returns_kernel(t, self.trust))
+        self.drifted = returns and tells_of_drift(y, S, r, self.limits[3])
+        asked = self.limits[3], self.readmit_after_s
+        self.moves = bool(moves_kernel(t, y, np.diag(S).copy(), *asked, self.trust))
+
+    def see_position(self) -> None:
+        """See a fix without a velocity: nothing tells why it is beyond the gate."""
+        self.drifted, self.moves = False, True
+
+    def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:
+        """Return the innovations, and events of refusals that have ended, since this was called last."""
+        numbers = np.array(self._numbers).reshape(-1, 4)
+        marks = np.array(self._marks, np.int64).reshape(-1, 4)
+        self._numbers, self._marks = [], []
+        events = refusals(numbers[:, 0], marks, list(self.sensors), self.refused, last=last)
+        return innovations(self.sensors, numbers, marks), events
+
+    def copy(self) -> InnovationGate:
+        """Return a gate that goes on from here by itself."""
+        other = copy(self)
+        other.trust, other.refused = self.trust.copy(), dict(self.refused)
+        other._numbers, other._marks = list(self._numbers), list(self._marks)
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one step to the next, as arrays and numbers by name."""
+        return {"trust": self.trust._asdict(), "refused": pack_refused(self.refused)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.trust, self.refused = Trust(**state["trust"]), unpack_refused(state["refused"])
+
+
+def pack_refused(refused: Mapping[int, tuple[float, float, int]]) -> list[list[float]]:
+    """Return refusals that have not ended as rows of numbers."""
+    return [[channel, *so_far] for channel, so_far in refused.items()]
+
+
+def unpack_refused(rows: Iterable[Iterable[Any]]) -> dict[int, tuple[float, float, int]]:
+    """Return what :func:`pack_refused` was given."""
+    return {channel: (first, last, count) for channel, first, last, count in rows}
