@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import store
+from bench import durable, store
 from bench.errors import ConfigError, NothingToShowError, ViewsFailedError
 from bench.run_result import RunResult
 from bench.wording import one_line
@@ -81,5 +81,5 @@ def _write_recording(folder: Path, result: RunResult, say: Callable[[str], objec
 def _write_report(folder: Path, result: RunResult) -> None:
     from bench.report import page
 
-    store.write_text(folder / store.REPORT, page.make_page(folder.name, result))
+    durable.write(folder / store.REPORT, page.make_page(folder.name, result))
     store.add_to_mark(folder, store.REPORT)

@@ -20,6 +20,8 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+from bench import durable
+
 if sys.platform != "win32":
     import fcntl
 
@@ -62,8 +64,8 @@ def set_aside(scratch: Path, folder: Path) -> None:
 
     When the temporary folder is removed, it is moved back if nothing has its name by then.
     """
-    (scratch / _NAME).write_text(folder.name, encoding="utf-8")
-    folder.rename(scratch / _ASIDE)
+    durable.write(scratch / _NAME, folder.name)
+    durable.rename(folder, scratch / _ASIDE)
 
 
 def remove_abandoned(place: Path) -> None:
@@ -127,7 +129,7 @@ def _move_back(folder: Path) -> bool:
     if home.exists():
         shutil.rmtree(aside, ignore_errors=True)
     else:
-        aside.rename(home)
+        durable.rename(aside, home)
     return True
 
 

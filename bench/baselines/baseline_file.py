@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench import store
+from bench import durable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
 from bench.errors import ConfigError
 from bench.files import read_json
@@ -89,7 +89,7 @@ def write_baseline(directory: Path, baseline: Baseline) -> Path:
     if baseline.profile.endswith(_PATH):
         document["profile"] = Path(os.path.relpath(baseline.profile, directory)).as_posix()
     directory.mkdir(parents=True, exist_ok=True)
-    store.write_text(path, _to_text(document) + "\n")
+    durable.write(path, _to_text(document) + "\n")
     return path
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from bench import durable
 from bench.baselines.baseline_file import (
     LEAST_DRAWS,
     Baseline,
@@ -195,7 +196,7 @@ def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: 
         ]
     path = directory / CHANGES
     text = path.read_text(encoding="utf-8") if path.is_file() else _HEADING
-    path.write_text(text + "".join(f"{line}\n" for line in lines), encoding="utf-8")
+    durable.write(path, text + "".join(f"{line}\n" for line in lines))
 
 
 def _describe_rows(candidates: Sequence[Candidate], tolerance: float, most: int = 3) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from bench import store
+from bench import durable
 from bench.baselines.verdict_rows import Verdict
 from bench.wording import one_line
 
@@ -33,7 +33,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
                 _add(case, kind, message=row.sentence)
     path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.indent(root)
-    store.write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+    durable.write(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:

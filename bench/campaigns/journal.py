@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bench import durable
+
 NAME = "journal.jsonl"
 """Name of the journal in the folder of a campaign."""
 
@@ -75,10 +77,7 @@ class Journal:
         text = json.dumps(row, allow_nan=False, separators=(",", ":")).encode()
         line = _sum(text) + b" " + text + b"\n"
         try:
-            written = 0
-            while written < len(line):
-                written += os.pwrite(self._descriptor, line[written:], self._end + written)
-            os.fsync(self._descriptor)
+            durable.append(self._descriptor, line, self._end, self._path)
         except OSError as error:
             why = f"{error.strerror}; what is finished is kept, --resume continues"
             raise OSError(error.errno, why, str(self._path)) from error

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import durable
 from bench.arrays import FloatArray
 from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
@@ -72,7 +73,7 @@ class Tuning:
         Path(folder).mkdir(parents=True, exist_ok=True)
         paths = [Path(folder) / f"{kind}-tuned.toml" for kind in self.datasheets]
         for path, text in zip(paths, self.datasheets.values(), strict=True):
-            path.write_text(text, encoding="utf-8")
+            durable.write(path, text)
         return paths
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import earth
+from bench import durable, earth
 from bench.arrays import BoolArray, FloatArray
 from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
 from bench.errors import ConfigError
@@ -128,7 +128,7 @@ class RinexFixes:
         raw, fixes, dop = self.observations, self.fixes, self.dop
         lla = earth.to_datum(fixes.lla, datum)
         sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n))
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with durable.open_text(path, newline="") as file:
             rows = csv.writer(file)
             rows.writerow(_HEADER.split(","))
             for m in range(len(fixes)):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from bench import disk_arrays, store
+from bench import disk_arrays, durable, store
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, NothingToShowError
 from bench.plots import series
@@ -51,7 +51,6 @@ def write(path: Path, name: str, result: RunResult) -> None:
     plots = {tab.name: tab.plots(content) for tab in TABS}
     scene = space.make_scene(content)
     shades = series.shades(content.sensed.events)
-    part = path.with_name(f"{path.name}.tmp")
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
@@ -67,11 +66,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):
                 drawing.send(stream, plot, shades)
         sky_view.send(stream, content)
-        try:
-            part.write_bytes(memory.drain_as_bytes())
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        durable.write(path, memory.drain_as_bytes())
 
 
 def write_recording(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:

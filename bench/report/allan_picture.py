@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bench import durable
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
 from bench.specs import ImuSpec
@@ -45,7 +46,8 @@ def draw_allan(path: Path, measured: AllanResult) -> None:
     for axes, curve in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
         _draw_curve(axes, curve, measured.spec)
     figure.suptitle(f"Allan deviation: {measured.name}", color=_INK, fontsize=13)
-    figure.savefig(path)
+    with durable.open_binary(path) as file:
+        figure.savefig(file, format=path.suffix[1:])
 
 
 def _draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:

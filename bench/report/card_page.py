@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench import store
+from bench import durable
 from bench.campaigns.card import Card, Line, describe_suite
 from bench.report import page
 from bench.wording import format_number
@@ -45,7 +45,7 @@ def write_card(path: Path, card: Card) -> None:
         suite=describe_suite(card),
         topics=[(title, rows) for title, rows in topics if rows],
     )
-    store.write_text(path, text)
+    durable.write(path, text)
 
 
 def _make_row(line: Line) -> tuple[str, str, str, str, str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench import store
+from bench import durable, store
 from bench.errors import ConfigError
 from bench.report import page
 from bench.wording import format_number
@@ -55,7 +55,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
             rows += _list_rows(folder, store.read_summary(folder), path.parent)
         except ConfigError as error:
             problems += error.lines
-    store.write_text(path, page.render("index.html.jinja", title="Results", rows=rows))
+    durable.write(path, page.render("index.html.jinja", title="Results", rows=rows))
     return problems
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bench import durable
 from bench.errors import ConfigError
 from bench.plots import series
 from bench.plots.content import gather_content
@@ -109,8 +110,9 @@ def write_drawings(
     written = []
     for name, plots in drawings.items():
         path = folder / f"{name}.{form}"
-        with mpl.rc_context({"svg.hashsalt": "bench"}):
-            _draw(plots, shades, width_mm, serif).savefig(path, metadata=_METADATA[form])
+        with mpl.rc_context({"svg.hashsalt": "bench"}), durable.open_binary(path) as file:
+            figure = _draw(plots, shades, width_mm, serif)
+            figure.savefig(file, format=form, metadata=_METADATA[form])
         written.append(path)
     return written
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import store
+from bench import durable, store
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.report import campaign_page, index, page, paper, study_page
@@ -60,7 +60,7 @@ def write_report(
             text = study_page.make_page(load_study(folder))
         else:
             text = page.make_page(name, store.load(folder))
-        store.write_text(path, text)
+        durable.write(path, text)
         if out is None:
             store.add_to_mark(folder, store.REPORT)
         return path

@@ -15,7 +15,6 @@ from bench.store.folders import (
     check_folder,
     keep_folder,
     make_folder,
-    write_text,
 )
 from bench.store.parquet import read_table, write_table
 from bench.store.provenance import hash_spec, list_versions, provenance
@@ -113,6 +112,5 @@ __all__ = [
     "write_initial_state",
     "write_json",
     "write_table",
-    "write_text",
     "write_truth",
 ]

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench import durable
 from bench.errors import ConfigError
 from bench.places import cache_folder
 from bench.scratch import lock_folder, remove_abandoned
@@ -102,9 +103,7 @@ def hold_entry(entry: Path) -> Iterator[None]:
 def write_hashed(path: Path, value: Any) -> None:
     """Write a value as JSON below its SHA-256, atomically."""
     text = json.dumps(value)
-    beside = path.with_suffix(f".{os.getpid()}")
-    beside.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}", encoding="utf-8")
-    beside.replace(path)
+    durable.write(path, f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
 def read_hashed(path: Path) -> dict[str, Any]:

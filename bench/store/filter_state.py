@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import bench
+from bench import durable
 from bench.errors import EstimatorError
 from bench.exchange.loading import load_estimators
 from bench.files import check_file
@@ -53,12 +54,7 @@ def save_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
     arrays[_SUM] = np.array(_sum(arrays))
     memory = io.BytesIO()
     np.savez(memory, **arrays)
-    part = place.with_name(f".{place.name}.{os.getpid()}")
-    try:
-        part.write_bytes(memory.getvalue())
-        part.replace(place)
-    finally:
-        part.unlink(missing_ok=True)
+    durable.write(place, memory.getvalue())
     return place
 
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bench
+from bench import durable
 from bench.errors import ConfigError
 from bench.scratch import LOCK, lock_folder, make_scratch, set_aside
-from bench.store.parquet import PART
 
 MARK = ".bench.json"
 """File that marks a folder as written by bench: version, kind, and the names of all files written."""
@@ -74,22 +74,6 @@ def check_file(path: Path, *, force: bool) -> None:
         raise ConfigError(f"{path}: cannot be written: permission denied")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, atomically.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; an existing file is left unchanged.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
 def _check_own(folder: Path, kind: str, what: str = "replaced") -> None:
     """Raise ConfigError unless a folder is of this kind and bench wrote every file in it."""
     refused = f"{folder}: not {what}"
@@ -100,14 +84,15 @@ def _check_own(folder: Path, kind: str, what: str = "replaced") -> None:
         raise ConfigError(f"{refused}, bench did not write it (no {MARK} of bench in it)") from None
     if found != kind:
         raise ConfigError(f"{refused}, it is no {kind}")
-    foreign = [name for name in _list_names(folder) if name not in written]
+    names = [name for name in _list_names(folder) if not durable.is_part(Path(name).name)]
+    foreign = [name for name in names if name not in written]
     if foreign:
         raise ConfigError(f"{refused}, bench did not write {foreign[0]} in it; move it away or use -o")
 
 
 def _write_mark(folder: Path, kind: str, files: Sequence[str]) -> None:
     mark = {"bench": bench.__version__, "kind": kind, "files": files}
-    (folder / MARK).write_text(json.dumps(mark, indent=1) + "\n", encoding="utf-8")
+    durable.write(folder / MARK, json.dumps(mark, indent=1) + "\n")
 
 
 def _list_names(folder: Path) -> list[str]:
@@ -122,7 +107,7 @@ def add_to_mark(folder: Path, name: str) -> None:
         mark["files"] = sorted({*mark["files"], name})
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return
-    write_text(folder / MARK, json.dumps(mark, indent=1) + "\n")
+    durable.write(folder / MARK, json.dumps(mark, indent=1) + "\n")
 
 
 @contextlib.contextmanager
@@ -147,13 +132,14 @@ def make_folder(folder: Path, *, force: bool = False, kind: str = RESULTS) -> It
             partial.mkdir()
             yield partial
             _write_mark(partial, kind, _list_names(partial))
+            durable.sync_tree(partial)
             if folder.exists():
                 if any(folder.iterdir()):
                     _check_own(folder, kind)
                     if not force:
                         raise ConfigError(f"{folder}: the {kind} was made by another run; not replaced")
                 set_aside(scratch, folder)
-            partial.rename(folder)
+            durable.rename(partial, folder)
     except BaseException as error:
         for place in missing:
             with contextlib.suppress(OSError):  # it was not made, or holds something else
@@ -202,7 +188,9 @@ def keep_folder(
     try:
         for name in () if resume else files:
             (folder / name).unlink(missing_ok=True)
-        _write_mark(folder, kind, [*files, *(f"{name}{PART}" for name in files), LOCK])
+        for part in (path for path in folder.iterdir() if durable.is_part(path.name)):
+            part.unlink(missing_ok=True)
+        _write_mark(folder, kind, [*files, LOCK])
         yield folder
     finally:
         if lock is not None:

@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench import disk_arrays
+from bench import disk_arrays, durable
 from bench.store.columns import Layout, layout_of, take_block
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _GROUP = 1 << 21  # values of a table that are written and read at a time
-PART = ".part"
-"""Ending of the name of a table that is being written by :func:`write_table`."""
 
 
 def damages() -> tuple[type[Exception], ...]:
@@ -54,7 +52,10 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
     columns = layout_of(record) if layout is None else layout
     tables = _cut_tables(record, columns, facts)
     table = next(tables)
-    with pq.ParquetWriter(path, table.schema, compression="zstd", use_dictionary=False) as file:
+    with (
+        durable.open_binary(path) as out,
+        pq.ParquetWriter(out, table.schema, compression="zstd", use_dictionary=False) as file,
+    ):
         for one in chain([table], tables):
             file.write_table(one)
 
@@ -78,7 +79,7 @@ def write_csv(path: Path, record: object, layout: Layout) -> None:
     from pyarrow import csv
 
     names = [name for one in layout.values() for name in one.names]
-    with path.open("wb") as file:
+    with durable.open_binary(path) as file:
         file.write((",".join(names) + "\n").encode())
         for table in _cut_tables(record, layout, {}):
             for k, field in enumerate(table.schema):
@@ -92,10 +93,11 @@ def write_frame(path: Path, columns: Mapping[str, Any]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table(dict(columns)), path, compression="zstd", use_dictionary=False)
+    with durable.open_binary(path) as file:
+        pq.write_table(pa.table(dict(columns)), file, compression="zstd", use_dictionary=False)
 
 
-def write_text(path: Path, rows: Any) -> None:
+def write_rows(path: Path, rows: Any) -> None:
     """Write rows of numbers (N, k) as text: no header, separated by a space, with all digits.
 
     Errors as for `write`.
@@ -105,7 +107,7 @@ def write_text(path: Path, rows: Any) -> None:
 
     columns = [np.ascontiguousarray(column) for column in np.asarray(rows).T]
     table = pa.table(columns, names=[str(k) for k in range(len(columns))])
-    with path.open("wb") as file:
+    with durable.open_binary(path) as file:
         csv.write_csv(table, file, csv.WriteOptions(include_header=False, delimiter=" "))
 
 
@@ -231,9 +233,8 @@ def write_table(path: Path, columns: Mapping[str, Any], units: Mapping[str, str]
         for name, array in zip(columns, arrays, strict=True)
     ]
     schema = pa.schema(fields, metadata={"bench": json.dumps(facts)})
-    part = path.with_name(path.name + PART)
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), part, compression="zstd")
-    part.replace(path)
+    with durable.open_binary(path) as file:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), file, compression="zstd")
 
 
 def read_table(path: Path) -> pa.Table:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from bench import durable
 from bench.arrays import FloatArray
 from bench.data import (
     AirData,
@@ -37,7 +38,6 @@ from bench.instruments import INSTRUMENTS, InstrumentData
 from bench.run_result import RunResult
 from bench.store import columns, parquet
 from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
-from bench.store.folders import write_text
 from bench.store.start_document import (
     START,
     load_start,
@@ -96,7 +96,7 @@ def save(folder: Path, result: RunResult) -> None:
     for label, solution in result.solutions.items():
         _save_solution(folder, label, solution)
     for label, text in result.records.get("printed", {}).items():
-        write_text(folder / PRINTED.format(label), text)
+        durable.write(folder / PRINTED.format(label), text)
     for label, errors in result.errors.items():
         parquet.write(folder / f"errors-{label}.parquet", errors, states=errors.states)
     summary = {name: getattr(result, name) for name in SUMMARY}
@@ -349,7 +349,7 @@ def write_json(path: Path, value: object) -> None:
     OSError
         If the file cannot be written; an existing file is left unchanged.
     """
-    write_text(path, to_json(value))
+    durable.write(path, to_json(value))
 
 
 def to_json(value: object) -> str:

@@ -16,11 +16,11 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from bench import disk_arrays
+from bench import disk_arrays, durable
 from bench.data import AirData, Controls, Events, Trajectory
 from bench.places import PACKAGE, cache_folder
 from bench.scratch import LOCK, make_scratch
@@ -220,6 +220,8 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
 def _fly_into(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> bool:
     """Fly a truth into the cache; return whether it could be stored."""
     limit = read_limit()  # wrong: told before the flight
+    if (entry / _INDEX).exists() and not _is_sound(entry):
+        _LOG.warning("the truth in %s is damaged; it is flown again", entry)
     try:
         _write_entry(entry, fly)
         trim_cache(limit, keep=entry)
@@ -240,23 +242,27 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
             for number, piece in enumerate(fly()):
                 for name, array in _get_columns(piece).items():
                     if not number:
-                        columns[name] = files.enter_context(_Column(new / f"{name}.npy", array))
+                        file = files.enter_context(durable.open_binary(new / f"{name}.npy"))
+                        columns[name] = _Column(file, array)
                     columns[name].append(array[number > 0 and name in SHARED :])
                 for name in _EVENT_TEXTS:
                     texts[name] += getattr(piece.events, name)
-        (new / _TEXTS).write_text(json.dumps(texts), encoding="utf-8")
+            for column in columns.values():
+                column.finish()
+        durable.write(new / _TEXTS, json.dumps(texts))
         write_hashed(new / _INDEX, {path.name: _hash_file(path) for path in new.iterdir()})
         (new / LOCK).touch()
         if not _is_sound(entry):  # else another process has just written it
+            durable.sync_tree(new)
             shutil.rmtree(entry, ignore_errors=True)
-            new.rename(entry)
+            durable.rename(new, entry)
 
 
 class _Column:
-    """A .npy file to which rows are appended; closing it writes their number into the header."""
+    """A .npy file to which rows are appended."""
 
-    def __init__(self, path: Path, like: _Array) -> None:
-        self._file = path.open("wb")
+    def __init__(self, file: IO[bytes], like: _Array) -> None:
+        self._file = file
         self._header = np.lib.format.header_data_from_array_1_0(like[:0])
         self._rows = 0
         self._write_header()
@@ -265,17 +271,14 @@ class _Column:
         self._file.write(rows.tobytes())
         self._rows += len(rows)
 
+    def finish(self) -> None:
+        """Write the number of rows into the header."""
+        self._file.seek(0)
+        self._write_header()
+
     def _write_header(self) -> None:
         shape = (self._rows, *self._header["shape"][1:])
         np.lib.format.write_array_header_1_0(self._file, self._header | {"shape": shape})
-
-    def __enter__(self) -> _Column:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        with self._file:
-            self._file.seek(0)
-            self._write_header()
 
 
 def _is_sound(entry: Path) -> bool:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench import store
+from bench import durable, store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.merging import merge_campaigns
@@ -97,7 +97,7 @@ def _write_overlay(
         merged = merge_campaigns({name: load_campaign(folder) for name, folder in by_name.items()})
         with store.make_folder(out, force=force) as partial:
             text = campaign_page.make_page(" and ".join(names), merged, tables)
-            store.write_text(partial / store.REPORT, text)
+            durable.write(partial / store.REPORT, text)
     elif of_campaigns == {False}:
         result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})

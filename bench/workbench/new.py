@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bench import durable
 from bench.baselines.checking import DIRECTORY
 from bench.config.checks import is_code
 from bench.errors import ConfigError
@@ -170,9 +171,8 @@ def _write_all(texts: Mapping[Path, str], finish: Callable[[], object] = lambda:
     written: list[Path] = []
     try:
         for path, text in texts.items():
-            with path.open("x", encoding="utf-8") as file:
-                written.append(path)
-                file.write(text)
+            durable.write(path, text)
+            written.append(path)
         finish()
     except BaseException:
         for path in written:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from bench import durable
 from bench.config.log import load_log
 from bench.errors import ConfigError
 from bench.exchange.exports.column_files import START
@@ -65,10 +66,10 @@ def new_log(name: str, *, console: Console) -> None:
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
     try:
-        log.write_text(text, encoding="utf-8")
+        durable.write(log, text)
         last = float(read_records(load_log(str(log))).imu.t.max())
         if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
-            log.write_text(f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n", encoding="utf-8")
+            durable.write(log, f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n")
     except BaseException:
         log.unlink(missing_ok=True)
         raise

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench import api, config, log_pipeline, store
+from bench import api, config, durable, log_pipeline, store
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
@@ -182,7 +182,7 @@ def solve_fixes(
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")
     if report is not None:
-        store.write_text(report, fixes_page.make_page(solved))
+        durable.write(report, fixes_page.make_page(solved))
         console.print(f"Report: {report}", soft_wrap=True)
     return figures
 

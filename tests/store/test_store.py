@@ -598,7 +598,7 @@ def _flip(path):
 
 @pytest.mark.parametrize("damage", [_truncate, _flip, Path.unlink, lambda p: p.write_bytes(b"")])
 @pytest.mark.parametrize("name", ["lla.npy", "air.t.npy", "texts.json", "index.json"])
-def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
+def test_a_damaged_entry_is_told_and_flown_again(cache, spec, truth, damage, name, caplog):
     flights = Flights(truth)
     store.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
@@ -611,6 +611,9 @@ def test_a_damaged_entry_is_flown_again(cache, spec, truth, damage, name):
     equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
     assert flights.count == 3
     assert list(cache.iterdir()) == [entry]
+    told = f"the truth in {entry} is damaged; it is flown again"
+    absent = name == "index.json" and damage is Path.unlink  # then there is no entry
+    assert caplog.messages == ([] if absent else [told] * 2)
 
 
 def test_nothing_is_unpickled(cache, spec, truth):

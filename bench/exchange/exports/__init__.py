@@ -14,6 +14,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
 
+from bench import durable
 from bench.exchange.exports.gather import gather
 from bench.exchange.exports.outgoing import FRAMES, ExportData
 
@@ -56,7 +57,7 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     description = f"{FORMATS[kind].write(folder, outgoing, kind).strip()}\n\n{begun}"
     clock = f"Time t is in seconds since the start of the run; where a date is needed, {outgoing.calendar}."
     text = _fill_paragraphs(f"# Export of {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
-    (folder / README).write_text(text, encoding="utf-8")
+    durable.write(folder / README, text)
 
 
 def _fill_paragraphs(text: str) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import durable
 from bench.exchange.exports.outgoing import ExportData
 from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
@@ -36,7 +37,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
             parquet.write(folder / f"{name}.parquet", record, layout)
     if len(out.output_t):
         if kind == "csv":
-            np.savetxt(folder / "output.csv", out.output_t, fmt="%.9f", header="t_s", comments="")
+            with durable.open_text(folder / "output.csv") as file:
+                np.savetxt(file, out.output_t, fmt="%.9f", header="t_s", comments="")
         else:
             parquet.write_frame(folder / "output.parquet", {"t_s": out.output_t})
     write_json(folder / START, out.start)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
+from bench import durable, rotation
 from bench.errors import ExportError
 from bench.exchange.exports.outgoing import ExportData
 from bench.specs import GAUSS_MARKOV_PEAK
@@ -31,11 +31,11 @@ _DEFAULT_CORRELATION = 1.0  # if the datasheet has none; 0 would be a division b
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write the text files and the configuration; return their description for the README."""
     imu, fixes, calendar = out.imu, out.select_fixes(), out.calendar
-    parquet.write_text(folder / IMU, np.column_stack([imu.t + calendar.second, imu.dtheta_b, imu.dvel_b]))
+    parquet.write_rows(folder / IMU, np.column_stack([imu.t + calendar.second, imu.dtheta_b, imu.dvel_b]))
     sd = np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n))
     place = np.rad2deg(fixes.lla[:, :2])
     columns = [fixes.t + calendar.second, place, fixes.lla[:, 2], sd]
-    parquet.write_text(folder / GNSS, np.column_stack(columns))
+    parquet.write_rows(folder / GNSS, np.column_stack(columns))
     navs = ""
     for name, track in out.tracks.items():
         angles = np.rad2deg(np.column_stack(rotation.to_euler(track.q_nb)))
@@ -46,11 +46,11 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         known = np.isfinite(rows).all(axis=1)
         if not known.any():
             raise ExportError(f"{name} has no position with velocity and attitude, which kf-gins needs")
-        parquet.write_text(folder / f"{name}.nav", rows[known])
+        parquet.write_rows(folder / f"{name}.nav", rows[known])
         lost = len(rows) - np.count_nonzero(known)
         remark = f"; {lost} instants without them are left out" if lost else ""
         navs += f"- `{name}.nav`: GNSS week, {_NAV}{remark}.\n"
-    (folder / CONFIGURATION).write_text(_make_configuration(out), encoding="utf-8")
+    durable.write(folder / CONFIGURATION, _make_configuration(out))
     return f"""For KF-GINS and OB_GINS: text, columns separated by a space, times in GPS seconds of week.
 
 - `{IMU}`, {len(imu)} rows at {out.rate:g} Hz: second of week [s]; increments of angle forward, right, down

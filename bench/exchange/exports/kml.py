@@ -8,6 +8,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
+from bench import durable
 from bench.arrays import FloatArray
 from bench.errors import ExportError
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
@@ -38,7 +39,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         raise ExportError("the run has no GNSS receiver; add --with truth or --with solution:NAME")
     text = Xml.tostring(root, encoding="unicode")
     text = re.sub(r"(<(?:when|gx:coord|Placemark|Document|gx:Track)>)", r"\n\1", text)
-    (folder / FILE).write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
+    durable.write(folder / FILE, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
     tracks = "\n".join(items)
     return f"""`{FILE}`: a gx:Track for each of
 

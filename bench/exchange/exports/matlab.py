@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import durable
 from bench.exchange.exports.column_files import describe_table
 from bench.exchange.exports.outgoing import ExportData
 
@@ -28,7 +29,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
             fields.update({n: rows[:, k].astype(float) for k, n in enumerate(columns.names)})
         variables[_name_variable(name)] = fields
     variables["start"] = _to_matlab(out.start)
-    savemat(folder / FILE, variables, long_field_names=True, oned_as="column", do_compression=True)
+    with durable.open_binary(folder / FILE) as file:
+        savemat(file, variables, long_field_names=True, oned_as="column", do_compression=True)
     columns_text = "\n".join(
         describe_table(name, layout, _name_variable(name)) for name, (_, layout) in tables.items()
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
+from bench import durable, earth, rotation
 from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import ExportData, Track
 from bench.specs import GAUSS_MARKOV_PEAK
@@ -30,7 +30,8 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         name: "ref" if name == "truth" else name.replace("-", "_").replace(".", "_") for name in out.tracks
     }
     found |= {names[name]: _make_reference(track) for name, track in out.tracks.items()}
-    savemat(folder / FILE, found, long_field_names=True, oned_as="column", do_compression=True)
+    with durable.open_binary(folder / FILE) as file:
+        savemat(file, found, long_field_names=True, oned_as="column", do_compression=True)
     listed = "".join(f"- `{variable}`: {_REF}.\n" for variable in names.values())
     return f"""For NaveGo, in MATLAB or Octave:
 

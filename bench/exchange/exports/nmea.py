@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import durable
 from bench.arrays import FloatArray
 from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
@@ -25,7 +26,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     out.select_fixes()
     fixes = out.fixes
     assert fixes is not None  # there are rows
-    with (folder / "gnss.nmea").open("w", encoding="ascii", newline="") as file:
+    with durable.open_text(folder / "gnss.nmea", "ascii", "") as file:
         for k in range(len(fixes)):
             file.writelines(make_fix_sentences(out.calendar, fixes, k))
     files = [
@@ -34,7 +35,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     ]
     for name, track in out.tracks.items():
         rows = thin(track.t, _TRACK_RATE)
-        with (folder / f"{name}.nmea").open("w", encoding="ascii", newline="") as file:
+        with durable.open_text(folder / f"{name}.nmea", "ascii", "") as file:
             for k in rows:
                 valid = bool(np.isfinite(track.lla[k]).all())
                 file.writelines(

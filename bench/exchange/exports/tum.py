@@ -28,7 +28,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         origin = lla[0] if origin is None else origin
         position, attitude = to_poses(lla, track.q_nb[known], origin)
         rows = np.column_stack([track.t[known], position, rotation.to_scalar_last(attitude)])
-        parquet.write_text(folder / f"{name}.tum", rows)
+        parquet.write_rows(folder / f"{name}.tum", rows)
         lost = len(track.t) - len(lla)
         remark = f"; {lost} instants without one are left out" if lost else ""
         names += f"- `{name}.tum`, {len(lla)} poses of the IMU{remark}\n"
