@@ -280,7 +280,7 @@ class Instrument:
 
     def values(self, record: Any) -> FloatArray:
         """Return the measured values (M, k), a column per component."""
-        found: FloatArray = getattr(record, self.value).reshape(len(record), -1)
+        found: FloatArray = getattr(record, self.value).reshape(len(record), self.width)
         return found
 
     @property

@@ -237,6 +237,21 @@ def replaced(name: str, write: Callable[[Path, int], object], place: Path, *, pa
     return Work(name, write, whole)
 
 
+def make_card(name: str) -> Card:
+    """Return a card of two lines."""
+    line = Line(
+        topic="convergence", flight="short", figure="draws", value=1.0, low=None, high=None,
+        word="count", by_draw=(1.0,), sentence="It converged.",
+    )  # fmt: skip
+    error = line.model_copy(
+        update={"topic": "accuracy", "figure": "horizontal", "word": "", "low": 0.5, "high": 2.0}
+    )
+    return Card(
+        estimator=name, against="loose-22", suite="quick 1", suite_hash="0" * 64, draws=1, versions={},
+        speed=None, lines=(line, error),
+    )  # fmt: skip
+
+
 def works(place: Path) -> list[Work]:
     """Return what is struck; everything is loaded and flown here, once. ``place`` is an empty folder."""
     source = place / "short.toml"
@@ -250,13 +265,7 @@ def works(place: Path) -> list[Work]:
         )
         baselines[k] = read_baseline(path)
         verdicts[k] = list(checking.check([str(source)], directory=place / f"baseline-{k}"))
-    word = {"word": "count", "by_draw": (1.0,), "sentence": "It converged."}
-    line = Line(topic="convergence", flight="short", figure="draws", value=1.0, low=None, high=None, **word)
-    suite = {"suite": "quick 1", "suite_hash": "0" * 64, "draws": 1, "versions": {}, "speed": None}
-    cards = {
-        k: Card(estimator=name, against="loose-22", lines=(line,), **suite)
-        for k, (name,) in estimators.items()
-    }
+    cards = {k: make_card(name) for k, (name,) in estimators.items()}
     sensed = results[1].sensed
     filters = {}
     for k, look_back in ((1, 0.5), (2, 1.0)):

@@ -51,6 +51,7 @@ from bench.specs import TableSpec
 from bench.store import parquet
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats
+from tests.fuzz_folders import FOLDERS, Made
 
 PROFILES, CATALOG, AIRCRAFT = PACKAGE / "profiles", PACKAGE / "catalog", PACKAGE.parent / "aircraft"
 LONGEST = 90.0  # CPU time that reading a small file may take [s]
@@ -64,6 +65,7 @@ class Case(NamedTuple):
     read: Callable[[Path], object]  # gets the path of the damaged file
     text: bool
     quick: Callable[[Path], object] | None = None  # reads the file, and does nothing with it
+    edit: Callable[[np.random.Generator, Path, bytes], bytes] | None = None  # what its form allows
 
 
 # --- damage -------------------------------------------------------------------------------------------
@@ -372,8 +374,13 @@ def _make_results(folder: Path) -> Case:
     return Case(sorted((folder / "run").iterdir()), read, text=False)
 
 
+def _make_folder(folder: Path, make: Callable[[Path], Made]) -> Case:
+    files, read, edit = make(folder)
+    return Case(files, read, text=False, edit=edit)
+
+
 def _text_of_results(case: Case, path: Path) -> bool:
-    return case.text or path.suffix in (".json", ".yaml")
+    return case.text or path.suffix in (".json", ".jsonl", ".yaml")
 
 
 FORMATS: dict[str, Callable[[Path], Case]] = {
@@ -397,6 +404,7 @@ FORMATS: dict[str, Callable[[Path], Case]] = {
     "datasheet": _make_datasheets,
     "aircraft": _make_aircraft,
     "results": _make_results,
+    **{name: lambda f, make=make: _make_folder(f, make) for name, make in FOLDERS.items()},
 }  # fmt: skip
 """Format -> the function that makes its base in a folder."""
 
@@ -440,7 +448,11 @@ def run(
         random = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
         k = int(random.integers(len(case.files)))
         path = case.files[k]
-        path.write_bytes(damage(random, wholes[k], _text_of_results(case, path)))
+        if case.edit is not None and random.random() < 0.7:
+            damaged = case.edit(random, path, wholes[k])
+        else:
+            damaged = damage(random, wholes[k], _text_of_results(case, path))
+        path.write_bytes(damaged)
         outcome, why = judge(read, path)
         path.write_bytes(wholes[k])
         counts[outcome] += 1

@@ -14,6 +14,7 @@ from bench.campaigns.card_suite import FULL, QUICK, VERSION, SuiteFlight, hash_s
 from bench.campaigns.plan import plan_campaign
 from bench.campaigns.running import Progress, run_campaign
 from bench.config.tables import ROWS, Table, check_table
+from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
@@ -211,7 +212,10 @@ def read_card(path: Path) -> Card:
     ConfigError
         If the file is not a card.
     """
-    return check_table(Card, read_json(path), str(path))
+    card = check_table(Card, read_json(path), str(path))
+    if not any(line.topic == "convergence" for line in card.lines):
+        raise ConfigError(f"{path}: no card: none of its lines has the topic 'convergence'")
+    return card
 
 
 # --- lines ----------------------------------------------------------------------------------------------

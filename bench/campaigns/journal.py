@@ -1,7 +1,7 @@
 """The journal of a campaign: one line for each finished run, appended by the driver alone.
 
 A line is a checksum, a space, and a JSON object with the ``key`` of the run. A line whose checksum is wrong,
-such as the last one after a power cut, counts as not written.
+such as the last one after a power cut, or that holds something else, counts as not written.
 """
 
 from __future__ import annotations
@@ -9,16 +9,69 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from base64 import b64decode
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bench import durable
+from bench.campaigns.worker import CHANNELS
+from bench.evaluation.metrics import find_metric
 
 NAME = "journal.jsonl"
 """Name of the journal in the folder of a campaign."""
 
 _DIGITS = 16  # of the checksum
+_MOST = 1e15  # no number of a run is larger
+
+
+def _whole_instants(text: str) -> str:
+    if len(b64decode(text, validate=True)) % (4 * len(CHANNELS)):
+        raise ValueError("holds no whole rows")
+    return text
+
+
+def _sound_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Return metrics that are what their names say."""
+    wrong = [
+        name
+        for name, value in metrics.items()
+        if find_metric(name) is not None
+        and not (value is None or (isinstance(value, int | float) and abs(value) < _MOST))
+    ]
+    if wrong or not isinstance(metrics.get("converged"), bool):
+        raise ValueError("are none")
+    return metrics
+
+
+class _Row(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Estimated(_Row):
+    """What an estimator achieved in a run (`worker.measure`)."""
+
+    metrics: Annotated[dict[str, float | int | bool | str | list[Any] | dict[str, Any] | None],
+                       AfterValidator(_sound_metrics)]  # fmt: skip
+    states: Annotated[int, Field(ge=0, le=_MOST)]
+    nis_dof: dict[str, Annotated[int, Field(ge=0, le=_MOST)]]
+    repetition: dict[str, list[float]]
+    instants: Annotated[str, AfterValidator(_whole_instants)]
+
+
+class _Lost(_Row):
+    key: str
+    error: str
+
+
+class _Finished(_Row):
+    key: str
+    step: Annotated[float, Field(gt=0, le=_MOST)]
+    cpu_s: dict[str, float]
+    estimator_cpu_s: dict[str, float]
+    estimators: dict[str, _Estimated]
 
 
 class Journal:
@@ -66,6 +119,14 @@ class Journal:
             raise OSError(0, "damaged while it was in use", str(self._path))
         return row
 
+    def keep_runs_of(self, labels: Collection[str]) -> None:
+        """Forget the runs of other estimators."""
+        for key in list(self._places):
+            found = self[key].get("estimators")
+            if found is not None and found.keys() != set(labels):
+                del self._places[key]
+                self.damaged += 1
+
     def append(self, row: Mapping[str, Any]) -> None:
         """Write a row with its ``key``, and wait until it is on the disk.
 
@@ -94,5 +155,9 @@ def _parse(line: bytes) -> dict[str, Any] | None:
     checksum, _, text = line.rstrip(b"\n").partition(b" ")
     if checksum != _sum(text):
         return None
-    row: dict[str, Any] = json.loads(text)
-    return row
+    try:
+        row = json.loads(text)
+        (_Lost if "error" in row else _Finished).model_validate(row)
+    except (ValueError, TypeError, RecursionError):
+        return None
+    return dict(row)

@@ -218,6 +218,8 @@ def run_campaign(
                 f"{folder}: holds runs of {', '.join(before)}; name them again to continue, -o names another "
                 "folder, --force replaces it"
             )
+        if before:
+            journal.keep_runs_of(before)
         try:
             with _open_pool(plan, jobs or count_processors(), executor, scheduler) as pool:
                 _work(plan, journal, pool, progress)

@@ -5,16 +5,116 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, NonNegativeInt
 
 from bench import store
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
+from bench.campaigns.groups import PERCENTILES
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
+from bench.campaigns.worker import CHANNELS
 from bench.errors import ConfigError
 from bench.evaluation.consistency import MeanNis
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import Consistency
+from bench.evaluation.metrics import find_metric
+
+_Number = Annotated[float, BeforeValidator(lambda value: np.nan if value is None else value)]
+"""A number; null is what JSON has for one that is not finite."""
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+class _Estimate(_Stored):
+    value: _Number
+    low: _Number
+    high: _Number
+
+
+class _MeanNis(_Stored):
+    mean: _Number
+    low: _Number
+    high: _Number
+    updates: NonNegativeInt
+
+
+class _Consistency(_Stored):
+    states: NonNegativeInt
+    runs: NonNegativeInt
+    mean: _Number
+    ratio: _Number
+    low: _Number
+    high: _Number
+    word: str
+    runs_to_decide: NonNegativeInt | None
+    instants: list[int]
+    anees: list[_Number]
+    band: list[_Number]
+    nis: dict[str, _MeanNis]
+    reasons: list[str]
+
+
+class _Outcome(_Stored):
+    condition: str
+    label: str
+    runs: NonNegativeInt
+    converged: _Estimate
+    errors: dict[str, _Estimate]
+    consistency: _Consistency | None
+
+
+class _Comparison(_Stored):
+    first: str
+    second: str
+    unit: str
+    difference: _Estimate
+    runs: NonNegativeInt
+
+
+class _Evaluation(_Stored):
+    from_s: float
+
+
+class _Outage(_Stored):
+    start_s: float
+    duration_s: float
+
+
+class _Flown(_Stored):
+    evaluation: _Evaluation
+    gnss_outage: list[_Outage] = []
+
+
+class _Condition(_Stored):
+    profile: str
+    values: dict[str, Any]
+    as_flown: _Flown
+
+
+class _Summary(_Stored):
+    """What `campaign.json` holds, as far as it is read."""
+
+    planned: NonNegativeInt
+    finished: NonNegativeInt
+    failed: dict[str, str]
+    outcomes: list[_Outcome]
+    comparisons: list[_Comparison]
+    conditions: list[_Condition]
+    estimator_cpu_s: dict[str, list[_Number]]
+    timing: dict[str, _Number]
+    versions: dict[str, str]
+
+
+_HEAD: dict[str, str] = {"condition": "int64", "estimator": "string"}
+_RUN = {**_HEAD, "profile": "string", "seed": "int64", "run": "int64", "command": "string", "failed": "bool"}
+_ENDS = ("mean", *(f"p{percent:02d}" for percent in PERCENTILES))
+_INSTANT = {"t_s": "double"} | {f"{channel}_{end}": "float" for channel in CHANNELS for end in _ENDS}
+_INSTANT |= {"nees_low": "float", "nees_high": "float", **_HEAD}
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
@@ -27,48 +127,61 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
     """
     folder = Path(folder)
     with store.open_summary(folder, store.CAMPAIGN_RESULT, "campaign") as summary:
+        found = _Summary.model_validate(summary)
         with store.report_damage(folder):
             runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
+        _check_columns(folder / RUNS, runs, _RUN)
+        _check_columns(folder / EPOCHS, epochs, _INSTANT)
         return Campaign(
-            outcomes=tuple(_read_outcome(row) for row in summary["outcomes"]),
+            outcomes=tuple(map(_make_outcome, found.outcomes)),
             comparisons=tuple(
-                Comparison(**{**row, "difference": Estimate(**row["difference"])})
-                for row in summary["comparisons"]
+                Comparison(one.first, one.second, one.unit, _make_estimate(one.difference), one.runs)
+                for one in found.comparisons
             ),
             runs=runs,
             epochs=epochs,
-            planned=int(summary["planned"]),
-            finished=int(summary["finished"]),
-            failed={str(command): str(reason) for command, reason in summary["failed"].items()},
+            planned=found.planned,
+            finished=found.finished,
+            failed=found.failed,
             conditions=tuple(
-                {
-                    "profile": str(row["profile"]),
-                    "values": dict(row["values"]),
-                    "as_flown": dict(row["as_flown"]),
-                }
+                {name: row[name] for name in ("profile", "values", "as_flown")}
                 for row in summary["conditions"]
             ),
-            estimator_cpu_s={label: list(values) for label, values in summary["estimator_cpu_s"].items()},
+            estimator_cpu_s=found.estimator_cpu_s,
             provenance={name: summary[name] for name in store.provenance()},
-            timing={name: float(value) for name, value in summary["timing"].items()},
-            interrupted=int(summary["finished"]) < int(summary["planned"]),
+            timing=found.timing,
+            interrupted=found.finished < found.planned,
             folder=folder,
         )
 
 
-def _read_outcome(row: Mapping[str, Any]) -> Outcome:
-    found = row["consistency"]
-    if found is not None:
-        nis = {name: MeanNis(**values) for name, values in found["nis"].items()}
-        found = Consistency(**{**found, "nis": nis, "reasons": tuple(found["reasons"])})
-    return Outcome(
-        condition=str(row["condition"]),
-        label=str(row["label"]),
-        runs=int(row["runs"]),
-        converged=Estimate(**row["converged"]),
-        errors={name: Estimate(**values) for name, values in row["errors"].items()},
-        consistency=found,
-    )
+def _check_columns(path: Path, table: Any, wanted: Mapping[str, str]) -> None:
+    """Raise ConfigError unless a table has columns of these types, and each metric is a finite number."""
+    types = {field.name: str(field.type) for field in table.schema}
+    for name, kind in wanted.items():
+        if len(table) and types.get(name) != kind:
+            found = f"is of type {types[name]}" if name in types else "is missing"
+            raise ConfigError(f"{path}: damaged: column {name!r} {found}; it must be {kind}")
+    for name in types.keys() - wanted.keys():
+        if path.name == RUNS and find_metric(name) is not None:
+            column = table.column(name)
+            numbers = types[name] in ("double", "int64", "bool", "null")
+            if not numbers or not np.isfinite(column.drop_null().to_numpy().astype(float)).all():
+                raise ConfigError(f"{path}: damaged: column {name!r} must hold finite numbers")
+
+
+def _make_estimate(row: _Estimate) -> Estimate:
+    return Estimate(row.value, row.low, row.high)
+
+
+def _make_outcome(row: _Outcome) -> Outcome:
+    found = None
+    if row.consistency is not None:
+        values = dict(row.consistency)
+        nis = {name: MeanNis(**dict(one)) for name, one in row.consistency.nis.items()}
+        found = Consistency(**{**values, "nis": nis, "reasons": tuple(values["reasons"])})
+    errors = {name: _make_estimate(one) for name, one in row.errors.items()}
+    return Outcome(row.condition, row.label, row.runs, _make_estimate(row.converged), errors, found)
 
 
 def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:

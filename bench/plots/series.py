@@ -118,7 +118,7 @@ Rows = Sequence[Sequence[Plot]]
 
 def thin(t: FloatArray, most: float = MOST_ROWS) -> slice:
     """Return the rows to keep so that no more than ``most`` come in a second [Hz]."""
-    if len(t) < 2 or t[-1] <= t[0]:
+    if len(t) < 2 or not t[-1] > t[0]:
         return slice(None)
     rate = (len(t) - 1) / (t[-1] - t[0])
     return slice(None, None, max(1, int(np.ceil(rate / most - 1e-6))))

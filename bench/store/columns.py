@@ -17,7 +17,8 @@ Layout = Mapping[str, Column]
 """Field of a record -> its columns."""
 
 _CODED = columns_of(Innovations)
-INNOVATIONS: Layout = {"sensor" if name == "code" else name: column for name, column in _CODED.items()}
+_SENSOR = {"code": ("sensor", replace(_CODED["code"], kind=str))}
+INNOVATIONS: Layout = dict(_SENSOR.get(name, (name, column)) for name, column in _CODED.items())
 """Innovations in a file: each row holds the name of the sensor instead of its code."""
 TRUTH: Layout = columns_of(Trajectory)
 MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}

@@ -71,6 +71,10 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
     for name in ("from_s", "output_hz"):
         if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name), int | float)):
             yield f"profile.evaluation.{name}", "a number"
+    scene = summary.get("scene", {})
+    mask = scene.get("antenna_mask_deg") if isinstance(scene, dict) else "none"
+    if not (mask is None or isinstance(mask, int | float)):
+        yield "scene.antenna_mask_deg", "a number"
     for name in ("seed", "run"):
         if not isinstance(summary[name], int):
             yield name, "a whole number"
@@ -103,7 +107,7 @@ def open_summary(folder: Path, name: str, what: str) -> Iterator[dict[str, Any]]
         raise ConfigError(f"{folder}: no {what}, there is no {name} in it")
     try:
         yield read_json(path)
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
         raise ConfigError(f"{path}: not written by this version of bench, or damaged") from None
 
 

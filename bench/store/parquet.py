@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench import disk_arrays, durable
+from bench.fields import Column
 from bench.store.columns import Layout, layout_of, take_block
 
 if TYPE_CHECKING:
@@ -173,12 +174,12 @@ def read(path: Path, layout: Layout) -> dict[str, Any]:
         count = file.metadata.num_rows
         if file.num_row_groups == 1:
             table = file.read()
-            return {name: _get_field(table, one.names, one.shape) for name, one in layout.items()}
+            return {name: _get_field(table, one) for name, one in layout.items()}
         filled = 0
         for group in range(file.num_row_groups):
             table = file.read_row_group(group)
             for name, one in layout.items():
-                rows = _get_field(table, one.names, one.shape)
+                rows = _get_field(table, one)
                 if isinstance(rows, tuple):
                     found[name] = found.get(name, ()) + rows
                     continue
@@ -204,11 +205,13 @@ def read_facts(path: Path) -> Mapping[str, Any]:
     return json.loads(pq.read_schema(path).metadata[b"bench"])  # type: ignore[no-any-return]
 
 
-def _get_field(table: pa.Table, names: tuple[str, ...], shape: tuple[int | None, ...]) -> Any:
-    import pyarrow as pa
-
-    if names and table.schema.field(names[0]).type == pa.string():
-        return tuple(table.column(names[0]).to_pylist())
+def _get_field(table: pa.Table, one: Column) -> Any:
+    names, shape = one.names, one.shape
+    for name in names:
+        if (str(table.schema.field(name).type) == "string") != (one.kind is str):
+            raise TypeError(f"column {name!r} must hold {'text' if one.kind is str else 'numbers'}")
+    if one.kind is str:
+        return tuple(table.column(names[0]).cast("string").fill_null("").to_pylist())
     columns = [_to_numpy(table.column(name)) for name in names]
     rows = np.column_stack(columns) if columns else np.empty((table.num_rows, 0))
     return rows.reshape(len(rows), *(n for n in shape if n is not None))

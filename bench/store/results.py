@@ -187,6 +187,9 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
     with report_damage(folder):
         errors = {label: _load_errors(path) for label, path in _find_files(folder, "errors")}
         solutions = {label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")}
+    for label, errors_of in errors.items():
+        if label in solutions and not np.isin(errors_of.t, solutions[label].t).all():
+            raise ConfigError(f"{folder}: errors-{label}.parquet has instants that its solution has not")
     labels = list(summary["metrics"])
     without = sorted(set(labels) - set(solutions))
     if without:

@@ -5,16 +5,71 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench import store
+from bench.config.tables import ROWS
 from bench.files import read_json
 from bench.plots.series import Plot, Series
 from bench.studies.study import Findings, StudyResult, StudyTable
+
+_Numbers = list[float | None]
+_Line = Annotated[int, Field(ge=0)]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+class _StoredSeries(_Stored):
+    key: str
+    t: _Numbers
+    values: list[_Numbers] | _Numbers
+    names: list[str]
+    colours: list[Annotated[tuple[int, int, int], ROWS]]
+    widths: list[float]
+    marks: bool
+    band: Annotated[tuple[_Line, _Line], ROWS] | None
+
+    @model_validator(mode="after")
+    def _fits(self) -> _StoredSeries:
+        lines = len(self.names)
+        rows = [row if isinstance(row, list) else [row] for row in self.values]
+        whole = len(rows) == len(self.t) and all(len(row) == lines for row in rows)
+        if not whole or {len(self.colours), len(self.widths)} != {lines} or max(self.band or (0,)) >= lines:
+            raise ValueError("the columns of a line do not fit each other")
+        if not np.isfinite(np.array(self.t, float)).any():
+            raise ValueError("a line has no place on its axis")
+        return self
+
+
+class _StoredPlot(_Stored):
+    path: list[str]
+    title: str
+    across: str
+    over: str
+    log: Literal["", "x", "y", "xy"]
+    series: Annotated[list[_StoredSeries], Field(min_length=1)]
+
+
+class _StoredStudy(_Stored):
+    """What `study.json` holds."""
+
+    study: str
+    question: str
+    command: str
+    options: dict[str, Any]
+    verdicts: list[str]
+    tables: list[str]
+    draws: Annotated[int, Field(ge=0)]
+    good: bool
+    wall_s: float
+    provenance: dict[str, Any]
+
 
 TABLES, FIGURES = "tables", "figures.json"
 """Folder of the tables, and the file of the figures."""
@@ -74,25 +129,14 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
     """
     folder = Path(folder)
     with store.open_summary(folder, store.STUDY_RESULT, "study") as summary:
-        figures = read_json(folder / FIGURES)
+        found = _StoredStudy.model_validate(summary)
         with store.report_damage(folder):
-            tables = tuple(_read_table(folder / TABLES, str(name)) for name in summary["tables"])
-        findings = Findings(
-            tuple(map(str, summary["verdicts"])),
-            tables,
-            tuple(map(_read_plot, figures["figures"])),
-            int(summary["draws"]),
-            bool(summary["good"]),
-        )
-        return StudyResult(
-            str(summary["study"]),
-            str(summary["question"]),
-            str(summary["command"]),
-            dict(summary["options"]),
-            findings,
-            dict(summary["provenance"]),
-            float(summary["wall_s"]),
-        )
+            plots = [_StoredPlot.model_validate(one) for one in read_json(folder / FIGURES)["figures"]]
+            tables = tuple(_read_table(folder / TABLES, name) for name in found.tables)
+            figures = tuple(map(_make_plot, plots))
+        findings = Findings(tuple(found.verdicts), tables, figures, found.draws, found.good)
+        named = found.study, found.question, found.command, found.options
+        return StudyResult(*named, findings, found.provenance, found.wall_s)
 
 
 def _read_table(folder: Path, name: str) -> StudyTable:
@@ -110,20 +154,19 @@ def _describe_plot(plot: Plot) -> dict[str, Any]:
     }
 
 
-def _read_plot(facts: Mapping[str, Any]) -> Plot:
-    kept = {key: facts[key] for key in ("title", "across", "over", "log")}
-    return Plot(tuple(facts["path"]), series=tuple(map(_read_series, facts["series"])), **kept)
+def _make_plot(found: _StoredPlot) -> Plot:
+    lines = tuple(map(_make_series, found.series))
+    return Plot(tuple(found.path), found.title, lines, across=found.across, over=found.over, log=found.log)
 
 
-def _read_series(facts: Mapping[str, Any]) -> Series:
-    values = np.array(facts["values"], float).reshape(len(facts["t"]), len(facts["names"]))
+def _make_series(found: _StoredSeries) -> Series:
     return Series(
-        str(facts["key"]),
-        np.array(facts["t"], float),
-        values,
-        tuple(facts["names"]),
-        tuple(tuple(colour) for colour in facts["colours"]),
-        tuple(facts["widths"]),
-        marks=bool(facts["marks"]),
-        band=None if facts["band"] is None else (int(facts["band"][0]), int(facts["band"][1])),
+        found.key,
+        np.array(found.t, float),
+        np.array(found.values, float).reshape(len(found.t), len(found.names)),
+        tuple(found.names),
+        tuple(found.colours),
+        tuple(found.widths),
+        marks=found.marks,
+        band=found.band,
     )

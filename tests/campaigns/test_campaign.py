@@ -344,19 +344,26 @@ def test_a_journal_survives_half_a_line_and_names_damage(tmp_path):
     path = tmp_path / NAME
     with Journal(path) as journal:
         for k in range(3):
-            journal.append({"key": str(k), "x": 0.1 * k})
+            journal.append({"key": str(k), "error": f"lost {k}"})
     text = path.read_bytes()
     path.write_bytes(text[:-5])
     with Journal(path) as journal:
         assert "2" not in journal
-        assert journal["1"]["x"] == 0.1
-        journal.append({"key": "2", "x": 0.2})
+        assert journal["1"]["error"] == "lost 1"
+        journal.append({"key": "2", "error": "lost 2"})
     assert path.read_bytes() == text
-    path.write_bytes(text.replace(b'"x":0.1}', b'"x":0.7}'))
+    path.write_bytes(text.replace(b"lost 1", b"lost 7"))
     with Journal(path) as journal:
         assert journal.damaged == 1
         assert "1" not in journal
         assert "2" in journal
+    with Journal(tmp_path / "other") as journal:
+        journal.append({"key": "4", "error": "a reason"})
+        journal.append({"key": "5", "x": 1.0})  # summed, but no row
+    with Journal(tmp_path / "other") as journal:
+        assert journal.damaged == 1
+        assert "4" in journal
+        assert "5" not in journal
 
 
 # --- what ends in the middle ------------------------------------------------------------------------------

@@ -21,7 +21,8 @@ from tests import fuzz
 from tests.exchange import test_log_formats
 
 SLOW_TO_OPEN = {"log-ros1": 25, "log-ros2": 25, "log-mcap": 25, "results": 40}
-"""Inputs of formats whose library takes 30 ms or more to open a file; 200 of the others."""
+SLOW_TO_OPEN |= {"views": 12, "campaign": 12, "journal": 12, "baseline": 30}
+"""Inputs of formats that take 30 ms or more to be opened and shown; 200 of the others."""
 
 
 @pytest.mark.parametrize("name", fuzz.FORMATS)
@@ -40,7 +41,25 @@ def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, na
 
 @pytest.mark.parametrize(
     ("name", "seed", "number"),
-    [("log-navego", 2, 7260)],  # an IMU gap before the first fix
+    [
+        ("log-navego", 2, 7260),  # an IMU gap before the first fix
+        ("views", 1, 26),  # a solution without the instants of its errors
+        ("views", 1, 65),  # an instrument without rows
+        ("views", 1, 73),  # numbers in the place of words
+        ("views", 1, 133),  # a table in the place of a number
+        ("views", 1, 203),  # a sensor without instants
+        ("study", 1, 43),  # a drawing without its scale
+        ("study", 1, 69),  # 1e400 draws
+        ("card", 1, 63),  # a card without its first line
+        ("campaign", 1, 10),  # a profile without its evaluation
+        ("campaign", 1, 17),  # words in the place of numbers
+        ("campaign", 1, 51),  # a metric that is not finite
+        ("campaign", 1, 63),  # a column that is not there
+        ("journal", 1, 56),  # a list in the place of seconds
+        ("journal", 1, 78),  # runs of another estimator
+        ("journal", 1, 89),  # half a row of instants
+        ("journal", 1, 185),  # an interval of 1e30 s
+    ],
 )
 def test_an_input_that_has_failed(tmp_path, name, seed, number):
     _, failures = fuzz.run(name, seed, range(number, number + 1), tmp_path)

@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, store
+from bench import durable, earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac
@@ -114,7 +114,7 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     from bench.report import fixes_page
 
     known = solved(ESBC)
-    store.write_text(tmp_path / "fixes.html", fixes_page.make_page(known))
+    durable.write(tmp_path / "fixes.html", fixes_page.make_page(known))
     text = (tmp_path / "fixes.html").read_text()
     figures = known.figures()
     assert f'<th scope="row">horizontal_95_m</th><td>{figures["horizontal_95_m"]:.4g}</td>' in text

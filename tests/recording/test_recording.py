@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, recording, rotation
+from bench import durable, earth, recording, rotation
 from bench.data import (
     AirData,
     Controls,
@@ -397,13 +397,12 @@ def test_a_failed_write_leaves_the_folder_as_it_was(run, tmp_path, monkeypatch):
     path = tmp_path / "flight.rrd"
     path.write_bytes(b"the one before")
 
-    def full(self, data):
-        with open(self, "wb") as file:
-            file.write(data[:1000])
-        raise OSError(28, "No space left on device")
+    def full(action, path):
+        if action == "sync":
+            raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
+        patch.setattr(durable, "before", full)
         with pytest.raises(OSError, match="No space left"):
             write(path, **run)
     with monkeypatch.context() as patch:

@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
+from bench import durable
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
@@ -114,14 +115,11 @@ def test_bad_names_and_files_that_exist_are_refused_in_one_line(here, capsys, na
 
 
 def test_a_disk_that_is_full_leaves_nothing(here, capsys, monkeypatch):  # noqa: F811
-    opened = Path.open
+    def full(action, path):
+        if path.name == "test_unlucky.py":
+            raise OSError(28, "No space left on device", str(path))
 
-    def full(self, *args, **kwargs):
-        if self.name == "test_unlucky.py":
-            raise OSError(28, "No space left on device", str(self))
-        return opened(self, *args, **kwargs)
-
-    monkeypatch.setattr(Path, "open", full)
+    monkeypatch.setattr(durable, "before", full)
     status, _, err = say(capsys, "new", "estimator", "unlucky")
     assert status == 4
     assert "No space left" in err
