@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench import pipeline, store
+from bench import durable, pipeline, store
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
 from bench.campaigns.groups import gather
@@ -23,7 +23,11 @@ from bench.campaigns.worker import RunTask, choose_step, fly, measure
 from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
 from bench.scratch import make_scratch
+from bench.spawned import Printed
 from bench.specs import DEFAULT_GUARD, Guard
+
+PRINTED = "printed.txt"
+"""File of a campaign with what filters of others have printed."""
 
 _WAVE = 50  # flights before their runs: all fit into the cache of truth
 
@@ -204,7 +208,7 @@ def run_campaign(
             if folder is None
             else store.keep_folder(
                 folder,
-                (NAME, RUNS, EPOCHS, store.CAMPAIGN_RESULT, store.REPORT, store.RECORDING),
+                (NAME, RUNS, EPOCHS, PRINTED, store.CAMPAIGN_RESULT, store.REPORT, store.RECORDING),
                 store.CAMPAIGN,
                 force=force,
                 resume=resume,
@@ -220,12 +224,17 @@ def run_campaign(
             )
         if before:
             journal.keep_runs_of(before)
+        printed = Printed()
+        if (place / PRINTED).is_file():
+            printed.add((place / PRINTED).read_bytes())
         try:
             with _open_pool(plan, jobs or count_processors(), executor, scheduler) as pool:
-                _work(plan, journal, pool, progress)
+                _work(plan, journal, pool, printed, progress)
             interrupted = False
         except KeyboardInterrupt:
             interrupted = True
+        if printed.text:
+            durable.write(place / PRINTED, printed.text)
         return _finish(plan, journal, place, folder, begun, interrupted=interrupted)
 
 
@@ -240,8 +249,10 @@ def _open_pool(
     return ProcessPool(jobs) if executor is None else ExecutorPool(executor, jobs)
 
 
-def _work(plan: Plan, journal: Journal, pool: Pool, progress: Callable[[Progress], None]) -> None:
-    """Run what the journal does not hold, and write each finished run into it."""
+def _work(
+    plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Callable[[Progress], None]
+) -> None:
+    """Run what the journal does not hold, write each finished run into it, and keep what filters print."""
     todo: dict[int, list[PlannedRun]] = {}
     for planned in plan.runs:
         key = plan.run_key(planned)
@@ -257,7 +268,7 @@ def _work(plan: Plan, journal: Journal, pool: Pool, progress: Callable[[Progress
         wave = [plan.cells[k] for k in numbers[begin : begin + _WAVE]]
         firsts = [next(c for c in plan.cells if c.condition == cell.condition) for cell in wave]
         _fly([*firsts, *wave], lengths, pool)
-        tasks, first = list[RunTask](), list[int]()
+        tasks, first, commands = list[RunTask](), list[int](), list[str]()
         for cell, number, its_first in zip(wave, numbers[begin : begin + _WAVE], firsts, strict=True):
             uses = tuple(choice.use for choice in cell.profile.estimators)
             if uses not in warm:  # its kernels are compiled once, not by every worker
@@ -268,8 +279,13 @@ def _work(plan: Plan, journal: Journal, pool: Pool, progress: Callable[[Progress
                 RunTask(plan.run_key(one), cell.truth_key, cell.profile, one.run, step)
                 for one in todo[number]
             ]
+            commands += [cell.repeat(one.run) for one in todo[number]]
         for k, found in compute(measure, tasks, pool, first):
-            row = {"key": tasks[k].key, "error": found.reason} if isinstance(found, Lost) else found
+            row: dict[str, Any] = (
+                {"key": tasks[k].key, "error": found.reason} if isinstance(found, Lost) else dict(found)
+            )
+            for label, text in row.pop("printed", {}).items():
+                printed.add(f"--- {label}: {commands[k]}\n{text.rstrip()}\n".encode())
             journal.append(row)
             counter.count(lengths[tasks[k].truth_key], failed="error" in row)
 

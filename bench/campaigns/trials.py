@@ -125,8 +125,10 @@ class ProfileTrial:
         sums: dict[str, FloatArray] = {}
         for row in good:
             for sensor, dof in row["nis_dof"].items():
-                updates = row["metrics"][f"updates_{sensor}"]
-                new = np.array([row["metrics"][f"nis_mean_{sensor}"] * updates, dof])
+                mean = row["metrics"].get(f"nis_mean_{sensor}")
+                if mean is None:  # a filter of others may report innovations that are not finite
+                    continue
+                new = np.array([mean * row["metrics"][f"updates_{sensor}"], dof])
                 sums[sensor] = sums.get(sensor, np.zeros(2)) + new
         mean_squares, nees = _draw_values(good)
         return Score(

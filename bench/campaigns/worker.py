@@ -20,9 +20,12 @@ from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.ensemble import sum_repetition
 from bench.evaluation.error_series import heading_sd, select_epochs
 from bench.run_result import RunResult
+from bench.spawned import Printed
 from bench.specs import Profile
 from bench.units import SAME_INSTANT
 from bench.wording import one_line
+
+_PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 
 MOST_INSTANTS = 600
 """Instants of a run whose errors are kept."""
@@ -56,7 +59,10 @@ class RunTask:
 
 
 def measure(task: RunTask) -> dict[str, Any]:
-    """Run a task and return its row of the journal; a run that raises has only an ``error``."""
+    """Run a task and return its row of the journal, and what filters ``printed``.
+
+    A run that raises has only an ``error``.
+    """
     keep_freed_memory()
     row: dict[str, Any] = {"key": task.key}
     try:
@@ -64,9 +70,17 @@ def measure(task: RunTask) -> dict[str, Any]:
         result = pipeline.run(task.profile, task.run, truth=truth)
         cpu_s = {name: result.provenance[name] for name in ("cpu_s", "estimator_cpu_s")}
         found = {label: _collect(result, label, task) for label in result.metrics}
+        printed = {label: _shorten(text) for label, text in result.records["printed"].items()}
     except Exception as error:
         return {**row, "error": describe_error(error)}
-    return {**row, "step": task.step, **cpu_s, "estimators": found}
+    return {**row, "step": task.step, **cpu_s, "estimators": found, "printed": printed}
+
+
+def _shorten(text: str) -> str:
+    """Return begin and end of what a filter has printed in a run."""
+    short = Printed(_PRINTED, _PRINTED)
+    short.add(text.encode())
+    return short.text
 
 
 def describe_error(error: Exception) -> str:

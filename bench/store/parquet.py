@@ -244,4 +244,6 @@ def read_table(path: Path) -> pa.Table:
     """Read a file of :func:`write_table`."""
     import pyarrow.parquet as pq
 
-    return pq.read_table(path)
+    table = pq.read_table(path)
+    table.validate(full=True)  # words are words
+    return table

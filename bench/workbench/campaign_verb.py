@@ -67,6 +67,8 @@ def run_campaign(
     if report:
         write_report(folder)
     print_campaign(console, result)
+    if (folder / running.PRINTED).is_file():
+        console.print(f"What filters printed is in {folder / running.PRINTED}.", soft_wrap=True)
     if report:
         console.print(f"Report: {folder / store.REPORT}", soft_wrap=True)
     return result

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import bench
-from bench.campaigns.pools import SerialExecutor
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.campaigns.trials import ProfileTrial
 from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation.estimator import load
 from bench.report.writing import write_report
@@ -41,6 +42,15 @@ class NotANumber(Overflowing):
     """The same with innovations that are no numbers."""
 
     z, vel = np.nan, -np.inf
+
+
+class SilentOfItsInnovations:
+    """Is sound, and gives no values of its innovations."""
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        found = load("loose-15", {}).run(sensors, initial)
+        unknown = np.full_like(found.innovations.z, np.nan)
+        return replace(found, innovations=replace(found.innovations, z=unknown, S=unknown, nis=unknown))
 
 
 class PositionsOnly:
@@ -99,3 +109,14 @@ def test_a_campaign_of_positions_only_has_its_report(here):
     text = (here / "positions" / "report.html").read_text()
     assert "runs with at most this pos_rmse_h_m" in text
     assert "runs with at most this vel_rmse_3d_mps" not in text
+
+
+def test_a_filter_without_values_of_its_innovations_is_judged_and_tuned(here):
+    """Its cost is that of its NEES alone."""
+    use = "tests.campaigns.test_lost_draws:SilentOfItsInnovations"
+    (outcome,) = bench.campaign("short.toml", 2, estimators=[use], executor=SerialExecutor()).outcomes
+    assert outcome.converged.value == 1.0
+    trial = ProfileTrial("short.toml", use, 2, ExecutorPool(SerialExecutor(), 1), {})
+    score = trial.score({})
+    assert not score.nis_ratios
+    assert score.cost("consistency") == np.log(score.nees_ratio) ** 2

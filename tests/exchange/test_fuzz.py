@@ -55,6 +55,8 @@ def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, na
         ("campaign", 1, 17),  # words in the place of numbers
         ("campaign", 1, 51),  # a metric that is not finite
         ("campaign", 1, 63),  # a column that is not there
+        ("campaign", 5, 161),  # instants that are no numbers
+        ("campaign", 5, 195),  # words that are no text
         ("journal", 1, 56),  # a list in the place of seconds
         ("journal", 1, 78),  # runs of another estimator
         ("journal", 1, 89),  # half a row of instants

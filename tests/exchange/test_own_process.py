@@ -123,7 +123,7 @@ def test_what_they_print_is_in_a_file_of_the_results(place, ran):
     printed = (place / "all/printed-Prints.txt").read_text()
     assert printed.startswith("the first line\nxxx")
     assert printed.endswith("x\n�\nthe last line\n")
-    assert re.search(r"x\n\[19\d{6} bytes left out\]\nx", printed)
+    assert re.search(r"x\n\[199\d{6} bytes left out\]\nx", printed)
     assert len(printed) < 1_100_000
     assert "printed-Prints.txt" in ran.stderr
     for name, line in (("Hangs", "time.sleep"), ("Crashes", "string_at")):  # where it was
@@ -265,13 +265,18 @@ def test_an_object_is_no_name():
 
 
 def test_many_runs_say_nothing_on_the_streams_and_lose_no_other_filter(place, capfd):
-    found = bench.campaign(
-        "short.toml", 2, estimators=["attacks:Prints", "attacks:Exits", "gnss-only"], jobs=1, out="many"
-    )
+    uses = ["attacks:Prints", "attacks:Exits", "gnss-only"]
+    found = bench.campaign("short.toml", 2, estimators=uses, jobs=1, out="many")
     assert capfd.readouterr() == ("", "")
     assert found.failed == {}
     rates = {one.label: one.converged.value for one in found.outcomes}
     assert (rates["Exits"], rates["gnss-only"]) == (0.0, 1.0)
+    printed = (place / "many/printed.txt").read_text()
+    assert printed.startswith("--- Prints: bench run short.toml -e attacks:Prints")
+    assert printed.count("the first line\n") == printed.count("the last line\n") == 2
+    assert len(printed) < 30_000  # of 400 MB
+    bench.campaign("short.toml", 3, estimators=uses, jobs=1, out="many", resume=True)
+    assert (place / "many/printed.txt").read_text().startswith(printed)
     limited = plan_runs("short.toml", 1, estimators=["attacks:Stays"], guard=Guard(9.0))
     assert limited.cells[0].repeat(0).endswith("--timeout 9 --seed 5 --run 0")
 

@@ -13,10 +13,11 @@ from bench.config import load_profile
 from bench.data import InitialState
 from bench.evaluation.error_series import error_series
 from bench.navigation.estimator import load
+from bench.navigation.mechanization import propagate
 from bench.navigation.start import headings
 from tests.builders import band, first_rows, steered, student
 from tests.navigation.test_tight import MATCHED
-from tests.weaving import DEG, GNSS, units
+from tests.weaving import DEG, GNSS, units, weaving
 
 REST, AWAY = 60.0, 60.0
 DRAWS = 20
@@ -199,3 +200,30 @@ def test_another_heading_feels_the_same_force_over_ground(turn_deg):
     small = np.diag(turned.cov)[6:8] - (headings.SD * m) ** 2
     np.testing.assert_allclose(small, 1e-6, rtol=1e-3)  # what the heading does not explain
     np.testing.assert_allclose(turned.cov[6:8, 8], headings.SD**2 * m, rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("unit", ["bmi088", "mpu-9250"])
+def test_a_hand_launch_beyond_the_range_of_its_accelerometer_says_why_and_goes_on(unit):
+    """Of 16 headings some are lost in a push of 30 g; none of them takes the run with it."""
+    imu = load_profile("figure-eight", {"sensors.imu": unit}).sensors.imu
+    spec = replace(units(imu=imu), initial_heading_sd=np.pi, output_rate=1.0)
+    duration, rate = 60.0, 100.0
+    base = weaving(duration, rate=rate)
+    middle = 0.5 * (base.t[1:] + base.t[:-1])
+    f_b, w_b = np.tile([0.0, 0.0, -9.81], (len(middle), 1)), np.zeros((len(middle), 3))
+    f_b[(middle > 10) & (middle < 10.085), 0] = 30 * 9.81
+    w_b[middle > 12, 0] = 0.3 * np.cos(0.3 * middle[middle > 12])
+    dvel_b, dtheta_b = f_b / rate, w_b / rate
+    q_nb = rotation.from_euler(0.0, 0.0, 0.6)
+    start = [47 * DEG, 0.2, 800.0]
+    nav = propagate(start, np.zeros(3), q_nb, np.full(len(middle), 1 / rate), dtheta_b, dvel_b)
+    truth = replace(
+        base, lla=nav[:, :3], vel_n=nav[:, 3:6], q_nb=rotation.continuous(nav[:, 6:]),
+        dtheta_b=dtheta_b, dvel_b=dvel_b,
+    )  # fmt: skip
+    for draw in range(3):
+        sensed = sensors.sense(truth, spec, 3, draw)
+        solution = load("loose-full", {}).run(sensed.data, sensed.initial)
+        assert np.isfinite(solution.lla).all()
+        assert any("beyond its range" in text for text in solution.events.text)

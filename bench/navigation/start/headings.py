@@ -166,27 +166,31 @@ class ManyHeadings:
         t = parts[0].t
         if not len(t):
             return replace(parts[0], innovations=no_innovations(), events=Events.from_rows([]))
-        rest = may_stand(parts[0].vel_n, parts[0].cov)
-        log, tables, rows = np.empty((COUNT, len(t))), list[Innovations](), list[IntArray]()
-        for k, table in enumerate(self.tables):
-            count = int(np.searchsorted(table.t, t[-1] + TIME_TOLERANCE, side="right"))
-            used, self.tables[k] = _take_table(table, slice(count)), _take_table(table, slice(count, None))
-            of = np.searchsorted(t, used.t - TIME_TOLERANCE)
-            total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))
-            log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
-            tables.append(used)
-            rows.append(of)
-        weight = np.exp(log - log.max(axis=0))
-        weight = np.asarray(weight / weight.sum(axis=0))
-        leader = _leading(weight, self.best)
-        self.best = int(leader[-1])
-        self.apart = _heading_spread(parts, weight, self.best)
-        led = [_take_table(tables[k], np.flatnonzero(leader[rows[k]] == k)) for k in range(COUNT)]
-        order = np.argsort(
-            np.concatenate([rows[k][leader[rows[k]] == k] for k in range(COUNT)]), kind="stable"
-        )
-        table = join_tables([one for one in led if len(one)])
-        return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
+        with np.errstate(all="ignore"):  # a hypothesis that is lost may say anything; its weight is 0
+            rest = may_stand(parts[0].vel_n, parts[0].cov)
+            log, tables, rows = np.empty((COUNT, len(t))), list[Innovations](), list[IntArray]()
+            for k, table in enumerate(self.tables):
+                count = int(np.searchsorted(table.t, t[-1] + TIME_TOLERANCE, side="right"))
+                used, self.tables[k] = (
+                    _take_table(table, slice(count)),
+                    _take_table(table, slice(count, None)),
+                )
+                of = np.searchsorted(t, used.t - TIME_TOLERANCE)
+                total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))
+                log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
+                tables.append(used)
+                rows.append(of)
+            weight = np.exp(log - log.max(axis=0))
+            weight = np.asarray(weight / weight.sum(axis=0))
+            leader = _leading(weight, self.best)
+            self.best = int(leader[-1])
+            self.apart = _heading_spread(parts, weight, self.best)
+            led = [_take_table(tables[k], np.flatnonzero(leader[rows[k]] == k)) for k in range(COUNT)]
+            order = np.argsort(
+                np.concatenate([rows[k][leader[rows[k]] == k] for k in range(COUNT)]), kind="stable"
+            )
+            table = join_tables([one for one in led if len(one)])
+            return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
