@@ -7,11 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.campaigns.card import COUNT, Card, Line, compare_rms, write_figure
+from bench.arrays import FloatArray
+from bench.campaigns.card import COUNT, Card, Line, write_figure
 from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
+from bench.evaluation.regression import Change
 
 _SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
+_ERROR = 1.0 - ensemble.CONFIDENCE  # probability of any false word over the quantities
+_POWER = 0.8
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,7 @@ class ComparedLine:
     figure: str
     values: tuple[float | None, float | None]  # as they stand on the cards
     sentence: str
+    better: str | None = None  # the filter that is proven better, as the sentence calls it
 
 
 def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = None) -> list[ComparedLine]:
@@ -46,7 +51,9 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
             f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "
             f"{names[1]} has {second.suite}, {second.suite_hash}"
         )
-    found, same = [], 0
+    found: list[ComparedLine] = []
+    same = 0
+    quantities: dict[tuple[str, str], list[_Pair]] = {}
     others = {(line.topic, line.flight, line.figure): line for line in second.lines}
     for line in first.lines:
         other = others.get((line.topic, line.flight, line.figure))
@@ -54,11 +61,14 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
             continue
         if _are_same(line, other):
             same += 1
-        elif text := _compare_lines(names, line, other):
+        elif text := _tell_values(line, other):
             sentence = f"{line.flight}: {text}."
             found.append(
                 ComparedLine(line.topic, line.flight, line.figure, (line.value, other.value), sentence)
             )
+        elif (changes := _list_changes(line, other)) is not None:
+            quantities.setdefault((line.topic, line.figure), []).append((line, other, changes))
+    found = _judge_quantities(names, list(quantities.values())) + found
     if same:
         sentence = f"{same} figures are the same in every draw."
         found.append(ComparedLine("same", "all flights", "figures", (None, None), sentence))
@@ -86,38 +96,121 @@ def _are_same(one: Line, other: Line) -> bool:
     return a.shape == b.shape and bool(np.isclose(a, b, rtol=_SAME, atol=0.0, equal_nan=True).all())
 
 
-def _compare_lines(names: tuple[str, str], one: Line, other: Line) -> str | None:
-    if one.topic == "honesty":
-        return _compare_honesty(names, one, other)
+def _tell_values(one: Line, other: Line) -> str | None:
+    """Return the values of a figure that no test is made of."""
     if one.figure.startswith("median"):
         texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
         return "heading found after {} and {}".format(*texts)
     if one.word == COUNT:
         counts = (f"{sum(value or 0.0 for value in line.by_draw):.0f}" for line in (one, other))
         return f"{one.figure}: {' and '.join(counts)} of {len(one.by_draw)}"
-    ratio = compare_rms(one.by_draw, other.by_draw)
-    if ratio is None:
+    return None
+
+
+_Pair = tuple[Line, Line, FloatArray]
+"""A figure of a flight on two cards, and by draw the log of how much larger the first is; NaN: unknown."""
+
+
+def _list_changes(one: Line, other: Line) -> FloatArray | None:
+    """Return by draw the log of the ratio of the first to the second; None if fewer than two draws have both.
+
+    Of NEES it is that of the factors between each draw and its expectation. The factor of a mean over draws
+    has no derivative where it is right, and a jackknife of it claims too much for two honest filters.
+    """
+    a, b = (np.array(line.by_draw, float) for line in (one, other))
+    known = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
+    if known.sum() < 2:
         return None
-    text = f"{one.figure} of {names[0]} {write_figure(ratio.value)} times that of {names[1]}"
-    better = names[0] if ratio.high < 1.0 else names[1] if ratio.low > 1.0 else None
-    word = "not proven to differ" if better is None else f"{better} is better"
-    return f"{text} ({write_figure(ratio.low)} to {write_figure(ratio.high)}): {word}"
+    changes = np.full(len(a), np.nan)
+    logs = np.log(a[known]), np.log(b[known])
+    mine, theirs = np.abs(logs) if one.topic == "honesty" else logs
+    changes[known] = mine - theirs
+    return changes
 
 
-def _compare_honesty(names: tuple[str, str], one: Line, other: Line) -> str | None:
-    """Compare the factors between mean NEES and its expectation."""
-    pairs = [
-        (a, b) for a, b in zip(one.by_draw, other.by_draw, strict=True) if a is not None and b is not None
-    ]
-    text = f"NEES is {write_figure(one.value)} and {write_figure(other.value)} times its expectation"
-    if len(pairs) < 2:
-        return text
-    a, b = np.array(pairs, float).T
-    change = regression.estimate_change(a, b, regression.log_distance_from(1.0), paired=True)
-    low, high = change.interval(1.0 - ensemble.CONFIDENCE)
-    if low <= 0.0 <= high:
-        return f"{text}: neither is proven nearer"
-    return f"{text}: {names[0] if low > 0.0 else names[1]} is nearer"
+def _pool_flights(changes: FloatArray) -> Change:
+    """Return the mean over flights (rows) and draws (columns), by Student over draws.
+
+    The flights of a draw may share their noise, so a draw counts once. A draw that lacks a flight is compared
+    with the means of the flights that it has.
+    """
+    means = np.nanmean(changes, axis=1)
+    seen = np.isfinite(changes).any(axis=0)
+    by_draw = np.nanmean((changes - means[:, None])[:, seen], axis=0)
+    n = len(by_draw)
+    return Change(float(means.mean()), float(by_draw.std(ddof=1)) / n**0.5, n - 1.0, n)
+
+
+def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
+    """Say of each quantity, pooled over its flights, which filter is better; then on which flights.
+
+    Holm's method over the quantities keeps the probability of any false word. Only the flights of a quantity
+    that differs are tested, by Holm within it, on its share of that probability: over all lines at once
+    eight draws would prove nothing.
+    """
+    pooled = [_pool_flights(np.array([changes for _, _, changes in pairs])) for pairs in quantities]
+    proven, levels = _reject(pooled, _ERROR)
+    found = []
+    for pairs, change, differs, level in zip(quantities, pooled, proven, levels, strict=True):
+        one, other, _ = pairs[0]
+        if len(pairs) == 1:
+            found.append(_tell_change(names, one, other, one.flight, change, level, differs))
+            continue
+        pool = _tell_change(names, one, other, "all flights", change, level, differs)
+        found.append(pool)
+        flights = [_pool_flights(changes[None]) for *_, changes in pairs]
+        there, flight_levels = _reject(flights, _ERROR / len(quantities))
+        for k, (mine, theirs, _) in enumerate(pairs):
+            word = bool(there[k]) if differs else None
+            by = flight_levels[k] if differs else _ERROR
+            found.append(_tell_change(names, mine, theirs, mine.flight, flights[k], by, word))
+    return found
+
+
+def _reject(changes: list[Change], error: float) -> tuple[list[bool], list[float]]:
+    """Return which changes are proven, and the errors of intervals that agree with that."""
+    rejected, levels = regression.reject_by_holm([change.p_value for change in changes], error)
+    if not rejected.all():
+        levels[~rejected] = levels[~rejected].min()  # where Holm's method stopped
+    return rejected.tolist(), levels.tolist()
+
+
+def _tell_change(
+    names: tuple[str, str],
+    one: Line,
+    other: Line,
+    flight: str,
+    change: Change,
+    level: float,
+    differs: bool | None,
+) -> ComparedLine:
+    """Return the line of a change; ``differs`` is None where no test is made, and nothing is said."""
+    low, high = change.interval(level)
+    ratio, least, most = (write_figure(float(np.exp(end))) for end in (change.estimate, low, high))
+    name = names[0] if change.estimate < 0.0 else names[1]
+    if one.topic != "honesty":
+        text = f"{one.figure} of {names[0]} {ratio} times that of {names[1]} ({least} to {most})"
+    elif flight == "all flights":
+        text = (
+            f"NEES of {names[0]} in a draw off by {ratio} times the factor of {names[1]} ({least} to {most})"
+        )
+    else:
+        text = f"NEES is {write_figure(one.value)} and {write_figure(other.value)} times its expectation"
+    better = name if differs else None
+    if better is not None:
+        text += f": {better} is {'nearer' if one.topic == 'honesty' else 'better'}"
+    elif differs is not None:
+        text += f": not proven to differ; {_find_power(change, level)} would be found in {_POWER:.0%}"
+    values = (None, None) if flight == "all flights" else (one.value, other.value)
+    return ComparedLine(one.topic, flight, one.figure, values, f"{flight}: {text}.", better)
+
+
+def _find_power(change: Change, level: float) -> str:
+    """Return the ratio that these draws tell from 1, in words."""
+    from scipy.special import stdtrit
+
+    reach = float(stdtrit(change.dof, 1.0 - 0.5 * level) + stdtrit(change.dof, _POWER))
+    return f"a ratio of {write_figure(float(np.exp(reach * change.standard_error)))}"
 
 
 def name_cards(cards: Sequence[Card], paths: Sequence[str]) -> tuple[str, str]:
