@@ -75,9 +75,8 @@ class Kernel:
         import numba
 
         choose_cache()
-        if not _takes_shortcuts():
-            return numba.njit(**self._options)(self.py_func)
-        made = numba.njit(**self._options, pipeline_class=_compilers()[0])(self.py_func)
+        shortcut = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
+        made = numba.njit(**self._options, **shortcut)(self.py_func)
         known = made._cache._cache_file
         base = known._index_name.removesuffix(".nbi")
         made._cache._cache_file = _summed_files()(known._cache_path, base, known._source_stamp)
