@@ -75,7 +75,7 @@ class Kernel:
         import numba
 
         choose_cache()
-        shortcut = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
+        shortcut: Any = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
         made = numba.njit(**self._options, **shortcut)(self.py_func)
         known = made._cache._cache_file
         base = known._index_name.removesuffix(".nbi")

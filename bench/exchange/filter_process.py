@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bench import disk_arrays
 from bench.errors import EstimatorError, EstimatorFailedError, EstimatorStoppedError, FilterTraceback
-from bench.exchange.filter_server import ANSWER, REQUEST
+from bench.exchange.filter_server import ANSWER, REQUEST, watch
 from bench.exchange.record_messages import RecordMessage, read_message
 from bench.navigation.engine.record_cuts import without_orbits
 from bench.scratch import make_scratch
@@ -240,7 +240,7 @@ class FilterProcess:
 
     def _wait(self) -> None:
         """Wait until something comes, but not long; keep what is printed, and look at the limits."""
-        ready = self._poll.poll(1e3 * LOOK)
+        ready = watch(self._poll) or self._poll.poll(1e3 * LOOK)
         if len(ready) != 1 or ready[0][0] != self._number:  # not the line alone
             self._drain(_BLOCKS)
             if not ready and self._child.poll() is not None:  # what it has started may hold its line open

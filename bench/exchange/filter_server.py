@@ -13,11 +13,13 @@ import gc
 import os
 import pickle
 import resource
+import select
 import signal
 import socket
 import struct
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -41,6 +43,7 @@ REQUEST = struct.Struct("<IQI")
 ANSWER = struct.Struct("<IQ")
 """Begin of an answer: sizes of its text and its body."""
 
+_AWAKE = 1e-3  # [s]
 _SMALL = 1 << 16  # body that goes with its text [byte]
 
 OFFERS = ("in_pieces", "unmodelled", "identity")
@@ -64,8 +67,10 @@ def serve(channel: int, life: int) -> None:
         stream.reconfigure(line_buffering=True, errors="backslashreplace")  # type: ignore[union-attr]
     server = _FilterServer()
     gc.freeze()  # what is here stays: it need not be looked through again and again
+    poll = select.poll()
+    poll.register(channel, select.POLLIN)
     with socket.socket(fileno=channel) as line:
-        while (request := _receive(line)) is not None:
+        while (request := _receive(line, poll)) is not None:
             answer = server.answer(*request)
             for stream in (sys.stdout, sys.stderr):
                 with contextlib.suppress(Exception):  # the filter may have closed or replaced it
@@ -95,8 +100,17 @@ def _wait_for(life: int) -> None:
     os.killpg(0, signal.SIGKILL)
 
 
-def _receive(line: socket.socket) -> tuple[bytes, NDArray[np.uint8]] | None:
+def watch(poll: select.poll) -> list[tuple[int, int]]:
+    """Return what is ready within `_AWAKE`: who sleeps is woken later than a small request is answered."""
+    end = time.perf_counter() + _AWAKE
+    while not (ready := poll.poll(0)) and time.perf_counter() < end:
+        os.sched_yield()
+    return ready
+
+
+def _receive(line: socket.socket, poll: select.poll) -> tuple[bytes, NDArray[np.uint8]] | None:
     """Return text and body of the next request; None if the other end is closed."""
+    watch(poll)
     head = line.recv(REQUEST.size, socket.MSG_WAITALL)
     if len(head) < REQUEST.size:
         return None
