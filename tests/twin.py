@@ -367,8 +367,21 @@ def first_sample(imu_t, arrival):
     return {int(k): row for row, k in enumerate(np.searchsorted(imu_t, arrival - 1e-6)) if k < len(imu_t)}
 
 
-def use_satellite(aiding, o, row, state, lever, w_b, sky):
-    """Use one satellite of one frequency: range, then rate."""
+def wandering(o, sky):
+    """What wanders in ranges on one frequency, each satellite's error and the troposphere, and the rates."""
+    if not (sky.ionosphere_sd or sky.gps_space_sd or sky.glonass_space_sd or sky.troposphere_sd):
+        return [], np.zeros(0)
+    names = [(system, sat, "range") for system, sat in sorted(set(zip(o.system, o.sat, strict=True)))]
+    space = {0: sky.gps_space_sd, 1: sky.glonass_space_sd}
+    above, rates = 1.6 * sky.ionosphere_sd, []  # at 35 deg
+    for system, *_ in names:
+        parts = np.array([space[system] ** 2, above**2])
+        rates.append(parts @ [1 / sky.space_correlation, 1 / sky.ionosphere_correlation] / parts.sum())
+    return [*names, "troposphere"], np.array([*rates, 1 / sky.troposphere_correlation])
+
+
+def use_satellite(aiding, o, row, state, lever, w_b, sky, wander):
+    """Use one satellite of one frequency: range, then rate; ``wander`` are its states, from the first on."""
     lla, _, _, bias = state
     n = aiding.kf.dim_x
     seen = satellite(*state, lever, w_b, o.sat_pos_e[row], o.sat_vel_e[row], n, sky.elevation_mask)
@@ -385,8 +398,21 @@ def use_satellite(aiding, o, row, state, lever, w_b, sky):
         H[0, n - 1] = 1.0
         distance += bias[-1]
     name = (o.system[row], o.sat[row])
+    above = sky.ionosphere_sd * (1 + 16 * (0.53 - el / np.pi) ** 3) * (GPS_L1 / o.frequency[row, 0]) ** 2
+    space = sky.glonass_space_sd if o.system[row] == 1 else sky.gps_space_sd
+    left = o.sd_pseudorange[row] ** 2
+    for which, size in (
+        ((*name, "range"), np.hypot(above, space)),
+        ("troposphere", sky.troposphere_sd * delays.mapping_kernel(np.sin(el))),
+    ):
+        if which not in wander:
+            continue
+        at = 9 + len(bias) - 3 - len(wander) + wander.index(which)
+        H[0, at] = size
+        distance += size * bias[at - 9]
+        left -= size**2
     z = distance + bias[-3] - (o.pseudorange[row, 0] + o.sat_clock[row] - o.group_delay[row])
-    aiding.use(("range", *name), [z], H[:1], np.array([[o.sd_pseudorange[row] ** 2]]))
+    aiding.use(("range", *name), [z], H[:1], np.array([[left]]))
     z = rate + bias[-2] - (o.range_rate[row, 0] + o.sat_clock_rate[row])
     aiding.use(("rate", *name), [z], H[1:], np.array([[o.sd_range_rate[row] ** 2]]))
 
@@ -394,7 +420,9 @@ def use_satellite(aiding, o, row, state, lever, w_b, sky):
 def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tight=False):
     """Run the twin over a record without faulty rows; ``tight`` takes satellites in place of fixes."""
     imu, specs = sensors.imu, sensors.specs
-    n = (15 if sensors.baro is None else 16) + 3 * tight
+    o, sky = sensors.observations, specs.gnss and specs.gnss.sky
+    wander, wander_rate = wandering(o, sky) if tight else ([], [])
+    n = (15 if sensors.baro is None else 16) + len(wander) + 3 * tight
     kf = KalmanFilter(dim_x=n, dim_z=3)
     kf.P = np.zeros((n, n))
     kf.P[:9, :9] = initial.cov
@@ -404,10 +432,11 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         variance, q[i : i + 3], decay_rate[i : i + 3] = bias_process(triad)
         kf.P[i : i + 3, i : i + 3] = variance * np.eye(3)
     fixes_at, baro_at = {}, {}
-    o, epochs_at, clock = sensors.observations, {}, n - 3
+    epochs_at, clock = {}, n - 3
     if tight:
         epochs_at = first_sample(imu.t, o.t_arrival[o.epoch_start[:-1]])
-        sky = specs.gnss.sky
+        at = slice(clock - len(wander), clock)
+        kf.P[at, at], decay_rate[at], q[at] = np.eye(len(wander)), wander_rate, 2 * wander_rate
         for i, sd in enumerate((sky.clock_offset_sd, sky.clock_drift_sd, sky.glonass_offset_sd)):
             kf.P[clock + i, clock + i] = sd**2
         walk = 2 * np.pi**2 * LIGHT**2 * sky.clock_h_m2
@@ -464,7 +493,9 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         if k in epochs_at:
             epoch = epochs_at[k]
             for row in range(o.epoch_start[epoch], o.epoch_start[epoch + 1]):
-                use_satellite(aiding, o, row, (lla, vel, C, bias), sensors.antenna_b, dtheta / dt, sky)
+                use_satellite(
+                    aiding, o, row, (lla, vel, C, bias), sensors.antenna_b, dtheta / dt, sky, wander
+                )
             lla, vel, C, bias = feed_back(kf, lla, vel, C, bias)
         if k in baro_at:
             H = np.zeros((1, 16))

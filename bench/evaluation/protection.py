@@ -12,14 +12,10 @@ GPS/Inertial Fault Detection Availability, Navigation 43 (2), 1996; Blanch and o
 User Algorithm, Transactions on Aerospace and Electronic Systems 51 (1), 2015). The subfilter without the
 faulty one is sound; a larger separation from it than the threshold T raises an alarm:
 
-    T_s = k_fa sd(x_s - x_0),  cov(x_s - x_0) = C_s - C_0      PL = max(PL_0, max_s(T_s + k_md sd(x_s)))
+    T_s = k_fa sd(x_s - x_0),  cov(x_s - x_0) = P_s - P_0      PL = max(PL_0, max_s(T_s + k_md sd(x_s)))
 
-A filter that takes range errors for white believes that it averages them. Those of orbit, satellite clock
-and ionosphere last for an hour. So they are carried beside its covariance P, as errors that stay: S_s is how
-far a metre on the ranges of satellite s moves the position, measured by a pass of the filter for each, and
-h_s the leverage of that satellite in a fix. Its residual from all others has the variance sd_s^2 / (1 - h_s).
-
-    C_0 = P_0 + sum_s S_s S_s^T sd_s^2      C_s - C_0 = P_s - P_0 + S_s S_s^T sd_s^2 / (1 - h_s)
+The covariances are those that the filter states: one that takes errors of orbit, satellite clock and
+ionosphere for white, though they last for an hour, states levels that do not hold.
 """
 
 from __future__ import annotations
@@ -32,7 +28,6 @@ import numpy as np
 from bench import earth
 from bench.arrays import BoolArray, FloatArray
 from bench.data import GnssObservations, NavSolution
-from bench.units import SAME_INSTANT
 
 HORIZONTAL, VERTICAL = 6.18, 5.33
 """Constants of DO-229: a risk of 5e-9 in the plane and of 1e-7 along a line, two-sided."""
@@ -54,33 +49,14 @@ class Protection:
 
 def protect_fault_free(solution: NavSolution) -> Protection:
     """Return the levels that hold while nothing is faulty, by the covariance of the solution."""
-    return _protect(solution.cov[:, :3, :3])
-
-
-def _protect(cov: FloatArray) -> Protection:
-    sd = deviations(cov)
+    sd = deviations(solution.cov[:, :3, :3])
     level = np.where(np.isfinite(sd), sd * (HORIZONTAL, VERTICAL), np.inf)
     return Protection(level, np.zeros(len(level), np.bool_))
-
-
-@dataclass(frozen=True, slots=True)
-class Influence:
-    """What each of S satellites has to do with a solution of M rows."""
-
-    response: FloatArray  # (M, S, 3) of the position to an error that stays on its ranges [1], n
-    sd: FloatArray  # (S,) of its ranges [m]
-    leverage: FloatArray  # (M, S) in a fix, 0 to 1
-
-    def spread(self) -> FloatArray:
-        """Return the covariance (M, S, 3, 3) that each gives the position [m^2], n."""
-        scaled = self.response * self.sd[:, None]
-        return np.asarray(scaled[..., :, None] * scaled[..., None, :])
 
 
 def protect_by_separation(
     full: NavSolution,
     without: Sequence[NavSolution],
-    influence: Influence,
     false_alarm: float = FALSE_ALARM,
     missed: float = MISSED,
 ) -> Protection:
@@ -92,23 +68,17 @@ def protect_by_separation(
         With all satellites; M rows.
     without : sequence of NavSolution
         The S subfilters, at the same instants; one that has no solution leaves no level to state.
-    influence : Influence
-        Of the satellites, in the order of the subfilters.
     false_alarm, missed : float
         Probabilities, see `FALSE_ALARM` and `MISSED`.
     """
-    spread = influence.spread()
-    whole = full.cov[:, :3, :3] + spread.sum(axis=1)
-    found = _protect(whole)
+    found = protect_fault_free(full)
     level, alarm = found.level.copy(), found.alarm.copy()
     k_fa, k_md = multipliers(false_alarm / max(len(without), 1)), multipliers(missed)
-    for s, one in enumerate(without):
+    for one in without:
         apart = earth.difference_n(one.lla, full.lla)
         size = np.column_stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])])
-        left = np.maximum(1.0 - influence.leverage[:, s], _LEAST)[:, None, None]
-        separation = one.cov[:, :3, :3] - full.cov[:, :3, :3] + spread[:, s] / left
-        threshold = k_fa * deviations(separation)
-        bound = threshold + k_md * deviations(whole + separation)
+        threshold = k_fa * deviations(one.cov[:, :3, :3] - full.cov[:, :3, :3])
+        bound = threshold + k_md * deviations(one.cov[:, :3, :3])
         alarm |= (size > threshold + _SAME).any(axis=1)
         level = np.maximum(level, np.where(np.isfinite(bound), bound, np.inf))
     return Protection(level, alarm)
@@ -119,35 +89,6 @@ def list_satellites(o: GnssObservations) -> list[tuple[int, int]]:
     return [(a, b) for a, b in np.unique(np.column_stack([o.system, o.sat]), axis=0).tolist()]
 
 
-def measure_leverage(o: GnssObservations, full: NavSolution, mask: float) -> FloatArray:
-    """Return the leverage (M, S) of the satellites in a fix by those above an elevation [rad].
-
-    That of the last epoch in which the satellite was used; 0 before. The clock of each system is unknown.
-    """
-    numbers = {one: s for s, one in enumerate(list_satellites(o))}
-    t = o.t[o.epoch_start[:-1]]
-    near = np.clip(np.searchsorted(full.t, t), 0, len(full.t) - 1)
-    found = np.zeros((len(t) + 1, len(numbers)))
-    systems = np.unique(o.system)
-    for k in range(len(t)):
-        found[k + 1] = found[k]
-        lla = full.lla[near[k]]
-        if np.isnan(lla).any():
-            continue
-        rows = slice(o.epoch_start[k], o.epoch_start[k + 1])
-        sight = (o.sat_pos_e[rows] - earth.to_ecef(lla)) @ earth.matrix_en(lla[0], lla[1])
-        sight /= np.linalg.norm(sight, axis=1)[:, None]
-        used = np.isfinite(o.pseudorange[rows, 0]) & (-sight[:, 2] > np.sin(mask))
-        G = np.hstack([-sight, o.system[rows, None] == systems]) / o.sd_pseudorange[rows, None]
-        Q, R = np.linalg.qr(G[used][:, (G[used] != 0.0).any(axis=0)])
-        sound = R.shape[0] == R.shape[1] and np.abs(np.diag(R)).min(initial=1.0) > _SINGULAR
-        pairs = zip(o.system[rows][used].tolist(), o.sat[rows][used].tolist(), strict=True)
-        found[k + 1, [numbers[one] for one in pairs]] = np.square(Q).sum(axis=1) if sound else 1.0
-    return found[np.searchsorted(t, full.t + SAME_INSTANT)]
-
-
-_LEAST = 1e-6  # of what a satellite with all leverage leaves
-_SINGULAR = 1e-9  # [1/m]
 _SAME = 1e-3  # solutions so close are the same: a satellite that was not in view [m]
 
 

@@ -104,7 +104,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
-        "every pseudorange and range rate, receiver clock; goes on with one to three satellites",
+        "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
         "bench.navigation.models.loose_tight:Tight",
         "TightOptions",
         FORWARD["tight"],

@@ -209,6 +209,8 @@ class FusionOptions(IntegrityOptions, AidingOptions):
 class TightOptions(FusionOptions):
     """Options of tight coupling."""
 
+    every_error: bool = True
+
     @property
     def tight(self) -> bool:
         """Whether GNSS is used by satellite."""
@@ -235,7 +237,7 @@ class SmootherOptions(FusionOptions):
             for name, value in states.items()
             if given.get(name, value) != value
         ]
-        return _whole({"every_error": False, **given, **states}, wrong)
+        return _whole({"every_error": over == "tight", **given, **states}, wrong)
 
     @property
     def tight(self) -> bool:

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import IntArray
+from bench.data import GLONASS
 from bench.navigation.engine.kept_rows import Rows
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
+from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES
 
 _GROWING = ("epoch_start", "H", "z", "r", "tags", "live", "misses", "since", "used")
 """Arrays that have rows before the first piece, and get more."""
@@ -135,9 +137,9 @@ def _check_schedule(schedule: Any) -> None:
     )
     _require(schedule.output_t.ndim == 1, "output_t", "must have one row for each answer")
     count, epochs = len(sky.t), len(sky.epoch_start) - 1
-    widths = {"values": 2, "variance": 2, "sat": 6, "which": 3}
+    widths = {"values": 2, "variance": 2, "sat": 6, "which": 5}
     shapes: dict[str, tuple[int, ...]] = {name: (count, width) for name, width in widths.items()}
-    shapes |= {"t": (count,), "ionosphere": (count,)} | ({"klobuchar": (8,)} if count else {})
+    shapes |= {"t": (count,), "ionosphere": (count,), "sizes": (4,)} | ({"klobuchar": (8,)} if count else {})
     for name, shape in shapes.items():
         _require(getattr(sky, name).shape == shape, f"sky/{name}", f"must have shape {shape}")
     start = sky.epoch_start
@@ -204,7 +206,12 @@ def _check_passage(passage: Any) -> None:
         np.maximum.at(most, rows.slot, held)
     most[0] = 2 * _SUB_VECTOR
     _require(bool((live <= most).all()), "pending/live", "must be of the measurements that wait")
-    _check_range("sky/which (channel)", schedule.sky.which[:, 1:], len(run.gate.trust.misses))
+    which, glonass = schedule.sky.which, schedule.sky.which[:, 0] == GLONASS
+    _check_range("sky/which (channel)", which[:, 1:3], len(run.gate.trust.misses))
+    for rows, states in ((~glonass, GPS_RANGES), (glonass, GLONASS_RANGES)):
+        _check_range("sky/which (state)", which[rows, 3] + 1, states + 1)  # one that has none has -1
+    shapes = {passage.channels.held.shape, passage.channels.seen.shape}
+    _require(shapes == {(GPS_RANGES + GLONASS_RANGES,)}, "channels", "must have a row for each state")
 
 
 def _require(good: bool, place: str, wanted: str) -> None:

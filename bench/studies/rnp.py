@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench import earth, pipeline
+from bench import pipeline
 from bench.arrays import BoolArray, FloatArray
 from bench.config import load_profile
 from bench.data import NavSolution, Sensed, Trajectory
@@ -28,9 +28,7 @@ from bench.evaluation.error_series import error_series
 from bench.evaluation.protection import (
     FALSE_ALARM,
     MISSED,
-    Influence,
     list_satellites,
-    measure_leverage,
     protect_by_separation,
     protect_fault_free,
 )
@@ -150,8 +148,7 @@ def watch_run(run: _Run) -> _Watch:
     solution = _navigate(profile, sensed, truth.t[rows])
     if options.estimator == "tight":
         without = [_navigate(profile, one, truth.t[rows]) for one in _leave_out(sensed)]
-        influence = _measure_influence(profile, sensed, solution)
-        protection = protect_by_separation(solution, without, influence, options.false_alarm, options.missed)
+        protection = protect_by_separation(solution, without, options.false_alarm, options.missed)
     else:
         protection = protect_fault_free(solution)
     apart = error_series(truth, solution).pos_n
@@ -206,23 +203,6 @@ def _leave_out(sensed: Sensed) -> Iterator[Sensed]:
     for system, sat in list_satellites(o):
         kept = take_observations(o, (o.system != system) | (o.sat != sat))
         yield replace(sensed, data=replace(sensed.data, observations=kept))
-
-
-def _measure_influence(profile: Profile, sensed: Sensed, full: NavSolution) -> Influence:
-    """Return what each satellite has to do with a solution, by a pass with a metre on its ranges for each."""
-    o, gnss = sensed.data.observations, profile.sensors.gnss
-    assert o is not None
-    assert gnss is not None
-    assert gnss.sky is not None
-    moved, sd = [], []
-    for system, sat in list_satellites(o):
-        rows = (o.system == system) & (o.sat == sat)
-        longer = replace(o, pseudorange=o.pseudorange + rows[:, None])
-        one = replace(sensed, data=replace(sensed.data, observations=longer))
-        moved.append(earth.difference_n(_navigate(profile, one, full.t).lla, full.lla))
-        sd.append(float(np.sqrt(np.mean(np.square(o.sd_pseudorange[rows])))))
-    leverage = measure_leverage(o, full, gnss.sky.elevation_mask)
-    return Influence(np.stack(moved, axis=1), np.array(sd), leverage)
 
 
 def _list_accuracy(errors: dict[str, FloatArray], rnp: float) -> Iterator[dict[str, Any]]:

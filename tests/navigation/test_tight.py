@@ -20,7 +20,7 @@ from bench.navigation.error_state_filter import error_state, measurement_rows, r
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
 from bench.navigation.error_state_filter.schedule import Schedule
-from bench.navigation.error_state_filter.state_blocks import index_of
+from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, index_of
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.specs import Fault
@@ -74,16 +74,17 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     Left out of H: how the delays change with the place (3e-3 per metre at 5 deg), the Earth rate on the arm.
     """
     data, initial = sensed.data, sensed.initial
-    n = 15 + 1 + 3 + 3  # baro, clock and lever arm
+    n = 15 + 1 + 3 + 3 + GPS_RANGES + GLONASS_RANGES + 1  # baro, clock, lever arm, ranges
     schedule = Schedule(initial.t, data.specs.imu, compensate=True)
     schedule.take(data, last=True)
-    channel = ranging.Channels().of_satellites(data.observations)
-    schedule.add_satellites(data.observations, data.specs.gnss, initial.lla[0], channel)
+    schedule.add_satellites(data.observations, SKY, initial.lla[0], ranging.Channels())
     sky = schedule.sky
     aid = measurement_rows.Measurements(
         np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
     )
-    index = index_of(StateLayout(("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)))
+    blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)]
+    blocks += [("gps_range_1", "1", GPS_RANGES), ("glonass_range_1", "1", GLONASS_RANGES)]
+    index = index_of(StateLayout(*blocks, ("troposphere", "1", 1)))
     kernel = plain(ranging.satellites_kernel)
     start = np.concatenate(
         [initial.lla, [20.0, 15.0, -2.0], rotation.from_euler(0.3, 0.1, 0.8), np.zeros(n - 9)]
@@ -106,7 +107,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 
     size = np.repeat([30.0, 1.0, 1e-3, 1e-3, 1.0], 3)
-    size = np.concatenate([size, [1.0], [10.0, 1.0, 1.0], np.full(3, 0.1)])
+    size = np.concatenate([size, [1.0], [10.0, 1.0, 1.0], np.full(3, 0.1), np.full(n - 22, 0.1)])
     z, H = measured(np.zeros(n))
     assert len(z) > 24
     assert (H[:, 18] == 1).any()  # GLONASS is among them
@@ -145,7 +146,7 @@ def test_corrections_are_needed(sensed):
 
 
 def test_it_keeps_the_contract_with_satellites(sensed):
-    for options in ({}, {"adaptive_noise": 20, "lever_arm_sd": 0.3, "mems": True, "standstill": True}):
+    for options in ({}, {"adaptive_noise": 20, "lever_arm_sd": 0.3, "standstill": True}):
         bench.check_estimator(load("tight", options), sensed.data, sensed.initial)
 
 
@@ -357,12 +358,13 @@ def test_the_offset_of_glonass_is_found(sensed):
 def test_what_tight_does_not_model_is_named():
     named = Tight().unmodelled(units(gnss=SKY).assumed)
     for text in (
-        "ionosphere beyond the broadcast model",
         "multipath",
         "flicker of the receiver's clock",
         "g-sensitivity of the receiver's clock",
     ):
         assert text in named
+    for text in ("ionosphere beyond the broadcast model", "satellite orbit and clock error"):
+        assert text not in named
     steady = replace(SKY, sky=replace(SKY.sky, clock_h_m1=0.0))
     assert "flicker of the receiver's clock" not in Tight().unmodelled(units(gnss=steady).assumed)
     assert not [text for text in named if "GNSS" in text]

@@ -213,6 +213,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
             "loose-22, 20 Hz": run("loose-22", **slow),
             "loose-mems, every sample": run("loose-mems", **every),
             "tight, 20 Hz": run("tight", sky=True, **slow),
+            "tight without IMU errors, 20 Hz": run("tight", sky=True, every_error=False, **slow),
             "gnss-only": run("gnss-only"),
             "smoother": run("smoother", over="loose-15"),
             "its forward filter": run("loose-15", **slow),
@@ -228,7 +229,8 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
             ("loose-22, every sample", 7.0),
             ("loose-22, 20 Hz", 16.0),
             ("loose-mems, every sample", 4.0),
-            ("tight, 20 Hz", 12.0),
+            ("tight, 20 Hz", 7.0),
+            ("tight without IMU errors, 20 Hz", 12.0),
         )
     ] + [
         Figure("gnss-only / loose-22, 20 Hz", cost["gnss-only"] / cost["loose-22, 20 Hz"], 0.3, "x"),

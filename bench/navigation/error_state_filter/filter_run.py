@@ -40,7 +40,7 @@ from bench.navigation.error_state_filter.propagation import (
     pending_for,
     work_for,
 )
-from bench.navigation.error_state_filter.ranging import Sky, place_fillers
+from bench.navigation.error_state_filter.ranging import Sky, place_fillers, renew_kernel
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel
@@ -145,7 +145,11 @@ def _fusion_kernel(
         if asked or action == GO_ON:
             continue
         t = steps.t[k]  # the last one serves the start, index -1
-        before = step.Phi  # nobody looks there
+        before, f = step.Phi, e  # nobody looks there
+        while f < schedule.shape[0] and schedule[f, 0] == until and schedule[f, 1] < OUTPUT:
+            if schedule[f, 2] == SATELLITE_ROWS and schedule[f, 1] != USE:
+                renew_kernel(schedule[f, 3], now, step.Phi, index, pending, sky)
+            f += 1
         if keep:
             before = stores.node_cov[node, 0]
             stores.node_t[node] = t

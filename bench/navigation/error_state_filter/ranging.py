@@ -6,10 +6,15 @@
 (B-12, B-14b) with the offset for GLONASS only. Both depend on the errors of the antenna along the line of
 sight. The delays are computed at the position of the filter, so that any number of satellites will do. H
 neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
+
+What wanders in a range has states (`state_blocks.RANGE_ERRORS`), each times the size that the datasheet gives
+at this elevation, and is no part of R.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,21 +33,26 @@ from bench.navigation.error_state_filter.measurement_rows import (
     antenna_rows_kernel,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
-from bench.navigation.error_state_filter.state_blocks import Index
+from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, Index
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
     mapping_kernel,
+    obliquity_kernel,
     range_kernel,
     range_rate_kernel,
     zenith_troposphere,
 )
 from bench.signals.orbits import GPS_EARTH_RATE, L1
-from bench.specs import GnssSpec
+from bench.specs import GnssSpec, SkySpec
 
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
 _TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
+_GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
+_PLACES = {GPS: range(GPS_RANGES), GLONASS: range(GPS_RANGES, GPS_RANGES + GLONASS_RANGES)}
+_PART = 1e-3  # least share of the variance of a range that is white
+_NONE, _TAKEN = -1, -2
 _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
@@ -55,16 +65,18 @@ class Sky(NamedTuple):
     sat: FloatArray  # (K, 6) position and velocity, e at transmission
     t: FloatArray  # (K,) time of the GPS day [s]
     ionosphere: FloatArray  # (K,) ionospheric delay over that on L1; 0 with two frequencies [1]
-    which: IntArray  # (K, 3) system, channel of the range, channel of the rate
+    which: IntArray  # (K, 5) system, channels of range and rate, state of its own (-1: none), is that new
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
+    sizes: FloatArray  # (4,) sd of what wanders [m]: ionosphere, GPS and GLONASS satellites, troposphere
 
 
 def empty_sky() -> Sky:
     """Return a sky without satellites."""
-    none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 3), np.int64)
-    return Sky(np.zeros(1, np.int64), pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0)
+    none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 5), np.int64)
+    first = np.zeros(1, np.int64)
+    return Sky(first, pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0, np.zeros(4))
 
 
 def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
@@ -87,7 +99,7 @@ def make_sky(
     epochs: IntArray,
     count: int,
     lat: float,
-    channel: IntArray,
+    channels: Channels,
 ) -> Sky:
     """Return the rows of a record that are used, as the kernel takes them.
 
@@ -101,9 +113,11 @@ def make_sky(
         Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
     lat : float
         Latitude of the table of vertical delays [rad]; 500 km north or south they differ by 1 mm.
-    channel : (K,) array of int
-        Channel of the gate that the range of each of the rows has; that of its rate is the next.
+    channels : Channels
+        What the satellites have had so far.
     """
+    channel = channels.of_satellites(o)[rows]
+    own, fresh = channels.give_states(o, rows)
     values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
     return Sky(
@@ -113,11 +127,17 @@ def make_sky(
         sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
         t=o.t[rows] + o.gps_t0,
         ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
-        which=np.column_stack([o.system[rows], channel, channel + 1]),
+        which=np.column_stack([o.system[rows], channel, channel + 1, own, fresh]),
         zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
         klobuchar=o.klobuchar.copy(),
         sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
+        sizes=np.zeros(4) if spec.sky is None else _list_sizes(spec.sky),
     )
+
+
+def _list_sizes(sky: SkySpec) -> FloatArray:
+    above = sky.ionosphere_sd if sky.bands == 1 else 0.0
+    return np.array([above, sky.gps_space_sd, sky.glonass_space_sd, sky.troposphere_sd])
 
 
 def join_skies(first: Sky, second: Sky) -> Sky:
@@ -149,15 +169,40 @@ def _with_rows(sky: Sky, *columns: Any) -> Sky:
 def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
     """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
     letter = {GPS: "G", GLONASS: "R"}
-    numbers, which = np.unique(1000 * o.system + o.sat, return_inverse=True)
+    numbers, which = np.unique(_number(o), return_inverse=True)
     return [f"{letter[n // 1000]}{n % 1000:02d}" for n in numbers.tolist()], which.astype(np.int64)
 
 
+def _number(o: GnssObservations) -> IntArray:
+    return 1000 * o.system + o.sat
+
+
 class Channels:
-    """The channels of a gate: those of the sensors, then range and rate of each satellite as it appears."""
+    """What each satellite has: channels of the gate for range and rate, and a state of its own.
+
+    The channels follow on those of the sensors, in the order in which satellites appear. The states of a
+    constellation are few: one that rises gets that of the satellite which has been gone for the longest time,
+    `_GONE` at least; it is not used before.
+    """
 
     def __init__(self) -> None:
         self.names = list(SENSORS)
+        self.held = np.full(GPS_RANGES + GLONASS_RANGES, -1)  # number of the satellite that has each state
+        self.seen = np.full(len(self.held), -np.inf)  # when it was seen last [s]
+
+    def copy(self) -> Channels:
+        """Return what goes on from here by itself."""
+        other = copy(self)
+        other.names, other.held, other.seen = list(self.names), self.held.copy(), self.seen.copy()
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Return what is carried from one piece to the next, as arrays and words by name."""
+        return {"names": self.names, "held": self.held, "seen": self.seen}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over what :meth:`state` returned."""
+        self.names, self.held, self.seen = list(state["names"]), state["held"], state["seen"]
 
     def of_satellites(self, o: GnssObservations) -> IntArray:
         """Return the channel (K,) of the range of each row of a record; new satellites get one."""
@@ -166,6 +211,26 @@ class Channels:
             if f"{one} range" not in self.names:
                 self.names += [f"{one} range", f"{one} rate"]
         return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
+
+    def give_states(self, o: GnssObservations, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the state of each row, by its place in its constellation, and whether it is new there."""
+        own, fresh = np.full(len(rows), -1), np.zeros(len(rows), np.int64)
+        seen, where = self.seen.tolist(), {one: k for k, one in enumerate(self.held.tolist()) if one >= 0}
+        for k, (one, t) in enumerate(zip(_number(o)[rows].tolist(), o.t[rows].tolist(), strict=True)):
+            place = where.get(one)
+            if place is None:
+                free = min(_PLACES[one // 1000], key=seen.__getitem__)
+                if t - seen[free] < _GONE:
+                    continue
+                before = [other for other, at in where.items() if at == free]
+                for other in before:
+                    del where[other]
+                where[one], fresh[k], place = free, len(before), free
+            seen[place] = max(seen[place], t)
+            own[k] = place - _PLACES[one // 1000].start
+        self.seen = np.array(seen)
+        self.held[list(where.values())] = list(where)
+        return own, fresh
 
 
 def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntArray:
@@ -180,6 +245,38 @@ def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntA
         else:
             at[kind] = find_address(ROWS[kind], types)
     return at
+
+
+@inner
+def range_state_kernel(k: int, sky: Sky, index: Index) -> int:
+    """Return the state of the range error of row k; `_NONE`: no range has one, `_TAKEN`: all are taken."""
+    first, own = index.gps_range_1, sky.which[k, 3]
+    if sky.which[k, 0] == GLONASS:
+        first = index.glonass_range_1
+    if first < 0:
+        return _NONE
+    return first + own if own >= 0 else _TAKEN
+
+
+@inner
+def renew_kernel(
+    epoch: int, now: FilterState, Phi: FloatArray, index: Index, pending: Pending, sky: Sky
+) -> None:
+    """Begin states anew that go to other satellites at an epoch; ``Phi`` (n, n) leads there for a smoother.
+
+    Rows that wait take the error of the satellite before as white.
+    """
+    P, n = now.P, now.P.shape[0]
+    for k in range(sky.epoch_start[epoch], sky.epoch_start[epoch + 1]):
+        own: int = range_state_kernel(k, sky, index)
+        if own < 0 or sky.which[k, 4] == 0:
+            continue
+        for a in range(pending.H.shape[0]):
+            pending.r[a] += pending.H[a, own] * pending.H[a, own] * P[own, own]
+            pending.H[a, own] = 0.0
+        for i in range(n):
+            P[own, i], P[i, own], Phi[own, i] = 0.0, 0.0, 0.0
+        P[own, own], now.state[own + 1] = 1.0, 0.0
 
 
 @inner
@@ -226,14 +323,15 @@ def satellites_kernel(
         e_n = -s * cl * ex - s * sl * ey + c * ez
         e_e = -sl * ex + cl * ey
         e_d = -c * cl * ex - c * sl * ey - s * ez
-        if not -e_d >= sky.sin_mask:
+        own: int = range_state_kernel(k, sky, index)
+        if own == _TAKEN or not -e_d >= sky.sin_mask:
             continue
         a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, GPS_EARTH_RATE)
-        flat = np.sqrt(e_n * e_n + e_e * e_e)
-        delay = zenith * mapping_kernel(-e_d)
+        flat, mapping = np.sqrt(e_n * e_n + e_e * e_e), mapping_kernel(-e_d)
+        el, delay = np.arctan2(-e_d, flat), zenith * mapping
         if sky.ionosphere[k] > 0.0 and flat > 0.0:
             delay += sky.ionosphere[k] * klobuchar_kernel(
-                state[0], state[1], np.arctan2(-e_d, flat), e_e / flat, e_n / flat, sky.t[k], sky.klobuchar
+                state[0], state[1], el, e_e / flat, e_n / flat, sky.t[k], sky.klobuchar
             )
         glonass = sky.which[k, 0] == GLONASS
         z[row] = distance + delay + state[at + 1] - sky.values[k, 0]
@@ -255,8 +353,20 @@ def satellites_kernel(
         if glonass:
             H[row, at + 2] = 1.0
             z[row] += state[at + 3]
+        pending.r[row], pending.r[row + 1] = sky.variance[k, 0], sky.variance[k, 1]
+        if own >= 0:
+            above, space = sky.sizes[0] * obliquity_kernel(el) * sky.ionosphere[k], sky.sizes[1]
+            if glonass:
+                space = sky.sizes[2]
+            H[row, own] = np.sqrt(above * above + space * space)
+        if index.troposphere >= 0:
+            H[row, index.troposphere] = sky.sizes[3] * mapping
+        for i in (own, index.troposphere):
+            if i >= 0:
+                z[row] += H[row, i] * state[i + 1]
+                pending.r[row] -= H[row, i] * H[row, i]
+        pending.r[row] = max(pending.r[row], _PART * sky.variance[k, 0])
         for i in range(2):
-            pending.r[row + i] = sky.variance[k, i]
             pending.tags[row + i, 0] = PSEUDORANGE if i == 0 else RANGE_RATE
             pending.tags[row + i, 1] = sky.which[k, 1 + i]
             pending.tags[row + i, 2], pending.tags[row + i, 3] = 0, 1

@@ -220,8 +220,10 @@ class Schedule:
         """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
         self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
-    def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channel: IntArray) -> None:
-        """Take the usable satellites of each epoch; ``channel`` (K,) is that of the range of each row."""
+    def add_satellites(
+        self, o: GnssObservations, gnss: GnssSpec, lat: float, channels: ranging.Channels
+    ) -> None:
+        """Take the usable satellites of each epoch, and let them have ``channels`` and states."""
         assert gnss.sky is not None
         values, variance = ranging.correct_observations(o, gnss)
         sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
@@ -242,7 +244,7 @@ class Schedule:
         of_row = number[o.epoch]
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
-        sky = ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat, channel[rows])
+        sky = ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat, channels)
         self.sky = ranging.join_skies(self.sky, sky) if known else sky
         nothing = np.empty((len(epochs), 0))
         self._wait(SATELLITE_ROWS, t, arrival, nothing, nothing, known + np.arange(len(epochs)))

@@ -33,6 +33,10 @@ from bench.specs import AssumedSpecs
 
 CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
 
+GPS_RANGES, GLONASS_RANGES = 16, 12
+"""Satellites of each constellation whose range error has a state; some 14 of 32 and 10 of 24 are in view."""
+_OBLIQUITY = 1.6  # of the ionosphere at 35 deg, the median elevation above 5 deg [1]
+
 WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
 WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
 
@@ -50,6 +54,9 @@ class Index(NamedTuple):
     axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
     axle_b: int
     gust_n: int
+    gps_range_1: int  # GPS_RANGES of them
+    glonass_range_1: int  # GLONASS_RANGES of them
+    troposphere: int
 
 
 class Process(NamedTuple):
@@ -263,6 +270,46 @@ state of finite size. The offset grows by the drift: `propagation`.
 """
 
 
+def _range_errors(specs: AssumedSpecs) -> list[States]:
+    """Return unit states; their columns of H hold how large the errors are at an elevation (`ranging`)."""
+    sky = assumed(specs, "gnss").sky
+    above = _OBLIQUITY * sky.ionosphere_sd if sky.bands == 1 else 0.0
+    found = []
+    for name, space, count in (
+        ("gps", sky.gps_space_sd, GPS_RANGES),
+        ("glonass", sky.glonass_space_sd, GLONASS_RANGES),
+    ):
+        if sky.systems in (name, "both", "auto") and max(space, above) > 0.0:
+            parts = np.square([space, above])
+            rates = [1.0 / max(one, 1.0) for one in (sky.space_correlation, sky.ionosphere_correlation)]
+            decay = float(parts @ rates / parts.sum())
+            found += [
+                States(f"{name}_range_{k}", "1", 1, 1.0, decay_time=decay, stationary=1.0)
+                for k in range(1, count + 1)
+            ]
+    if sky.troposphere_sd > 0.0:
+        decay = 1.0 / max(sky.troposphere_correlation, 1.0)
+        found.append(States("troposphere", "1", 1, 1.0, decay_time=decay, stationary=1.0))
+    return found
+
+
+RANGE_ERRORS = Block(
+    "tight",
+    _range_errors,
+    takes=(
+        "satellite orbit and clock error",
+        "ionosphere beyond the broadcast model",
+        "troposphere beyond the model",
+    ),
+    records=("observations",),
+)
+"""What wanders in the ranges: of each satellite orbit, clock and ionosphere as one Gauss-Markov process with
+the mean of their rates, by their variances; of all of them the zenith troposphere.
+
+A state goes to a satellite that rises when the one that had it is gone: `ranging.Channels`.
+"""
+
+
 def antenna(sd: float) -> Block:
     """Return the place of the GNSS antenna, known to ``sd`` [m] along each axis of b."""
     states = (States("antenna_b", "m", 3, sd**2),)
@@ -344,5 +391,6 @@ def chosen_blocks(options: FusionOptions) -> list[Block]:
     arm, ride = antenna(options.lever_arm_sd), vehicle(options)
     wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
     markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
-    every = (BARO_BIAS, markov, MEMS, EVERY_ERROR, CLOCK, arm, wind, RADAR_BIAS, *ride, ODOMETER_SCALE)
+    imu, satellites = (MEMS, EVERY_ERROR), (CLOCK, RANGE_ERRORS)
+    every = (BARO_BIAS, markov, *imu, *satellites, arm, wind, RADAR_BIAS, *ride, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

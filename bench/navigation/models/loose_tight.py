@@ -325,8 +325,7 @@ class Passage:
         samples = schedule.take(piece, last=last)
         if SATELLITES in self.used and piece.observations is not None:
             seen, lat = piece.observations, float(self.initial.lla[0])
-            channel = self.channels.of_satellites(seen)
-            schedule.add_satellites(seen, assumed(specs, "gnss"), lat, channel)
+            schedule.add_satellites(seen, assumed(specs, "gnss"), lat, self.channels)
         for sensor in self.used:
             if sensor is not SATELLITES:
                 more = self.filter.more(sensor, specs)
@@ -362,8 +361,8 @@ class Passage:
     def copy(self) -> Passage:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
-        other.schedule, other.run, other.channels = self.schedule.copy(), self.run.copy(), copy(self.channels)
-        other.channels.names = list(self.channels.names)
+        other.schedule, other.run = self.schedule.copy(), self.run.copy()
+        other.channels = self.channels.copy()
         other.samplers = {kind: copy(sampler) for kind, sampler in self.samplers.items()}
         return other
 
@@ -372,7 +371,7 @@ class Passage:
         return {
             "schedule": self.schedule.state(),
             "run": self.run.state(),
-            "channels": self.channels.names,
+            "channels": self.channels.state(),
             "samplers": {str(kind): sampler.state() for kind, sampler in self.samplers.items()},
         }
 
@@ -380,7 +379,7 @@ class Passage:
         """Take over what :meth:`state` returned."""
         self.schedule.restore(state["schedule"])
         self.run.restore(state["run"])
-        self.channels.names = list(state["channels"])
+        self.channels.restore(state["channels"])
         for kind, sampler in self.samplers.items():
             sampler.restore(state["samplers"][str(kind)])
 
