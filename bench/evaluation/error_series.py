@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import fields, replace
 from itertools import chain
 from typing import Any, TypeVar
@@ -26,10 +27,10 @@ NOT_COVERED = "not_covered"
 """Kind of the events of an interval without a solution."""
 
 DIVERGED_SIGMAS = 10.0
-"""A horizontal error above this many sigma [1] and above :data:`DIVERGED_DISTANCE` means divergence."""
+"""An error above so many sigma [1] and its limit means divergence; without a claim, its limit alone."""
 
-DIVERGED_DISTANCE = 1000.0
-"""See :data:`DIVERGED_SIGMAS` [m]."""
+DIVERGED_HORIZONTAL, DIVERGED_HEIGHT, DIVERGED_VELOCITY = 1000.0, 300.0, 15.0  # [m], [m], [m/s]
+DIVERGED_TILT, DIVERGED_HEADING = 30.0, 60.0  # [deg]
 
 
 def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
@@ -237,11 +238,11 @@ def check_convergence(
 ) -> tuple[bool, str | None]:
     """Return whether a solution converged, and the reason if it did not.
 
-    It did not converge if a state or covariance is not finite, the covariance is not positive definite, or
-    the horizontal error exceeds both 10 sigma (root of the sum of the two horizontal variances) and 1 km at
-    some epoch. A block that is NaN throughout, values and covariance, is not estimated and is not checked.
-    A covariance that is not claimed is not checked either. ``factored`` says that NEES comes from the
-    covariance of the solution; then it is finite where that is positive definite.
+    It did not converge if a state or covariance is not finite, the covariance is not positive definite, or an
+    error exceeds both `DIVERGED_SIGMAS` of what is claimed (of a vector the root of the sum of its variances)
+    and the limit of its kind at some epoch. A block that is NaN throughout, values and covariance, is not
+    estimated and is not checked; one without a covariance is held against its limit alone. ``factored`` says
+    that NEES comes from the covariance of the solution; then it is finite where that is positive definite.
     """
     blocks = estimated_blocks(solution)
     if not blocks:
@@ -267,17 +268,37 @@ def check_convergence(
         if bad.any():
             return False, f"covariance is not positive definite at {_describe_epochs(solution, bad)}"
     disk_arrays.release()
-    if "pos" in blocks:
-        distance = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
-        sigma = np.sqrt(variances(solution)[:, :2].sum(axis=1))
-        bad = (distance > DIVERGED_DISTANCE) & (distance > DIVERGED_SIGMAS * sigma)
+    for what, unit, limit, size, sigma in _list_sizes(errors, solution, blocks):
+        bad = (size > limit) & ~(size <= DIVERGED_SIGMAS * sigma)
         if bad.any():
             k = int(np.argmax(bad))
-            return False, (
-                f"horizontal error is {distance[k]:.0f} m at {_describe_epochs(solution, bad)}, "
-                f"more than {DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} m"
-            )
+            text = f"{what} is {size[k]:.0f} {unit} at {_describe_epochs(solution, bad)}, more than "
+            if np.isnan(sigma[k]):
+                return False, f"{text}{limit:g} {unit}"
+            return False, f"{text}{DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} {unit}"
     return True, None
+
+
+def _list_sizes(
+    errors: ErrorSeries, solution: NavSolution, blocks: Collection[str]
+) -> Iterator[tuple[str, str, float, FloatArray, FloatArray]]:
+    """Yield what an error is of, its unit, its limit, its size (M,) and the sigma that is claimed (M,)."""
+    variance = variances(solution)
+    with np.errstate(invalid="ignore"):
+        if "pos" in blocks:
+            size, sigma = np.hypot(*errors.pos_n[:, :2].T), np.sqrt(variance[:, :2].sum(axis=1))
+            yield "horizontal error", "m", DIVERGED_HORIZONTAL, size, sigma
+            size, sigma = np.abs(errors.pos_n[:, 2]), np.sqrt(variance[:, 2])
+            yield "height error", "m", DIVERGED_HEIGHT, size, sigma
+        if "vel" in blocks:
+            size = np.sqrt(np.einsum("ki,ki->k", errors.vel_n, errors.vel_n))
+            sigma = np.sqrt(variance[:, BLOCKS["vel"]].sum(axis=1))
+            yield "velocity error", "m/s", DIVERGED_VELOCITY, size, sigma
+        if "phi" in blocks:
+            size, sigma = np.hypot(*errors.phi_n[:, :2].T), np.sqrt(variance[:, 6:8].sum(axis=1))
+            yield "tilt", "deg", DIVERGED_TILT, np.rad2deg(size), np.rad2deg(sigma)
+            size, sigma = np.abs(errors.heading), heading_sd(solution)
+            yield "heading error", "deg", DIVERGED_HEADING, np.rad2deg(size), np.rad2deg(sigma)
 
 
 def count_aligning_epochs(solution: NavSolution, until: float) -> int:

@@ -312,3 +312,30 @@ def test_diverged_means_beyond_10_sigma_and_beyond_1_km(truth, distance, sigma, 
             f"horizontal error is {distance:.0f} m at t = 10 s (101 of 201 epochs), "
             f"more than 10 sigma of {sigma:.1f} m"
         )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"pos_n": (0.0, 0.0, -500.0)}, "height error is 500 m at t = 0 s"),
+        ({"vel_n": (0.0, 0.0, 20.0)}, "velocity error is 20 m/s at t = 0 s"),
+        ({"phi_n": (0.0, np.deg2rad(40.0), 0.0)}, "tilt is 40 deg at t = 0 s"),
+        ({"phi_n": (0.0, 0.0, np.deg2rad(-92.0))}, "heading error is "),
+    ],
+)
+def test_every_block_that_is_far_off_has_not_converged(truth, wrong, reason):
+    """Held against the claim, or against the limit alone where nothing is claimed."""
+    solution = wrong_solution(truth, **wrong)
+    for cov, end in (
+        (solution.cov, "more than 10 sigma of "),
+        (np.full_like(solution.cov, np.nan), "more than "),
+    ):
+        one = replace(solution, cov=cov)
+        good, told = check_convergence(error_series(truth, one), one)
+        assert not good
+        assert told.startswith(reason)
+        assert end in told
+    wide = replace(solution, cov=solution.cov * 1e6)  # it says that it does not know
+    assert check_convergence(error_series(truth, wide), wide) == (True, None)
+    near = wrong_solution(truth, **{name: 0.3 * np.array(value) for name, value in wrong.items()})
+    assert check_convergence(error_series(truth, near), near) == (True, None)
