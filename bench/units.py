@@ -45,6 +45,7 @@ ENDINGS: Mapping[str, Unit] = {
     "_hpa_sqrt_h": Unit("hPa/sqrt(h)", 100.0 / math.sqrt(HOUR)),
     "_pa_k": Unit("Pa/K"),
     "_per_deg2": Unit("1/deg^2", 1.0 / DEG**2),
+    "_per_h": Unit("1/h", 1.0 / HOUR),
     "_per_deg": Unit("1/deg", 1.0 / DEG),
     "_hpa": Unit("hPa", 100.0),
     "_arcsec": Unit("arcsec", DEG / 3600),

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.campaigns.card import COUNT, Card, Line, write_figure
+from bench.campaigns.card import Card
+from bench.campaigns.card_lines import COUNT, Line, write_figure
 from bench.errors import ConfigError
 from bench.evaluation import ensemble, regression
 from bench.evaluation.regression import Change
@@ -92,7 +93,7 @@ def list_differences(first: Card, second: Card) -> list[str]:
 
 def _are_same(one: Line, other: Line) -> bool:
     """Tell whether every draw has the same value, but for the processor."""
-    a, b = (np.array(line.by_draw, float) for line in (one, other))  # None: NaN
+    a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
     return a.shape == b.shape and bool(np.isclose(a, b, rtol=_SAME, atol=0.0, equal_nan=True).all())
 
 
@@ -101,6 +102,12 @@ def _tell_values(one: Line, other: Line) -> str | None:
     if one.figure.startswith("median"):
         texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
         return "heading found after {} and {}".format(*texts)
+    if one.topic == "coverage":
+        shares = (f"{100.0 * (line.value or 0.0):.4g}" for line in (one, other))
+        return "answers at {} and {} % of the instants".format(*shares)
+    if one.topic == "causality":
+        ahead = ("not proven" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "look-ahead: {} and {}".format(*ahead)
     if one.word == COUNT:
         counts = (f"{sum(value or 0.0 for value in line.by_draw):.0f}" for line in (one, other))
         return f"{one.figure}: {' and '.join(counts)} of {len(one.by_draw)}"

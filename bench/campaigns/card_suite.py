@@ -41,6 +41,8 @@ def _drop_imu(start_s: float, duration_s: float) -> Values:
 
 
 _PLAIN = "s-turns-matched"
+LATE = "late-fixes"
+"""Name of the flight on which fixes come late."""
 _MATCHED: Values = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
 _GAPS = [_drop_imu(100.0, 0.5), _drop_imu(170.0, 2.0), _drop_imu(250.0, 10.0), _drop_imu(340.0, 5.0)]
 _LATE = [{"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 425.0, "added_s": 0.5}]
@@ -50,7 +52,7 @@ _QUICK = (
     SuiteFlight("gnss-faults", "gnss-faults"),
     SuiteFlight(_PLAIN, "s-turns", _MATCHED),
     SuiteFlight("imu-gaps", "s-turns", {**_MATCHED, "fault": _GAPS}, _PLAIN),
-    SuiteFlight("late-fixes", "s-turns", {**_MATCHED, "fault": _LATE}, _PLAIN),
+    SuiteFlight(LATE, "s-turns", {**_MATCHED, "fault": _LATE}, _PLAIN),
     SuiteFlight("heading-30-deg-off", "s-turns", {**_MATCHED, "initial_error_sd.heading_deg": 30.0}),
 )
 _FULL = (

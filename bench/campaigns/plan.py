@@ -214,6 +214,13 @@ def _describe_estimator(choice: EstimatorChoice) -> dict[str, Any]:
     return plain | {"source": [_hash_file(path) for path in _find_sources(choice)]}
 
 
+def hash_estimator(plan: Plan, label: str) -> str:
+    """Return a hash of the sources, or of the program, of an estimator of a plan, and of its options."""
+    (choice,) = (one for one in plan.cells[0].profile.estimators if one.label == label)
+    own = {**_describe_estimator(choice), "guard": "", "package": _hash_package()}
+    return hashlib.sha256(json.dumps(own, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
 def _find_sources(choice: EstimatorChoice) -> list[Path]:
     """Return the files of an estimator: those of its package or module, or of its program."""
     kind, _, rest = choice.use.partition(":")

@@ -143,7 +143,12 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
 @click.option("--html", type=FILE, metavar="FILE", help="write it as a page")
 @click.option("--compare", "compared", type=FILE, nargs=2, metavar="A B", help="compare two cards")
+@click.option("--verify", "verified", type=FILE, metavar="FILE", help="repeat drawn runs of a card")
 @click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
+@click.option(
+    "--runs", type=FILE, metavar="DIR", help="keep the runs there; those that are there are not repeated"
+)
+@seed_option
 @json_option("the card")
 @force_option("card")
 @guard_options
@@ -151,6 +156,7 @@ def card(
     as_json: bool,
     estimator: str | None,
     compared: tuple[Path, Path] | None,
+    verified: Path | None,
     sensors: Path | None,
     **options: Any,
 ) -> int:
@@ -158,6 +164,7 @@ def card(
 
     Accuracy is a ratio to the other filter on the same noise, with its interval. Version
     and hash of the suite stand on the card: two cards with equal hashes compare.
+    --seed draws noise that no filter was tuned on; --verify repeats some runs of a card.
     Solutions made elsewhere are judged, too: --sensors writes a folder for each draw,
     and file:DIR finds solution.csv in each of them.
 
@@ -167,17 +174,23 @@ def card(
       bench card --sensors draws --quick && bench card -e file:draws --quick
       bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
       bench card --compare mine.json theirs.json
+      bench card --verify mine.json
     """
     from bench.store import to_json
-    from bench.workbench.campaign_verb import print_comparison, run_card, write_sensors
+    from bench.workbench.campaign_verb import check_card, print_comparison, run_card, write_sensors
 
-    if [estimator, compared, sensors].count(None) != 2:
-        raise click.UsageError("give one of -e NAME to judge, --compare A B and --sensors DIR")
+    if [estimator, compared, sensors, verified].count(None) != 3:
+        raise click.UsageError("give one of -e NAME to judge, --compare A B, --verify FILE and --sensors DIR")
     if sensors is not None:
         write_sensors(sensors, quick=options["quick"], console=new_console(stderr=as_json))
         return DONE
     console = new_console(stderr=as_json)
     found: Any
+    if verified is not None:
+        found = check_card(verified, options["guard"], options["jobs"], console=console)
+        if as_json:
+            click.echo(to_json(found), nl=False)
+        return NEGATIVE if found else DONE
     if compared is not None:
         found = [asdict(line) for line in print_comparison(compared, console=console)]
     else:

@@ -16,7 +16,7 @@ from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.case import Alarms, Case
 from bench.instruments import INSTRUMENTS
 from bench.specs import Fault
-from bench.units import SAME_INSTANT
+from bench.units import HOUR, SAME_INSTANT
 
 _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
     "gnss": ("gnss", "pseudorange", "range_rate"),
@@ -92,6 +92,28 @@ def false_alarms(case: Case) -> dict[str, float | None]:
         return {}
     count = partial(count_false_alarms, case.scripted, case.alarms, from_s=case.from_s - SAME_INSTANT)
     return {name: float(count(name)) for name in dict.fromkeys(one.name for one in case.alarms)}
+
+
+def false_alarm_rate(case: Case) -> float | None:
+    """Alarms of all sensors outside all faults, per hour."""
+    seconds, alarms = _outside_faults(case)
+    return HOUR * len(alarms) / len(seconds) if len(seconds) else None
+
+
+def false_alarm_share(case: Case) -> float | None:
+    """Share of the whole seconds outside all faults in which an alarm was raised."""
+    seconds, alarms = _outside_faults(case)
+    return float(np.isin(seconds, np.floor(alarms)).mean()) if len(seconds) else None
+
+
+def _outside_faults(case: Case) -> tuple[FloatArray, FloatArray]:
+    """Return the whole seconds that are judged and without a fault, and the alarms in them [s]."""
+    first = max(case.from_s, float(case.t[0]))
+    seconds = np.arange(np.ceil(first - SAME_INSTANT), np.floor(case.t[-1]))
+    for fault in case.scripted:
+        seconds = seconds[(seconds + 1.0 <= fault.start) | (seconds >= fault.end)]
+    raised = np.concatenate([np.empty(0), *(one.t for one in case.alarms)])
+    return seconds, raised[np.isin(np.floor(raised), seconds)]
 
 
 # --- fixes refused for long -------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from bench import disk_arrays
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.data import ErrorSeries, NavSolution, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors
 from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
@@ -41,6 +41,9 @@ AXES = ("n", "e", "d")
 
 HEADING_LIMIT = np.deg2rad(1.0)
 """A heading has converged below the larger of this and 3 sigma [rad]."""
+
+HEADING_RIGHT = np.deg2rad(3.0)
+"""A heading is right below this [rad]."""
 
 
 Direction = Literal["lower", "matched", "zero", "not judged"]
@@ -158,7 +161,19 @@ def heading_convergence(case: Case) -> Value:
 
     None if there is none.
     """
-    below = np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd)
+    return _settle(case, np.abs(case.heading) < np.fmax(HEADING_LIMIT, 3.0 * case.heading_sd))
+
+
+def heading_right(case: Case) -> Value:
+    """Time from which the heading error stays below 3 deg, whatever is claimed, to the end or an outage [s].
+
+    None if there is none.
+    """
+    return _settle(case, np.abs(case.heading) < HEADING_RIGHT)
+
+
+def _settle(case: Case, below: BoolArray) -> Value:
+    """Return the time from which a condition (M,) holds to the end or an outage; None if there is none."""
     starts = [int(np.searchsorted(case.t, start - SAME_INSTANT)) for _, start, _ in case.outages]
     edges = sorted({0, *starts, len(case.t)})
     for first, end in pairwise(edges):
@@ -239,12 +254,15 @@ METRICS: tuple[Metric, ...] = (
     Metric("heading_rmse_deg", heading_rmse, "phi", "lower"),
     Metric("heading_max_deg", heading_max, "phi", "not judged"),
     Metric("heading_convergence_s", heading_convergence, "phi", "lower"),
+    Metric("heading_right_s", heading_right, "phi", "not judged"),
     Metric("outage_{}_drift_h_m", outage_drift_h, "pos", "lower"),
     Metric("outage_{}_growth_h_m", outage_growth_h, "pos", "lower"),
     Metric("fault_{}_detected", detection.fault_detected, "", "matched"),
     Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
     Metric("fault_{}_max_h_m", detection.fault_max_h, "pos", "lower"),
     Metric("false_alarms_{}", detection.false_alarms, "", "zero"),
+    Metric("false_alarm_rate_per_h", detection.false_alarm_rate, "", "not judged"),
+    Metric("false_alarm_share", detection.false_alarm_share, "", "not judged"),
     Metric("nees_mean", nees_mean, "cov", "matched"),
     Metric("nees_states", nees_states, "cov", "not judged"),
     Metric("nees_inside_95", nees_inside_95, "cov", "matched"),

@@ -5,17 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench import durable
-from bench.campaigns.card import Card, Line, describe_suite
+from bench.campaigns.card import Card, describe_suite
+from bench.campaigns.card_lines import Line
 from bench.report import page
 from bench.wording import format_number
 
 _TITLES = {
     "convergence": "Does it converge?",
+    "coverage": "Does it answer?",
+    "causality": "Does it use the future?",
     "honesty": "Does it know its error?",
     "accuracy": "How accurate is it?",
+    "height": "How accurate is its height?",
+    "velocity": "How accurate is its velocity?",
+    "tilt": "How accurate are roll and pitch?",
     "heading": "How accurate is its heading?",
     "outages": "How does it hold through outages?",
     "faults": "Does it notice and survive faults?",
+    "alarms": "Does it raise false alarms?",
     "robustness": "What do gaps in the IMU and late fixes do to it?",
     "speed": "How fast is it?",
 }

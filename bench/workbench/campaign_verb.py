@@ -14,13 +14,14 @@ from rich.text import Text
 
 from bench import store
 from bench.campaigns import plan, running
-from bench.campaigns.card import Card, describe_suite, make_card, read_card, write_suite
+from bench.campaigns.card import Card, describe_suite, make_card, read_card, verify_card, write_suite
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.evaluation.ensemble import Estimate
 from bench.report import card_page, page
 from bench.report.writing import write_report
+from bench.specs import Guard
 from bench.wording import format_number
 from bench.workbench.console import PlainConsole
 from bench.workbench.divided_table import Column, print_table
@@ -196,6 +197,19 @@ def run_card(
         card_page.write_card(html, card)
         console.print(f"Wrote {html}.")
     return card
+
+
+def check_card(path: Path, guard: Guard, jobs: int | None, *, console: Console) -> list[str]:
+    """Repeat drawn runs of the card in a file; print and return what differs."""
+    find_own_estimators()
+    card = read_card(path)
+    with _show_progress(f"card of {card.estimator}") as progress:
+        found = verify_card(card, guard=guard, jobs=jobs, progress=progress)
+    for sentence in found:
+        console.print(Text(sentence, "red"), soft_wrap=True)
+    if not found:
+        console.print(f"{path}: the repeated runs are those of the card.", soft_wrap=True)
+    return found
 
 
 def write_sensors(folder: Path, *, quick: bool, console: Console) -> None:

@@ -13,14 +13,16 @@ import pytest
 
 import bench
 from bench import rotation
-from bench.campaigns import card, running
+from bench.campaigns import card, card_lines, running
 from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
 from bench.config import load_profile
+from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError
 from bench.exchange.solution_folder import name_draw
+from bench.navigation.estimator import load
 from bench.report.card_page import write_card
 from tests.campaigns.test_campaign import PROFILE
 
@@ -64,7 +66,7 @@ def made(tmp_path_factory):
         yield place
 
 
-def find(found: card.Card, flight: str, topic: str) -> card.Line:
+def find(found: card.Card, flight: str, topic: str) -> card_lines.Line:
     (line,) = (one for one in found.lines if (one.flight, one.topic) == (flight, topic))
     return line
 
@@ -79,6 +81,9 @@ def test_a_card_says_what_the_runs_say(made):
 
     for topic, name in (
         ("accuracy", "pos_rmse_h_m"),
+        ("height", "pos_rmse_d_m"),
+        ("velocity", "vel_rmse_3d_mps"),
+        ("tilt", "tilt_rmse_deg"),
         ("heading", "heading_rmse_deg"),
         ("outages", "outage_1_growth_h_m"),
     ):
@@ -107,19 +112,17 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
     assert not [one for one in found.lines if (one.flight, one.topic) == ("gap", "faults")]
     _, times = (line for line in found.lines if (line.flight, line.topic) == ("heading", "convergence"))
     profile = load_profile("short.toml", {**HEADING, "fault": []}, estimators=["loose-15"])
-    settled = [
-        bench.run(profile, run=k).metrics["loose-15"]["heading_convergence_s_all"] for k in range(DRAWS)
-    ]
+    settled = [bench.run(profile, run=k).metrics["loose-15"]["heading_right_s_all"] for k in range(DRAWS)]
     assert list(times.by_draw) == settled
     assert times.value == sorted(settled)[1]
 
 
 def test_an_estimator_without_attitude_has_no_line_of_heading():
     flight = SuiteFlight("heading", "short.toml", HEADING)
-    rows = [{"converged": True, "heading_rmse_deg": 1.0, "heading_convergence_s_all": None}] * 3
-    (line,) = card._judge_heading(flight, rows)
+    rows = [{"converged": True, "heading_rmse_deg": 1.0, "heading_right_s_all": None}] * 3
+    (line,) = card_lines._judge_heading(flight, rows)
     assert line.value is None
-    assert card._judge_heading(flight, [{"converged": True}] * 3) == []
+    assert card_lines._judge_heading(flight, [{"converged": True}] * 3) == []
 
 
 def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
@@ -144,7 +147,7 @@ def test_two_cards_compare_draw_by_draw(made, capsys):
     pair = (find(one, "short", "honesty").value for one in (first, second))
     assert values["honesty", "short"] == tuple(pair)
     assert found[-1].sentence.startswith("speed: loose-22 takes ")
-    assert found[-2].sentence == "5 figures are the same in every draw."
+    assert found[-2].sentence == "11 figures are the same in every draw."
     [whole, _] = bench.compare_cards(first, first, names=("x", "y"))
     judged = [line for line in first.lines if line.topic != "robustness"]
     assert whole.sentence == f"{len(judged)} figures are the same in every draw."
@@ -176,7 +179,7 @@ def test_a_filter_beside_itself_is_not_better_and_one_that_is_worse_is_found():
 
     def make(scatter: float, factor: float) -> card.Card:
         lines = [
-            card.Line(topic=topic, flight=f"flight {k}", figure=topic, value=1.0, low=None, high=None,
+            card_lines.Line(topic=topic, flight=f"flight {k}", figure=topic, value=1.0, low=None, high=None,
                       sentence="", by_draw=tuple(factor * np.exp(scatter * rng.normal(size=8))))
             for topic in ("accuracy", "heading", "outages", "faults", "honesty")
             for k in range(7)
@@ -232,6 +235,147 @@ def test_what_is_no_card_is_refused(tmp_path, text, message):
         bench.read_card(tmp_path / "x.json")
 
 
+# --- cheats and mistakes ----------------------------------------------------------------------------------
+
+
+class Wrong:
+    """`loose-15`, and what a subclass makes of its answers."""
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        return self.spoil(load("loose-15", {}).run(sensors, initial))
+
+
+class TooHigh(Wrong):
+    def spoil(self, found):
+        return replace(found, lla=found.lla + np.array([0.0, 0.0, 500.0]))
+
+
+class SinksOnPaper(Wrong):
+    def spoil(self, found):
+        return replace(found, vel_n=found.vel_n + np.array([0.0, 0.0, 20.0]))
+
+
+class AnswersWhereItIsSure(Wrong):
+    """Answers a third of the time: where it says that it is best."""
+
+    def spoil(self, found):
+        size = np.trace(found.cov[:, :2, :2], axis1=1, axis2=2)
+        silent = ((size > np.quantile(size, 0.3)) & (found.t > 6.0))[:, None]
+        columns = {name: np.where(silent, np.nan, getattr(found, name)) for name in ("lla", "vel_n", "q_nb")}
+        return replace(found, **columns, cov=np.where(silent[..., None], np.nan, found.cov))
+
+
+class Frozen(Wrong):
+    """Stays 20 km from where it starts, and claims nothing."""
+
+    def spoil(self, found):
+        still = np.broadcast_to(found.lla[:1] + np.array([0.003, 0.0, 0.0]), found.lla.shape)
+        return replace(found, lla=still, cov=np.full_like(found.cov, np.nan))
+
+
+class AlwaysAlarms(Wrong):
+    def spoil(self, found):
+        rows = [(float(t), float(t), "integrity", "something", "gnss") for t in np.arange(0.0, 40.0)]
+        return replace(found, events=Events.from_rows(rows))
+
+
+def test_each_cheat_is_on_the_card(made, monkeypatch):
+    monkeypatch.chdir(made)
+    cards = {
+        cheat.__name__: bench.make_card(
+            f"tests.campaigns.test_card:{cheat.__name__}", against="loose-15", quick=True
+        )
+        for cheat in (TooHigh, SinksOnPaper, AnswersWhereItIsSure, Frozen, AlwaysAlarms)
+    }
+    for name, reason in (
+        ("TooHigh", "height error is 5"),
+        ("SinksOnPaper", "velocity error is 2"),
+        ("AnswersWhereItIsSure", "answers "),
+        ("Frozen", "horizontal error is 19"),
+    ):
+        line = find(cards[name], "short", "convergence")
+        assert line.value == 0.0, name
+        assert f"converged in 0 of {DRAWS} draws; draw 0: {reason}" in line.sentence, line.sentence
+        assert f"{name} converged in 0 of 9 draws" in cards[name].summary
+    assert find(cards["AnswersWhereItIsSure"], "short", "coverage").value < 0.6
+    noisy, quiet = (
+        find(one, "short", "alarms") for one in (cards["AlwaysAlarms"], bench.read_card(made / "a.json"))
+    )
+    assert noisy.value > 0.99
+    assert "in alarm for 100" in noisy.sentence
+    assert quiet.value < 0.1
+
+
+def test_a_smoother_is_marked_and_files_prove_nothing(made, monkeypatch):
+    monkeypatch.chdir(made)
+    make_suite()
+    Path("answers").mkdir()
+    plan, labels = card._plan(card.QUICK, "smoother", "file:answers", bench.Guard())
+    told = [card._judge_causality(plan, card.QUICK, label).sentence for label in (*labels[:2], labels[2])]
+    assert told[0] == "short: uses the future: the whole record."
+    assert told[1] == "short: uses the future: not proven, its answers were made elsewhere."
+    assert told[2] == "short: uses the future: no."
+    assert find(bench.read_card(made / "a.json"), "short", "causality").value == 0.0
+
+
+def test_what_is_no_error_is_compared_in_words(made):
+    base = bench.read_card(made / "a.json")
+
+    def having(**changes):
+        lines = [
+            line.model_copy(update={**changes, "by_draw": ()})
+            if line.topic in ("coverage", "causality")
+            else line
+            for line in base.lines
+        ]
+        return base.model_copy(update={"lines": tuple(lines)})
+
+    told = [line.sentence for line in bench.compare_cards(having(value=0.5), having(value=None), ("x", "y"))]
+    assert "short: look-ahead: 0.5 s and not proven." in told
+    assert "short: answers at 50 and 0 % of the instants." in told
+
+
+def test_what_is_not_estimated_is_said():
+    flight = SuiteFlight("short", "short.toml")
+    rows = [{"converged": True, "output_coverage": 1.0, "pos_rmse_h_m": 1.0}] * 3
+    (line,) = card_lines._judge_coverage(flight, rows)
+    assert line.sentence.endswith("; no velocity, no attitude.")
+
+
+# --- repeating it -----------------------------------------------------------------------------------------
+
+
+def test_a_card_is_verified_by_runs_that_nobody_knows_before(made, monkeypatch, capsys):
+    monkeypatch.chdir(made)
+    make_suite()
+    assert main(["card", "--verify", "a.json"]) == 0
+    assert "the repeated runs are those of the card" in capsys.readouterr().out
+    edited = json.loads((made / "a.json").read_text())
+    for line in edited["lines"]:
+        if line["topic"] == "accuracy":
+            line["by_draw"] = [0.9 * value for value in line["by_draw"]]
+    (made / "edited.json").write_text(json.dumps(edited))
+    assert main(["card", "--verify", "edited.json"]) == 1
+    assert "horizontal error: card and repetition " in capsys.readouterr().out
+    other = bench.read_card(made / "a.json").model_copy(update={"use": "loose-22"})
+    assert any("is not the program that the card names" in text for text in card.verify_card(other))
+
+
+def test_a_reviewer_draws_noise_of_their_own_and_runs_are_kept(made, monkeypatch):
+    monkeypatch.chdir(made)
+    first = bench.make_card("loose-15", against="loose-22", quick=True, seed=77, runs=Path("kept"))
+    base = bench.read_card(made / "a.json")
+    assert first.seed == 77
+    assert first.suite_hash != base.suite_hash
+    assert first.program == base.program
+    assert "--seed 77" in first.commands["short"]
+    flown = []
+    monkeypatch.setattr(running, "measure", lambda task: flown.append(task))
+    again = bench.make_card("loose-15", against="loose-22", quick=True, seed=77, runs=Path("kept"))
+    assert not flown
+    assert again == first
+
+
 def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
     found = bench.read_card(made / "a.json")
     page = (made / "a.html").read_text()
@@ -263,7 +407,10 @@ def test_the_suite_names_flights_that_load():
 @pytest.mark.parametrize("arguments", [[], ["-e", "loose-15", "--compare", "a", "b"]])
 def test_a_card_is_made_or_compared(arguments, capsys):
     assert main(["card", *arguments]) == 2
-    assert "give one of -e NAME to judge, --compare A B and --sensors DIR" in capsys.readouterr().err
+    assert (
+        "give one of -e NAME to judge, --compare A B, --verify FILE and --sensors DIR"
+        in capsys.readouterr().err
+    )
 
 
 def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys):

@@ -1,0 +1,303 @@
+"""The lines of a card: what the runs of a flight say of an estimator, in a figure and a sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.campaigns.card_suite import SuiteFlight
+from bench.config.tables import ROWS, Table
+from bench.evaluation import ensemble, regression
+from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensemble_consistency import TOLERATED
+from bench.evaluation.regression import Change
+from bench.wording import one_line
+
+_LEAST = 2  # draws that have an interval
+ERRORS = {
+    "accuracy": ("horizontal error", "pos_rmse_h_m", ""),
+    "height": ("height error", "pos_rmse_d_m", ""),
+    "velocity": ("velocity error", "vel_rmse_3d_mps", ""),
+    "tilt": ("tilt", "tilt_rmse_deg", ""),
+    "heading": ("heading error", "heading_rmse_deg", ""),
+    "outages": ("growth of the error in outages", "outage_", "_growth_h_m"),
+    "faults": ("largest error during faults", "fault_", "_max_h_m"),
+}
+"""Topic -> its figure in words, and how the names of its metrics begin and end."""
+_BLOCKS = {"position": "pos_rmse_h_m", "velocity": "vel_rmse_3d_mps", "attitude": "tilt_rmse_deg"}
+_RIGHT = "heading_right_s_all"
+
+COUNT = "count"
+"""Word of a line that counts."""
+
+Rows = Sequence[Mapping[str, Any]]
+"""Metrics of an estimator by draw."""
+
+
+class Line(Table):
+    """One figure of a card."""
+
+    topic: str  # "convergence", "coverage", "causality", a key of `ERRORS`, "honesty", "alarms", ... "speed"
+    flight: str
+    figure: str  # what it is of
+    value: float | None  # None: never
+    low: float | None  # 95 % interval; None: open to this side
+    high: float | None
+    sentence: str
+    word: str = ""  # of honesty the verdict; COUNT: ``by_draw`` holds 1 where it happened, else 0
+    by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the estimator achieved itself
+
+
+def judge_flight(flight: SuiteFlight, own: Rows, other: Rows, label: str, without: Rows) -> list[Line]:
+    """Return the lines of a flight.
+
+    Parameters
+    ----------
+    flight : SuiteFlight
+        What it is.
+    own, other : rows
+        Of the estimator, and of the one to compare with, whose ``label`` that is; no rows: with none.
+    without : rows
+        Of the estimator on the same flight without what happens in this one; no rows if nothing does.
+    """
+    lines = [_judge_convergence(flight, own), *_judge_coverage(flight, own)]
+    if other:
+        lines += _compare_errors(flight, own, other, label)
+    lines += _judge_honesty(flight, own)
+    lines += _judge_alarms(flight, own)
+    if without:
+        lines += _judge_robustness(flight, own, without)
+    return lines + _judge_heading(flight, own)
+
+
+def _judge_convergence(flight: SuiteFlight, own: Rows) -> Line:
+    by_draw = tuple(float(row["converged"]) for row in own)
+    rate = ensemble.estimate_rate(int(sum(by_draw)), len(own))
+    text = f"converged in {sum(by_draw):.0f} of {len(own)} draws"
+    lost = [k for k, good in enumerate(by_draw) if not good]
+    if lost:
+        text += f"; draw {lost[0]}: {one_line(str(own[lost[0]].get('reason')))[:200]}"
+    return _make_line("convergence", flight, "draws that converged", rate, text, by_draw, COUNT)
+
+
+def _judge_coverage(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return the least share of the instants that a draw answers, and what it does not estimate."""
+    by_draw = tuple(row.get("output_coverage") for row in own)
+    known = [value for value in by_draw if value is not None]
+    if not known:
+        return []
+    text = f"answers at {100.0 * min(known):.4g} % of the instants, in the draw with the fewest"
+    if min(known) == 1.0:
+        text = "answers at all instants"
+    absent = [name for name, metric in _BLOCKS.items() if all(row.get(metric) is None for row in own)]
+    if absent:
+        text += f"; no {', no '.join(absent)}"
+    least = Estimate(min(known), min(known), max(known))
+    return [_make_line("coverage", flight, "least share of instants", least, text, by_draw)]
+
+
+def _compare_errors(flight: SuiteFlight, own: Rows, other: Rows, label: str) -> list[Line]:
+    """Return the ratios of errors to those of another estimator on the same draws."""
+    lines = []
+    for topic, (figure, start, end) in ERRORS.items():
+        if topic == "faults" and flight.without:
+            continue
+        names = _find_names(own, start, end)
+        values = [_pool_names(rows, names) for rows in (own, other)]
+        ratio = compare_rms(*values)
+        if ratio is not None:
+            text = f"{figure} {_format(ratio)} times that of {label}"
+            both = sum(None not in pair for pair in zip(*values, strict=True))
+            text += "" if both == len(own) else f", in the {both} of {len(own)} draws that both have"
+            lines.append(_make_line(topic, flight, figure, ratio, text, values[0]))
+    return lines
+
+
+def list_values(row: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return what the lines of a flight hold of a draw, by topic."""
+    found = {
+        topic: _pool_names([row], _find_names([row], start, end))[0]
+        for topic, (_, start, end) in ERRORS.items()
+    }
+    return {**found, "honesty": _normalize(row)}
+
+
+def _normalize(row: Mapping[str, Any]) -> float | None:
+    """Return NEES over its expectation; None without one, or if the draw is lost."""
+    mean = row.get("nees_mean") if row["converged"] else None
+    return None if mean is None else float(mean / row["nees_states"])
+
+
+def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return the ratio of NEES to its expectation; none without a covariance."""
+    by_draw = tuple(map(_normalize, own))
+    known = np.array([value for value in by_draw if value is not None], float)
+    if len(known) < _LEAST:
+        return []
+    root = ensemble.pool_rmse(known)
+    ratio = Estimate(root.value**2, root.low**2, root.high**2)
+    least, most = TOLERATED
+    if ratio.low > most:
+        word = "overconfident"
+    elif ratio.high < least:
+        word = "underconfident"
+    else:
+        word = "consistent" if least <= ratio.low and ratio.high <= most else "undecided"
+    text = f"NEES is {_format(ratio)} times its expectation: {word}"
+    return [_make_line("honesty", flight, "NEES over its expectation", ratio, text, by_draw, word)]
+
+
+def _judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return how many of the faults were noticed, of those that can be, and how many alarms are false."""
+    lines = []
+    names = [] if flight.without else _find_names(own, "fault_", "_detected")
+    by_draw = tuple(row[name] for row in own for name in names if row.get(name) is not None)
+    if by_draw:
+        rate = ensemble.estimate_rate(int(sum(by_draw)), len(by_draw))
+        text = f"noticed {sum(by_draw):.0f} of {len(by_draw)} faults"
+        lines.append(_make_line("faults", flight, "faults noticed", rate, text, by_draw, COUNT))
+    shares, rates = (
+        [row[name] for row in own if row.get(name) is not None]
+        for name in ("false_alarm_share", "false_alarm_rate_per_h")
+    )
+    if len(shares) >= _LEAST and not flight.without:
+        share = _estimate_share(np.array(shares))
+        text = f"in alarm for {_format(share, 100.0)} % of the time outside faults"
+        text += f", {np.mean(rates):.3g} false alarms an hour"
+        values = tuple(row.get("false_alarm_share") for row in own)
+        lines.append(_make_line("alarms", flight, "time in false alarm", share, text, values))
+    return lines
+
+
+def _estimate_share(by_draw: FloatArray) -> Estimate:
+    """Return the mean of shares by draw, by Student's t."""
+    n = len(by_draw)
+    mean = Change(float(by_draw.mean()), float(by_draw.std(ddof=1)) / n**0.5, n - 1.0, n)
+    low, high = mean.interval(1.0 - ensemble.CONFIDENCE)
+    return Estimate(mean.estimate, max(low, 0.0), min(high, 1.0))
+
+
+def _judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
+    """Return the ratio of the error to that on the same draws of the same flight where nothing happens."""
+    _, start, end = ERRORS["accuracy"]
+    values = [_pool_names(rows, _find_names(own, start, end)) for rows in (own, without)]
+    ratio = compare_rms(*values)
+    if ratio is None:
+        return []
+    text = f"horizontal error {_format(ratio)} times its own on the same flight without them"
+    return [_make_line("robustness", flight, "horizontal error", ratio, text, values[0])]
+
+
+def _judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return the median time after which the heading stays right, of a flight that begins with it wrong."""
+    estimated = any(row.get("heading_rmse_deg") is not None for row in own)
+    if "initial_error_sd.heading_deg" not in flight.values or not estimated:
+        return []
+    by_draw = tuple(row.get(_RIGHT) if row["converged"] else None for row in own)
+    times = np.array([np.inf if value is None else value for value in by_draw])
+    found = ensemble.estimate_quantile(times, 0.5)
+    low, high = (end if end is not None and np.isfinite(end) else None for end in (found.low, found.high))
+    if not np.isfinite(found.value):
+        text = "most draws never find the heading"
+    else:
+        text = f"half of the draws have the heading within 3 deg of the truth after {found.value:.3g} s"
+        last = "never" if high is None else f"{high:.3g} s"
+        text += f" ({'the start' if low is None else f'{low:.3g} s'} to {last})"
+    value = found.value if np.isfinite(found.value) else None
+    return [
+        Line(
+            topic="convergence",
+            flight=flight.name,
+            figure="median time to the heading [s]",
+            value=value,
+            low=low,
+            high=high,
+            sentence=f"{flight.name}: {text}.",
+            by_draw=by_draw,
+        )
+    ]
+
+
+def measure_speed(own: Sequence[float], yardstick: Sequence[float], label: str) -> Line | None:
+    """Return the CPU time as a multiple of that of the yardstick in the same runs."""
+    if not own:
+        return None
+    found = ensemble.estimate_quantile(np.array(own) / np.array(yardstick), 0.5)
+    interval = f"{found.low or found.value:.3g} to {found.high or found.value:.3g}"
+    return Line(
+        topic="speed",
+        flight="all flights",
+        figure=f"CPU time over that of {label}",
+        value=found.value,
+        low=found.low,
+        high=found.high,
+        sentence=f"speed: {found.value:.3g} ({interval}) times the CPU of {label} on the same samples; "
+        "measured anew for each card.",
+    )
+
+
+def _make_line(
+    topic: str,
+    flight: SuiteFlight,
+    figure: str,
+    found: Estimate,
+    text: str,
+    by_draw: Sequence[float | None],
+    word: str = "",
+) -> Line:
+    low, high = (end if np.isfinite(end) else None for end in (found.low, found.high))
+    return Line(
+        topic=topic,
+        flight=flight.name,
+        figure=figure,
+        value=found.value,
+        low=low,
+        high=high,
+        sentence=f"{flight.name}: {text}.",
+        word=word,
+        by_draw=tuple(by_draw),
+    )
+
+
+def _find_names(rows: Rows, start: str, end: str) -> list[str]:
+    """Return the metrics between these ends that any row has."""
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
+    return [
+        name for name in names if name == start or (end and name.startswith(start) and name.endswith(end))
+    ]
+
+
+def _pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Return the root mean square of some metrics in each draw; None if it has none or did not converge."""
+    return tuple(
+        float(np.sqrt(np.mean([row[name] ** 2 for name in names])))
+        if names and row["converged"] and all(row.get(name) is not None for name in names)
+        else None
+        for row in rows
+    )
+
+
+def compare_rms(own: Sequence[float | None], other: Sequence[float | None]) -> Estimate | None:
+    """Return the ratio of two pooled root mean squares over the draws that have both; None if too few."""
+    pairs = [(a, b) for a, b in zip(own, other, strict=True) if a is not None and b is not None]
+    if len(pairs) < _LEAST:
+        return None
+    mine, theirs = np.square(np.array(pairs, float)).T
+    if not (mine.all() and theirs.all()):
+        return None
+    change = regression.estimate_change(theirs, mine, regression.half_log_of_mean, paired=True)
+    low, high = change.interval(1.0 - ensemble.CONFIDENCE)
+    return Estimate(*np.exp([change.estimate, low, high]).tolist())
+
+
+def _format(found: Estimate, scale: float = 1.0) -> str:
+    value, low, high = (write_figure(scale * one) for one in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def write_figure(value: float | None) -> str:
+    """Return a number with three digits; a dash for None."""
+    return "-" if value is None else f"{value:#.3g}".rstrip(".")

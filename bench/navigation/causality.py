@@ -1,0 +1,114 @@
+"""Does an estimator use what it cannot have yet? What arrives later is changed, and its answers are compared.
+
+An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. Where the
+values of everything that arrives after an instant are those of another draw of the noise, the answers until
+then must not change by a bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import NavSolution, SensorData
+from bench.units import SAME_INSTANT
+
+_KEPT = ("t", "t_arrival", "dt", "valid", "sat", "system", "frequency", "epoch_start", "klobuchar", "gps_t0")
+"""Columns of records that stay as they are: when something was measured, and of what."""
+_ANSWERS = ("lla", "vel_n", "q_nb", "cov")
+_WHOLE = 0.9  # of the time before an instant: an estimator that uses so much uses the whole record
+
+
+@dataclass(frozen=True, slots=True)
+class LookAhead:
+    """How far an estimator looks ahead."""
+
+    seconds: float  # the longest that was found [s]; 0: none
+    whole: bool  # as far as to the begin of the record
+    repeatable: bool  # whether it gives the same bits of the same record
+
+    @property
+    def text(self) -> str:
+        """It in words."""
+        if not self.repeatable:
+            return "not repeatable: two runs of one record differ"
+        if self.seconds == 0.0:
+            return "uses the future: no"
+        return f"uses the future: {'the whole record' if self.whole else f'{self.seconds:.3g} s'}"
+
+
+def measure_look_ahead(
+    run: Callable[[SensorData], NavSolution],
+    sensors: SensorData,
+    other: SensorData,
+    instants: Iterable[float],
+) -> LookAhead:
+    """Return how far an estimator looks ahead at some instants.
+
+    Parameters
+    ----------
+    run : callable
+        Returns the solution of the estimator for a record; a new instance each time.
+    sensors, other : SensorData
+        Two draws of the noise on the same motion.
+    instants : iterable of float
+        After which the second draw takes the place of the first [s]; each is moved to the IMU sample before.
+
+    Raises
+    ------
+    ValueError
+        If the draws are not of the same instants, or it gives no answer.
+    """
+    first, again = run(sensors), run(sensors)
+    if not (np.isfinite(first.lla).any() or np.isfinite(first.q_nb).any()):
+        raise ValueError("it gives no answer")
+    if _find_change(first, again, np.inf) is not None:
+        return LookAhead(0.0, False, repeatable=False)
+    longest, whole = 0.0, False
+    interval = float(np.median(np.diff(sensors.imu.t)))
+    for instant in instants:
+        end = float(sensors.imu.t[np.searchsorted(sensors.imu.t, instant + SAME_INSTANT) - 1])
+        changed = _find_change(first, run(change_later(sensors, other, end)), end)
+        if changed is not None:
+            ahead = max(end - changed, interval)
+            longest = max(longest, ahead)
+            whole |= ahead > _WHOLE * (end - float(first.t[0]))
+    return LookAhead(longest, whole, repeatable=True)
+
+
+def change_later(sensors: SensorData, other: SensorData, after: float) -> SensorData:
+    """Return a record with the values of another draw in all that arrives after an instant [s]."""
+    changed = {}
+    for one in fields(sensors):
+        record, source = getattr(sensors, one.name), getattr(other, one.name)
+        if record is None or not hasattr(record, "t"):
+            continue
+        arrival = getattr(record, "t_arrival", record.t)
+        if source is None or not np.array_equal(source.t, record.t, equal_nan=True):
+            raise ValueError(f"{one.name}: the two draws are not of the same instants")
+        changed[one.name] = _take_later(record, source, arrival > after + SAME_INSTANT)
+    return replace(sensors, **changed)
+
+
+def _take_later(record: Any, source: Any, later: BoolArray) -> Any:
+    columns: dict[str, FloatArray] = {}
+    for one in fields(record):
+        column = getattr(record, one.name)
+        if one.name not in _KEPT and isinstance(column, np.ndarray) and len(column) == len(later):
+            columns[one.name] = column.copy()
+            columns[one.name][later] = getattr(source, one.name)[later]
+    return replace(record, **columns)
+
+
+def _find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
+    """Return the first instant, until some instant [s], at which two solutions differ by a bit."""
+    rows = first.t <= until + SAME_INSTANT
+    differ = np.zeros(int(rows.sum()), np.bool_)
+    for name in _ANSWERS:
+        one, two = (getattr(solution, name)[rows].reshape(len(differ), -1) for solution in (first, other))
+        differ |= ((one != two) & ~(np.isnan(one) & np.isnan(two))).any(axis=1)
+    return float(first.t[rows][np.argmax(differ)]) if differ.any() else None

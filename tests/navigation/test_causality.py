@@ -1,0 +1,130 @@
+"""What looks ahead is caught, what does not is not: at drawn instants, on fixes that come late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench import sensors
+from bench.navigation.causality import LookAhead, change_later, measure_look_ahead
+from bench.navigation.estimator import load
+from bench.specs import Fault
+from tests.navigation.test_tight import MATCHED
+from tests.weaving import GNSS, units, weaving
+
+LATE = replace(GNSS, latency=0.6)
+INSTANTS = (20.3, 31.25, 47.9)
+
+
+def draws(**changes):
+    spec = replace(units(gnss=LATE), **changes)
+    truth = weaving(60.0, rate=100.0)
+    return (sensors.sense(truth, spec, 4, run) for run in range(2))
+
+
+def look(estimator, one, other, instants=INSTANTS):
+    return measure_look_ahead(lambda data: estimator().run(data, one.initial), one.data, other.data, instants)
+
+
+FAULTS = (
+    Fault("dropped", "imu", 25.0, 35.0, "gap"),
+    Fault("bias-step", "baro", 40.0, 50.0, "step", step=(30.0,)),
+)
+
+
+@pytest.mark.parametrize(
+    ("use", "changes"),
+    [
+        ("loose-full", {}),
+        ("loose-22", {"faults": FAULTS}),
+        ("loose-15", {"initial_heading_sd": np.pi}),
+        ("tight", {"gnss": MATCHED, "assumed": units(gnss=MATCHED).assumed}),
+        ("ukf", {}),
+        ("classic-22", {}),
+        ("gnss-only", {}),
+        ("baro-inertial", {}),
+    ],
+)
+def test_filters_do_not_look_ahead(use, changes):
+    one, other = draws(**changes)
+    assert look(lambda: load(use, {}), one, other) == LookAhead(0.0, False, True)
+
+
+def test_the_smoother_uses_the_whole_record():
+    one, other = draws()
+    found = look(lambda: load("smoother", {}), one, other)
+    assert found.whole
+    assert found.text == "uses the future: the whole record"
+
+
+class EarlyBird:
+    """Takes fixes at the instant they are of, before they are there."""
+
+    def run(self, data, initial):
+        fixes = replace(data.fixes, t_arrival=data.fixes.t)
+        return load("loose-15", {}).run(replace(data, fixes=fixes), initial)
+
+
+class Polished:
+    """Averages each height with the next ten."""
+
+    def run(self, data, initial):
+        found = load("loose-15", {}).run(data, initial)
+        lla = found.lla.copy()
+        for k in range(len(lla)):
+            lla[k, 2] = found.lla[k : k + 11, 2].mean()
+        return replace(found, lla=lla)
+
+
+class Silent:
+    def run(self, data, initial):
+        found = load("loose-15", {}).run(data, initial)
+        return replace(found, lla=np.full_like(found.lla, np.nan), q_nb=np.full_like(found.q_nb, np.nan))
+
+
+class Moody:
+    """Is another one each time."""
+
+    def run(self, data, initial):
+        found = load("loose-15", {}).run(data, initial)
+        return replace(found, lla=found.lla * (1 + 1e-15 * np.random.default_rng().integers(1, 9)))
+
+
+def test_one_that_takes_fixes_too_early_looks_ahead_by_their_delay():
+    one, other = draws()
+    found = look(EarlyBird, one, other, np.arange(20.0, 22.0, 0.2))
+    assert 0.3 <= found.seconds <= 0.6
+    assert not found.whole
+
+
+def test_one_that_averages_ahead_looks_ahead_by_so_much():
+    one, other = draws()
+    found = look(Polished, one, other)
+    assert found.seconds == pytest.approx(1.0, abs=0.11)
+    assert found.text == f"uses the future: {found.seconds:.3g} s"
+
+
+def test_nothing_is_proven_of_one_without_answers():
+    one, other = draws()
+    with pytest.raises(ValueError, match="it gives no answer"):
+        look(Silent, one, other)
+
+
+def test_one_that_differs_from_itself_is_not_repeatable():
+    one, other = draws()
+    assert look(Moody, one, other).text == "not repeatable: two runs of one record differ"
+
+
+def test_only_what_arrives_later_is_changed():
+    one, other = draws()
+    changed = change_later(one.data, other.data, 30.3)
+    fixes, late = changed.fixes, one.data.fixes.t_arrival > 30.3
+    assert (late & (one.data.fixes.t < 30.3)).any()
+    np.testing.assert_array_equal(fixes.lla[late], other.data.fixes.lla[late])
+    np.testing.assert_array_equal(fixes.lla[~late], one.data.fixes.lla[~late])
+    np.testing.assert_array_equal(changed.imu.t, one.data.imu.t)
+    shorter = replace(other.data, baro=None)
+    with pytest.raises(ValueError, match="baro: the two draws are not of the same instants"):
+        change_later(one.data, shorter, 30.0)
