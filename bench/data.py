@@ -257,9 +257,12 @@ class InitialState(Rebuilt):
     drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
     bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))
     """(9, 6) covariance of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
+    fix_cov: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) covariance of the error of the position with that which lasts in fixes [m^2], n."""
 
     def __post_init__(self) -> None:
-        shapes = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9), "bias_cov": (9, 6)}
+        state = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}
+        shapes: dict[str, tuple[int, ...]] = {**state, "bias_cov": (9, 6), "fix_cov": (3,)}
         for name, shape in shapes.items():
             freeze_field(self, name, float, shape, finite=self.alignment == "given")
 

@@ -14,6 +14,8 @@ from bench.arrays import FloatArray
 DIGITS = 5
 """Digits of the figures of a column that its digest holds."""
 
+_NO_DATA = ("specs", "fix_cov")  # what filters assume, and what an alignment finds
+
 _ROUND_OFF = 1e-9  # a spread below this fraction of the values may be round-off
 
 
@@ -31,7 +33,7 @@ def digest_record(record: Any) -> str:
 def _describe(value: Any, name: str) -> Iterator[tuple[str, str]]:
     if is_dataclass(value):
         for field in fields(value):
-            if field.name != "specs":  # what filters assume is no data
+            if field.name not in _NO_DATA:
                 yield from _describe(getattr(value, field.name), f"{name}.{field.name}")
     elif isinstance(value, list):
         for k, item in enumerate(value):

@@ -202,8 +202,10 @@ def _judge_causality(plan: Plan, suite: Suite, label: str) -> Line:
     else:
         truth = pipeline.fly(profile)
         one, other = (pipeline.sense(profile, truth, run) for run in range(2))
-        drawn = np.random.default_rng(profile.seed).uniform(0.2, 0.95, _INSTANTS)
-        instants = one.initial.t + np.sort(drawn) * one.data.duration_from(one.initial.t)
+        fixes, rng = one.data.fixes, np.random.default_rng(profile.seed)
+        assert fixes is not None  # every flight of the suite has them
+        before = fixes.t_arrival - np.median(np.diff(one.data.imu.t))  # where the next fix has not arrived
+        instants = np.sort(rng.choice(before[len(before) // 5 :], _INSTANTS, replace=False))
         try:
             found = measure_look_ahead(
                 lambda data: pipeline.navigate(choice, data, one.initial), one.data, other.data, instants

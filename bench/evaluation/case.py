@@ -170,7 +170,7 @@ def build_case(
         ),
         faults={str(k): f for k, f in enumerate(faults, 1)},
         scripted=tuple(faults),
-        alarms=collect_alarms(nis, solution.events) if faults else (),
+        alarms=collect_alarms(nis, solution.events),
         from_s=-np.inf,
         asked=len(errors) + len(missing),
         solution=solution,

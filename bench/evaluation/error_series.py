@@ -31,6 +31,7 @@ DIVERGED_SIGMAS = 10.0
 
 DIVERGED_HORIZONTAL, DIVERGED_HEIGHT, DIVERGED_VELOCITY = 1000.0, 300.0, 15.0  # [m], [m], [m/s]
 DIVERGED_TILT, DIVERGED_HEADING = 30.0, 60.0  # [deg]
+DIVERGED_SHARE = 0.1  # of the epochs may be beyond a limit where nothing is claimed, as in an outage
 
 
 def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
@@ -241,8 +242,9 @@ def check_convergence(
     It did not converge if a state or covariance is not finite, the covariance is not positive definite, or an
     error exceeds both `DIVERGED_SIGMAS` of what is claimed (of a vector the root of the sum of its variances)
     and the limit of its kind at some epoch. A block that is NaN throughout, values and covariance, is not
-    estimated and is not checked; one without a covariance is held against its limit alone. ``factored`` says
-    that NEES comes from the covariance of the solution; then it is finite where that is positive definite.
+    estimated and is not checked. One without a covariance is held against its limit alone, which it may
+    exceed at `DIVERGED_SHARE` of the epochs. ``factored`` says that NEES comes from the covariance of the
+    solution; then it is finite where that is positive definite.
     """
     blocks = estimated_blocks(solution)
     if not blocks:
@@ -270,6 +272,9 @@ def check_convergence(
     disk_arrays.release()
     for what, unit, limit, size, sigma in _list_sizes(errors, solution, blocks):
         bad = (size > limit) & ~(size <= DIVERGED_SIGMAS * sigma)
+        unclaimed = bad & np.isnan(sigma)
+        if unclaimed.mean() <= DIVERGED_SHARE:
+            bad &= ~unclaimed
         if bad.any():
             k = int(np.argmax(bad))
             text = f"{what} is {size[k]:.0f} {unit} at {_describe_epochs(solution, bad)}, more than "

@@ -109,7 +109,7 @@ ROWS: tuple[Row, ...] = (
     Row(32, "GNSS error sources", "A-2.1.7", "", "RMS of each 5 %",
         "tests/sensors/test_sky.py::test_each_range_error_has_its_size"),
     Row(33, "availability, integrity, continuity", "A-2.1.5", "probability", "risk, with bounds",
-        "tests/studies/test_rnp.py::test_a_satellite_that_creeps_away_passes_the_gate_and_raises_an_alarm"),
+        "tests/studies/test_rnp.py::test_a_satellite_that_creeps_away_is_followed_by_its_own_state"),
     Row(34, "22-state filter", "A-5.4", "28 noises, 34 columns", "NIS 7 +- 0.1, NEES 22 +- 1.5",
         _REG + "34_a_linear_flight_is_consistent"),
     Row(35, "8 measurements", "A-5.4.3", "8", "rank 7; pseudo-inverse = 7 rows",

@@ -302,6 +302,7 @@ def test_each_cheat_is_on_the_card(made, monkeypatch):
         find(one, "short", "alarms") for one in (cards["AlwaysAlarms"], bench.read_card(made / "a.json"))
     )
     assert noisy.value > 0.99
+    assert find(cards["AlwaysAlarms"], "heading", "alarms").value > 0.99  # a flight without faults
     assert "in alarm for 100" in noisy.sentence
     assert quiet.value < 0.1
 

@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation, sensors
+from bench import earth, pipeline, rotation, sensors
+from bench.config import load_profile
 from bench.evaluation.error_series import error_series
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.whole_records import run_between_gaps
-from tests.builders import put, take
+from tests.builders import band, put, take
+from tests.flight.plans import truth_of
 from tests.weaving import DEG, units, weaving
 
 RUNS = 20
@@ -291,3 +293,29 @@ def test_a_record_with_a_gap_needs_no_second_compilation(draws, monkeypatch):
     for data in (draws[0].data, with_gap(draws[0].data, 52.0, 0.3)):
         FILTER.run(data, draws[0].initial)
     assert types[0] == types[1]
+
+
+# --- consumer units ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", ["mpu-9250", "bmi088"])
+def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
+    """Ten draws. In the gap the wandering error of all fixes stays; behind it the gyros are known as a whole.
+
+    Bias and temperature of an mpu-9250 are 1.7 and 1.6 deg/s; the sum of both is what turns the attitude.
+    """
+    gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
+    profile = load_profile("figure-eight", {"sensors.imu": unit, "fault": [gap], "evaluation.output_hz": 1.0})
+    truth = truth_of(recorded(profile.flight), 100.0)
+    inside, after = [], []
+    for draw in range(10):
+        drawn = pipeline.sense(profile, truth, draw)
+        solution = load("loose-full", {}).run(drawn.data, drawn.initial)
+        ((_, end, text),) = solution.events.select("restart")
+        assert "heading by the course of 10 s" in text
+        errors = error_series(truth, solution)
+        inside.append(errors.nees[[201, 205, 214]])
+        after.append(errors.nees[[int(end) + k for k in (2, 10, 30, 60)]])
+    high = 9 * band(90)[1]
+    assert (np.mean(inside, axis=0) < high).all(), np.mean(inside, axis=0)
+    assert (np.mean(after, axis=0) < high).all(), np.mean(after, axis=0)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import InitialState
 from bench.navigation.error_state_filter.error_state import CORE_BLOCKS
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
@@ -30,13 +29,16 @@ FLICKER_STAGES = (0.05, 0.55, 6.0)
 """Correlation times of Gauss-Markov processes whose sum is flicker noise, over that of the triad [1]."""
 
 
-def thermal_figures(initial: InitialState, imu: ImuSpec) -> FloatArray:
-    """Return the temperature of an IMU in the standard atmosphere, switched on at t = 0 (`Process`)."""
+def thermal_figures(t: float, height: float, imu: ImuSpec) -> FloatArray:
+    """Return the temperature of an IMU in the standard atmosphere, switched on at t = 0 (`Process`).
+
+    It begins at an instant [s] and a height [m].
+    """
     spec = imu.thermal
     ground = air.SEA_LEVEL_TEMPERATURE + spec.self_heating - spec.reference
-    begun = ground + air.LAPSE * initial.lla[2]
+    begun = ground + air.LAPSE * height
     if spec.time_constant > 0:
-        begun -= spec.self_heating * np.exp(-max(initial.t, 0.0) / spec.time_constant)
+        begun -= spec.self_heating * np.exp(-max(t, 0.0) / spec.time_constant)
     return np.array([begun, ground, air.LAPSE, spec.time_constant])
 
 

@@ -188,7 +188,7 @@ class Channels:
     def __init__(self) -> None:
         self.names = list(SENSORS)
         self.held = np.full(GPS_RANGES + GLONASS_RANGES, -1)  # number of the satellite that has each state
-        self.seen = np.full(len(self.held), -np.inf)  # when it was seen last [s]
+        self.seen = np.full(len(self.held), -1e9)  # when it was seen last [s]
 
     def copy(self) -> Channels:
         """Return what goes on from here by itself."""

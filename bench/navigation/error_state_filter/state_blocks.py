@@ -120,8 +120,11 @@ def state_model(
         drives += [(at.start + own, GYRO + error, rate) for own, error, rate in states.drives]
     P[:9, :9] = initial.cov
     P[:9, GYRO:CORE], P[GYRO:CORE, :9] = initial.bias_cov, initial.bias_cov.T
+    if layout.has("gnss_pos"):  # estimate, zero, less truth
+        own = layout.slice("gnss_pos")
+        P[:3, own], P[own, :3] = -np.diag(initial.fix_cov), -np.diag(initial.fix_cov)
     table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
-    thermal = thermal_figures(initial, specs.imu)
+    thermal = thermal_figures(initial.t, float(initial.lla[2]), specs.imu)
     if gyro_sd is not None:
         _know_gyro_biases(P, table, gyro_sd, float(thermal[0]), initial)
     full = np.array([specs.imu.gyro.range, specs.imu.accel.range])
@@ -146,16 +149,24 @@ def _know_gyro_biases(
 ) -> None:
     """Let P (n, n) say that biases, and all that adds to them in steady motion, are known to sd [rad/s]."""
     f_b = rotation.rotate(rotation.conjugate(initial.q_nb), -earth.gravity_n(initial.lla[0], initial.lla[2]))
-    steady = {3: f_b[0], 4: f_b[1], 5: f_b[2], STEADY: 1.0, WARMTH: warmth}
-    steady |= {SQUARE + 3 + axis: f_b[axis] ** 2 for axis in range(3)}
-    L = np.zeros((3, len(P)))
-    for state, bias, by in drives:
-        if bias < GYRO + 3:
-            L[bias - GYRO, state] = steady.get(int(by), 0.0)
+    L = steady_rows(drives, f_b, warmth, len(P))[:3]
     own = slice(GYRO, GYRO + 3)
     P[own], P[:, own] = 0.0, 0.0
     P[own], P[:, own] = -L @ P, -(L @ P).T
     P[own, own] = sd**2 * np.eye(3) - P[own] @ L.T
+
+
+def steady_rows(drives: IntArray, f_b: FloatArray, warmth: float, n: int) -> FloatArray:
+    """Return how the n states beyond the biases add to the errors (6,) of gyros and accelerometers.
+
+    In motion without rates, under a specific force f_b (3,) [m/s^2].
+    """
+    steady = {3: f_b[0], 4: f_b[1], 5: f_b[2], STEADY: 1.0, WARMTH: warmth}
+    steady |= {SQUARE + 3 + axis: f_b[axis] ** 2 for axis in range(3)}
+    L = np.zeros((6, n))
+    for state, bias, by in drives:
+        L[bias - GYRO, state] = steady.get(int(by), 0.0)
+    return L
 
 
 def moving_states(specs: AssumedSpecs, blocks: Iterable[Block]) -> tuple[tuple[object, ...], ...]:

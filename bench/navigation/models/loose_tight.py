@@ -16,10 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from bench import earth
 from bench.arrays import FloatArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
@@ -42,6 +44,7 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     records_needed,
     unmodelled,
 )
+from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import ForwardRun, Nodes
 from bench.navigation.error_state_filter.measurement_rows import SENSORS, opened_states
 from bench.navigation.error_state_filter.measurement_update import Gate
@@ -53,6 +56,7 @@ from bench.navigation.error_state_filter.state_blocks import (
     chosen_blocks,
     moving_states,
     state_model,
+    steady_rows,
     used_blocks,
 )
 from bench.navigation.error_state_filter.state_processes import Block
@@ -142,10 +146,23 @@ class Fusion:
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
-        return between_gaps(self._from_start, first, initial, events, self.options.accuracy)
+        options = self.options
+        whole = options.every_error or options.mems
+        return between_gaps(self._from_start, first, initial, events, options.accuracy, whole=whole)
 
-    def _from_start(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
-        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU."""
+    def _from_start(
+        self,
+        first: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        gyro_sd: float | None = None,
+    ) -> InPieces:
+        """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU.
+
+        ``gyro_sd`` [rad/s] is how well a filter before has learnt the error of the gyros as a whole.
+        """
+        if gyro_sd is not None:
+            return self._known(first, initial, events, gyro_sd)
         if self.options.every_error and turn_on.may_be_learnt(first, initial):
             return FromTurnOn(self._known, first, initial, events)
         return self._known(first, initial, events, None)
@@ -155,11 +172,17 @@ class Fusion:
     ) -> InPieces:
         """Return what :meth:`_from_start` does, for gyro biases known to a sd; None: by the datasheet."""
         if headings.heading_is_unknown(initial):
-            return ManyHeadings(self._passage, first, initial, events)
-        return Passage(self, first, initial, events, gyro_sd=gyro_sd)
+            return ManyHeadings(partial(self._passage, gyro_sd=gyro_sd), first, initial, events)
+        return self._passage(first, initial, events, gyro_sd)
 
-    def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> Passage:
-        return Passage(self, first, initial, events)
+    def _passage(
+        self,
+        first: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        gyro_sd: float | None = None,
+    ) -> Passage:
+        return Passage(self, first, initial, events, gyro_sd=gyro_sd)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -318,6 +341,16 @@ class Passage:
         """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
         self.schedule.output_t = np.empty(0)
         return answer_now(self, head)
+
+    def steady_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
+        run, process = self.run, self.run.model.process
+        n = run.model.layout.size
+        level = -earth.gravity_n(run.now.state[0], run.now.state[2])
+        L = steady_rows(process.drives, level, float(run.work.carried.known[0]), n)
+        L[:, GYRO:CORE] = np.eye(6)
+        variance = np.einsum("ij,jk,ik->i", L, run.now.P[:, :n], L)
+        return L[:, GYRO:] @ run.now.state[GYRO + 1 :], np.sqrt(variance)
 
     def take(self, piece: SensorData, *, last: bool) -> None:
         """Take the next piece; nothing comes after the ``last``."""

@@ -13,9 +13,10 @@ from bench.data import GnssFixes, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
+from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.state_blocks import assumed
 from bench.navigation.mechanization import propagate
-from bench.navigation.start.leveling import WINDOW, Rows, bias_sd, common_variance, mean_sd
+from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_sd, rate_sd
 
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
@@ -70,9 +71,12 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     g = float(earth.gravity_n(end[0], end[2])[2])
     speed = float(np.hypot(end[3], end[4]))
     across = np.array([-end[4], end[3]]) / speed**2
-    force_sd, _ = mean_sd(sensors, T, g)
+    warmth = float(thermal_figures(initial.t, float(end[2]), specs.imu)[0])
+    force_sd, _ = mean_sd(sensors, T, g, warmth)
     gyro = specs.imu.gyro
-    tilt_sd = np.hypot(bias_sd(gyro, 0.0) * T / 2, gyro.random_walk * np.sqrt(T / 3))
+    turned = 0.5 * np.linalg.norm(np.ptp(np.cumsum(dtheta[a:b], axis=0), axis=0))  # there and back [rad]
+    by_turn = np.hypot(gyro.scale_factor_sd, gyro.misalignment_sd) * turned
+    tilt_sd = np.linalg.norm([rate_sd(gyro, g, warmth) * T / 2, gyro.random_walk * np.sqrt(T / 3), by_turn])
     # phi by: velocity of the first fix and of the last, nose against course, db, tilt by the gyros
     V = np.zeros((2, 9))  # the velocity at the end by the same
     V[:, :2], V[:, 2:4] = -share * np.eye(2), (1.0 + share) * np.eye(2)
@@ -115,6 +119,7 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
         q_nb=rest[6:],
         cov=cov,
         bias_cov=bias_cov,
+        fix_cov=(r - fix_variance(gnss, gnss_markov=True))[:3],
         alignment="given",
     )
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]

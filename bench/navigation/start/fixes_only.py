@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench import earth, rotation
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import columns, join_rows, take_rows
@@ -18,8 +18,10 @@ from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_blocks import assumed
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
+from bench.specs import GnssSpec
 
 _HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
+_BRIEF = 0.1  # rate of decay from which on an error of the fixes is as good as white [1/s]
 _TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
 
 
@@ -54,13 +56,18 @@ class Coast:
 
     def __init__(self, head: SensorData, end: End, names: tuple[str, ...], accuracy: FixAccuracy) -> None:
         self.end, self._names, self._accuracy = end, names, accuracy
-        self._white = fix_variance(assumed(head.specs, "gnss"), gnss_markov=False)
+        gnss = assumed(head.specs, "gnss")
+        self._total = fix_variance(gnss, gnss_markov=False)
+        self._white = np.where(_lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
+        self.offset = self._total - self._white  # variance of what all fixes have in common
+        self._used = False  # a fix
         self._arm = unknown_arm(head.antenna_b)  # it follows the antenna
         self._fixes: GnssFixes | None = None  # not yet used
         self._track: FixTrack | None = None
         if np.isfinite(np.concatenate([end.lla, end.vel_n, end.q_nb, end.cov[:6, :6].ravel()])).all():
             antenna = earth.displace(end.lla, rotation.rotate(end.q_nb, head.antenna_b))
-            self._track = FixTrack(GnssOnlyOptions(), end.t, antenna, end.vel_n, end.cov[:6, :6])
+            cov = end.cov[:6, :6] + np.diag(self.offset)  # as the fixes will see it
+            self._track = FixTrack(GnssOnlyOptions(), end.t, antenna, end.vel_n, cov)
 
     def take(self, fixes: GnssFixes) -> None:
         """Take the next fixes, in the order of their arrival."""
@@ -74,7 +81,8 @@ class Coast:
         if self._track is None:
             return np.full(3, np.nan), np.full(3, np.nan), cov
         ((state,), (P,)) = self._track.at([t])
-        cov[:6, :6], cov[:6, 6:], cov[6:, :6] = P[:6, :6] + np.diag(self._arm), 0.0, 0.0
+        offset = self.offset if self._used else -self.offset
+        cov[:6, :6], cov[:6, 6:], cov[6:, :6] = P[:6, :6] + np.diag(self._arm + offset), 0.0, 0.0
         elapsed = np.array([t - self.end.t])
         turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
         most = np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD])
@@ -86,7 +94,8 @@ class Coast:
         """Use the first fixes that wait."""
         assert self._fixes is not None
         used, self._fixes = (take_rows(self._fixes, rows) for rows in (slice(count), slice(count, None)))
-        r = weigh_fixes(used, self._white, self._accuracy)
+        r = np.maximum(weigh_fixes(used, self._total, self._accuracy) - self.offset, self._white)
+        self._used = self._used or count > 0
         for k in range(count):
             if self._track is None:
                 self._track = FixTrack.begin(
@@ -125,18 +134,27 @@ class Coast:
             "names": list(self._names),
             "fixes": None if self._fixes is None else columns(self._fixes),
             "track": None if self._track is None else self._track.state(),
+            "used": self._used,
         }
 
     @classmethod
     def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> Coast:
         """Return the one of :meth:`state`."""
         found = cls(head, End(**state["end"]), tuple(state["names"]), accuracy)
+        found._used = state["used"]
         found._fixes = None if state["fixes"] is None else GnssFixes(**state["fixes"])
         if state["track"] is not None:
             nowhere = np.zeros(3)
             found._track = FixTrack(GnssOnlyOptions(), 0.0, nowhere, nowhere, np.zeros((6, 6)))
             found._track.restore(state["track"])
         return found
+
+
+def _lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:
+    """Return which correlated errors (6,) of fixes stay while a track of a few seconds averages them."""
+    speed = float(np.nan_to_num(np.linalg.norm(vel_n)))
+    pos, vel = gnss.pos_decay_time + gnss.pos_decay_distance * speed, gnss.vel_decay_time
+    return np.repeat([pos < _BRIEF, vel < _BRIEF], 3)
 
 
 def fresh_fixes(fixes: GnssFixes, newest: float) -> tuple[GnssFixes, float]:

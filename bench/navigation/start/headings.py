@@ -104,6 +104,10 @@ class ManyHeadings:
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.members[0].end
 
+    def steady_errors(self) -> Any:
+        """Return what that of the estimate is (`loose_tight.Passage`)."""
+        return self.members[0 if self.complete else self.best].steady_errors()  # type: ignore[attr-defined]
+
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if self.complete:

@@ -21,6 +21,15 @@ class LearntBiases:
     gyro_sd: FloatArray  # (3,) [rad/s]; inf: what the datasheet says
     accel_sd: FloatArray  # (3,) [m/s^2]
 
+    def for_alignment(self, piece: SensorData) -> SensorData:
+        """Return a piece less the biases for an alignment, where they are known as a whole."""
+        piece = self.taken_off(piece)
+        if not np.isfinite(self.gyro_sd).all():
+            return piece
+        spec = piece.specs.imu
+        gyro = replace(spec.gyro, temperature_sd=0.0, g_sensitivity_sd=0.0, g2_sensitivity_sd=0.0)
+        return replace(piece, specs=replace(piece.specs, imu=replace(spec, gyro=gyro)))
+
     def taken_off(self, piece: SensorData) -> SensorData:
         """Return a piece less the biases, with the datasheet of what is left of them."""
         imu, spec = piece.imu, piece.specs.imu
@@ -44,14 +53,22 @@ class LearntBiases:
         )
 
 
-def learn_biases(end: End, spec: ImuSpec, biases: LearntBiases) -> LearntBiases:
-    """Return the biases to take off the increments behind the end of a filter."""
+def learn_biases(
+    end: End, spec: ImuSpec, biases: LearntBiases, steady: tuple[FloatArray, FloatArray] | None
+) -> LearntBiases:
+    """Return the biases to take off the increments behind the end of a filter.
+
+    ``steady`` are the errors (6,) of gyros and accelerometers as a whole and their sd, where the filter knows
+    them: biases and all that adds to them. Beyond ``biases``, which it did not see.
+    """
     if not np.isfinite(np.concatenate([end.gyro_bias_b, end.accel_bias_b, end.extra_sd[:6]])).all():
         return biases
-    kept = []
+    kept, found, sd = [], end.extra[:6], end.extra_sd[:6]
+    if steady is not None:
+        found, sd = steady[0] + np.concatenate([biases.gyro, biases.accel]), steady[1]
     for triad, part in ((spec.gyro, slice(0, 3)), (spec.accel, slice(3, 6))):
         if triad.turn_on_bias_sd > 0:
-            kept.append((end.extra[part], end.extra_sd[part]))
+            kept.append((found[part], sd[part]))
         else:  # a process that forgets itself begins as at the first start
             kept.append((np.zeros(3), np.full(3, np.inf)))
     (gyro, gyro_sd), (accel, accel_sd) = kept

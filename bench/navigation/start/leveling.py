@@ -12,6 +12,7 @@ from bench.data import EventRow, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
+from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.specs import TriadSpec
 
@@ -50,13 +51,14 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     g_n = earth.gravity_n(lat, initial.lla[2])
     g = float(g_n[2])
     plumb = rotation.from_rotvec([0.0, g_n[0] / g, 0.0])  # the plumb line bends with height
-    force_sd, rate_sd = mean_sd(sensors, T, g)
+    warmth = float(thermal_figures(initial.t, float(initial.lla[2]), sensors.specs.imu)[0])
+    force_sd, turn_sd = mean_sd(sensors, T, g, warmth)
     e_rate = earth.EARTH_RATE * np.cos(lat)
     J = np.zeros((3, 3))  # phi by db_N, db_E, dw_E
     J[0, 1], J[1, 0] = -1 / g, 1 / g
     J[2] = -np.tan(lat) * J[0]
     J[2, 2] = -1 / e_rate
-    phi_cov = J @ np.diag(np.square([force_sd, force_sd, rate_sd])) @ J.T
+    phi_cov = J @ np.diag(np.square([force_sd, force_sd, turn_sd])) @ J.T
     q_nb = rotation.multiply(plumb, rotation.from_euler(roll, pitch, heading))
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
     C = rotation.matrix(q_nb)
@@ -80,7 +82,7 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
         phi_cov[2], phi_cov[:, 2], bias_cov[8] = 0.0, 0.0, 0.0
         phi_cov[2, 2] = UNKNOWN_HEADING_SD**2
         text += (
-            f"heading is unknown: gyros of {np.rad2deg(rate_sd) * 3600:.2g} deg/h cannot gyrocompass by "
+            f"heading is unknown: gyros of {np.rad2deg(turn_sd) * 3600:.2g} deg/h cannot gyrocompass by "
             f"{np.rad2deg(e_rate) * 3600:.2g} deg/h of Earth rate; motion finds it"
         )
     cov = np.zeros((9, 9))
@@ -147,20 +149,32 @@ def _rest(
     return int(ends[-1]), why if until < last or len(t) > ends[-1] else "the record of the imu ends"
 
 
-def mean_sd(sensors: SensorData, T: float, g: float) -> tuple[float, float]:
-    """Return the standard deviations of the mean force and mean rate over T seconds at rest, each axis."""
+def mean_sd(sensors: SensorData, T: float, g: float, warmth: float) -> tuple[float, float]:
+    """Return the standard deviations of the mean force and mean rate over T seconds at rest, each axis.
+
+    ``warmth`` is the temperature of the IMU above its reference [K].
+    """
     accel, gyro = sensors.specs.imu.accel, sensors.specs.imu.gyro
-    by_g = np.hypot(g * gyro.g_sensitivity_sd, g * g * gyro.g2_sensitivity_sd)
     return (
-        float(np.hypot(bias_sd(accel, g), accel.random_walk / np.sqrt(T))),
-        float(np.linalg.norm([bias_sd(gyro, 0.0), by_g, gyro.random_walk / np.sqrt(T)])),
+        float(np.hypot(bias_sd(accel, g, warmth), accel.random_walk / np.sqrt(T))),
+        float(np.hypot(rate_sd(gyro, g, warmth), gyro.random_walk / np.sqrt(T))),
     )
 
 
-def bias_sd(triad: TriadSpec, along: float) -> float:
-    """Return the standard deviation of the bias of one axis; ``along`` is the force or rate on the others."""
+def rate_sd(gyro: TriadSpec, g: float, warmth: float) -> float:
+    """Return the standard deviation of the rate that a gyro shows at rest [rad/s]; see :func:`mean_sd`."""
+    by_g = np.hypot(g * gyro.g_sensitivity_sd, g * g * gyro.g2_sensitivity_sd)
+    return float(np.hypot(bias_sd(gyro, 0.0, warmth), by_g))
+
+
+def bias_sd(triad: TriadSpec, along: float, warmth: float = 0.0) -> float:
+    """Return the standard deviation of what adds to one axis.
+
+    ``along`` is the force or rate on the others, ``warmth`` the temperature above the reference [K].
+    """
     turned = along**2 * (triad.misalignment_sd**2 + triad.nonorthogonality_sd**2 + triad.alignment_sd**2)
-    return float(np.sqrt(triad.turn_on_bias_sd**2 + triad.instability_sd**2 + turned))
+    warm = (triad.temperature_sd * warmth) ** 2
+    return float(np.sqrt(triad.turn_on_bias_sd**2 + triad.instability_sd**2 + turned + warm))
 
 
 def common_variance(triad: TriadSpec, T: float) -> FloatArray:

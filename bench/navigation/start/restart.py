@@ -114,6 +114,8 @@ class BetweenGaps:
         What went before.
     accuracy : str
         How the filter weighs fixes.
+    whole : bool
+        The filter knows what adds to its biases (``steady_errors``), and ``begin`` takes ``gyro_sd``.
     """
 
     def __init__(
@@ -123,8 +125,10 @@ class BetweenGaps:
         start: InitialState,
         events: list[EventRow],
         accuracy: FixAccuracy,
+        *,
+        whole: bool = False,
     ) -> None:
-        self._begin, self.head, self.accuracy = begin, take_head(first), accuracy
+        self._begin, self.head, self.accuracy, self.whole = begin, take_head(first), accuracy, whole
         self.filter: InPieces | None = begin(first, start, events)
         self.start, self.biases = start, LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
         self.again = False  # it has started again
@@ -213,7 +217,8 @@ class BetweenGaps:
             asked = len(wanted) == len(part.output_t)
             found.append(solution if asked else take_answers(solution, slice(-1)))
             self.stopped, self.names = _last_answer(solution), solution.extra_names
-            self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases)
+            steady = self.filter.steady_errors() if self.whole else None  # type: ignore[attr-defined]
+            self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
             self.filter = None
 
     def _stop(self, silent: tuple[float, float]) -> None:
@@ -242,7 +247,7 @@ class BetweenGaps:
         start, text = None, ""
         while pause.ways and start is None:
             try:
-                aligned = pause.ways[0].find(self.biases.taken_off(pause.record), look_back, last=no_more)
+                aligned = pause.ways[0].find(self.biases.for_alignment(pause.record), look_back, last=no_more)
             except EstimatorError as error:
                 pause.why.append(str(error))
                 pause.ways.pop(0)
@@ -271,8 +276,15 @@ class BetweenGaps:
                 found.append(_unanswered(pause.wanted, coasted))
             return None
         self.pause, self.again, self.start = None, True, start
-        self.filter = self._begin(self._less(self.head), start, [])
+        self.filter = self._begin_again()
         return replace(pause.record, output_t=pause.wanted)
+
+    def _begin_again(self) -> InPieces:
+        """Return the filter from the present start, with what it has learnt of the gyros before."""
+        sd = float(self.biases.gyro_sd.max())
+        if not (self.whole and self.again and np.isfinite(sd)):
+            return self._begin(self._less(self.head), self.start, [])
+        return self._begin(self._less(self.head), self.start, [], gyro_sd=sd)  # type: ignore[call-arg]
 
     def _less(self, piece: SensorData) -> SensorData:
         """Return a piece as the filter takes it."""
@@ -323,7 +335,7 @@ class BetweenGaps:
         self.held = None if state["held"] is None else from_plain(state["held"], self.head.specs)
         self.filter = None
         if state["filter"] is not None:
-            self.filter = self._begin(self._less(self.head), self.start, [])
+            self.filter = self._begin_again()
             self.filter.restore(state["filter"])
         self.pause = None
         if state["pause"] is not None:
@@ -336,6 +348,8 @@ def between_gaps(
     start: InitialState,
     events: list[EventRow],
     accuracy: FixAccuracy | None,
+    *,
+    whole: bool = False,
 ) -> InPieces:
     """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
 
@@ -343,7 +357,7 @@ def between_gaps(
     """
     if accuracy is None or first.fixes is None:
         return begin(first, start, events)
-    return BetweenGaps(begin, first, start, events, accuracy)
+    return BetweenGaps(begin, first, start, events, accuracy, whole=whole)
 
 
 def _count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
@@ -377,7 +391,8 @@ def _ways(begin: float, coast: Coast) -> list[StartSearch]:
         moved = np.linalg.norm(earth.difference_n(lla, before.lla)) > _SIGMAS * np.sqrt(np.trace(cov[:3, :3]))
         if np.linalg.norm(before.vel_n) < _STILL and not moved:  # the nose points where it did
             unknown, wide[8, 8] = before.q_nb, before.cov[8, 8]
-        ways.insert(0, InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR))
+        at_rest = InitialState(begin, lla, np.full(3, np.nan), unknown, wide, "level", _ALIGN_FOR)
+        ways.insert(0, replace(at_rest, fix_cov=coast.offset[:3]))
     return [StartSearch(way) for way in ways]
 
 

@@ -92,6 +92,11 @@ class FromTurnOn:
         assert self.record is not None
         return max(self.initial.t, newest_sample(self.record))
 
+    def steady_errors(self) -> Any:
+        """Return what that of the filter is (`loose_tight.Passage`), with the bias that it did not see."""
+        mean, sd = self.filter.steady_errors()  # type: ignore[union-attr]
+        return mean + (0.0 if self.found is None else np.append(self.found.bias_b, np.zeros(3))), sd
+
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if self.filter is not None:
