@@ -10,6 +10,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 
 from bench import disk_arrays
+from bench.arrays import FloatArray
 from bench.data import (
     EventRow,
     Events,
@@ -74,6 +75,14 @@ class InPieces(Protocol):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
+        ...
+
+
+class KnowsImuErrors(InPieces, Protocol):
+    """A filter with states for what adds to the biases of the IMU."""
+
+    def steady_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
         ...
 
 

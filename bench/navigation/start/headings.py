@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -36,7 +36,14 @@ from bench.data import (
 from bench.earth import EARTH_RATE, difference_n
 from bench.navigation.engine.kept_rows import columns
 from bench.navigation.engine.long_records import longest_wait
-from bench.navigation.engine.piecewise import InPieces, answer_now, join_solutions, join_tables, take_answers
+from bench.navigation.engine.piecewise import (
+    InPieces,
+    KnowsImuErrors,
+    answer_now,
+    join_solutions,
+    join_tables,
+    take_answers,
+)
 from bench.navigation.engine.record_cuts import cut_piece, first_sample, newest_sample
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.error_state import PHI, POS, VEL, less_errors
@@ -104,9 +111,9 @@ class ManyHeadings:
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.members[0].end
 
-    def steady_errors(self) -> Any:
-        """Return what that of the estimate is (`loose_tight.Passage`)."""
-        return self.members[0 if self.complete else self.best].steady_errors()  # type: ignore[attr-defined]
+    def steady_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Return those of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""
+        return cast("KnowsImuErrors", self.members[0 if self.complete else self.best]).steady_errors()
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""

@@ -64,7 +64,7 @@ def learn_biases(
     if not np.isfinite(np.concatenate([end.gyro_bias_b, end.accel_bias_b, end.extra_sd[:6]])).all():
         return biases
     kept, found, sd = [], end.extra[:6], end.extra_sd[:6]
-    if steady is not None:
+    if steady is not None and np.isfinite(steady).all():
         found, sd = steady[0] + np.concatenate([biases.gyro, biases.accel]), steady[1]
     for triad, part in ((spec.gyro, slice(0, 3)), (spec.accel, slice(3, 6))):
         if triad.turn_on_bias_sd > 0:

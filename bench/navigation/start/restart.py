@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +24,13 @@ from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import find_beyond
 from bench.navigation.engine.kept_rows import columns, take_rows
-from bench.navigation.engine.piecewise import InPieces, answer_now, join_solutions, take_answers
+from bench.navigation.engine.piecewise import (
+    InPieces,
+    KnowsImuErrors,
+    answer_now,
+    join_solutions,
+    take_answers,
+)
 from bench.navigation.engine.record_cuts import (
     as_plain,
     cut_piece,
@@ -217,7 +223,7 @@ class BetweenGaps:
             asked = len(wanted) == len(part.output_t)
             found.append(solution if asked else take_answers(solution, slice(-1)))
             self.stopped, self.names = _last_answer(solution), solution.extra_names
-            steady = self.filter.steady_errors() if self.whole else None  # type: ignore[attr-defined]
+            steady = cast("KnowsImuErrors", self.filter).steady_errors() if self.whole else None
             self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
             self.filter = None
 

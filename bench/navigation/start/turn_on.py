@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,7 +22,13 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData, 
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import columns, take_rows
-from bench.navigation.engine.piecewise import InPieces, answer_now, join_solutions, take_answers
+from bench.navigation.engine.piecewise import (
+    InPieces,
+    KnowsImuErrors,
+    answer_now,
+    join_solutions,
+    take_answers,
+)
 from bench.navigation.engine.record_cuts import (
     as_plain,
     cut_piece,
@@ -92,9 +98,9 @@ class FromTurnOn:
         assert self.record is not None
         return max(self.initial.t, newest_sample(self.record))
 
-    def steady_errors(self) -> Any:
-        """Return what that of the filter is (`loose_tight.Passage`), with the bias that it did not see."""
-        mean, sd = self.filter.steady_errors()  # type: ignore[union-attr]
+    def steady_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Return those of the filter with the bias that it did not see (`piecewise.KnowsImuErrors`)."""
+        mean, sd = cast("KnowsImuErrors", self.filter).steady_errors()
         return mean + (0.0 if self.found is None else np.append(self.found.bias_b, np.zeros(3))), sd
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
