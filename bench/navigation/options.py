@@ -83,9 +83,9 @@ class GateOptions(Options):
     readmit_after_s: NotNegative = 10.0
     """Time of nothing but refusals, at least three, after which a sensor is believed again (A-5.4.7) [s]. The
     covariance grows for it along the states that may have made a step: position, velocity, clock of the
-    receiver, bias of the barometer or radar altimeter, scale factor of the odometer, wind, slip of the
-    wheels. A sensor for which the filter has no such state stays out until it agrees, and a satellite while
-    half of those in view do. After an outage a fix that tells of a drift is used at once."""
+    receiver, bias of the barometer, radar altimeter or magnetometer, scale factor of the odometer, wind, slip
+    of the wheels. A sensor for which the filter has no such state stays out until it agrees, and a satellite
+    while half of those in view do. After an outage a fix that tells of a drift is used at once."""
 
 
 class FixOptions(GateOptions):
@@ -106,7 +106,7 @@ class AidingOptions(FixOptions):
     airspeed: bool = False
     """Use true airspeed, with the wind as two states."""
     magnetometer: bool = False
-    """Use the direction and size of the magnetic field."""
+    """Use the magnetic field, with states for hard iron, soft iron, scale factors and misalignment."""
     radar: bool = False
     """Use the height above the runway of a radar altimeter, with its bias as a state."""
     odometer: bool = False

@@ -49,7 +49,15 @@ def record(attitude, standing, sky=False):
     spec = replace(WITH_SKY, imu=IMU, antenna_b=ARM) if sky else replace(units(IMU), antenna_b=ARM)
     more = {
         "airspeed": AirspeedSpec("speed", 10.0, 0.5),
-        "mag": MagSpec("mag", 10.0, white_sd=2e-7),
+        "mag": MagSpec(
+            "mag",
+            10.0,
+            white_sd=2e-7,
+            hard_iron_sd=5e-7,
+            soft_iron_sd=0.02,
+            scale_factor_sd=0.01,
+            misalignment_sd=0.03,
+        ),
         "radar": RadarSpec("radar", 10.0, white_sd=0.3, range=2000.0, bias_sd=0.5),
         "odometer": OdometerSpec("wheel", 10.0, white_sd=0.05, scale_factor_sd=0.02),
     }

@@ -27,7 +27,7 @@ START, END, LAST = 70.0, 110.0, 180.0
 UNITS = {
     "baro": BARO,
     "airspeed": AirspeedSpec("pitot", 10.0, white_sd=0.3),
-    "mag": MagSpec("compass", 10.0, white_sd=2e-7),
+    "mag": MagSpec("compass", 10.0, white_sd=2e-7, hard_iron_sd=5e-7, misalignment_sd=0.01),
     "radar": RadarSpec("radar", 10.0, white_sd=0.3, range=2000.0, bias_sd=0.5),
     "odometer": OdometerSpec("wheel", 10.0, white_sd=0.05, scale_factor_sd=0.02),
 }

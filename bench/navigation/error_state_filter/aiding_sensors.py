@@ -198,17 +198,8 @@ def _odometer_errors(odometer: OdometerSpec) -> Errors:
     yield "odometer quantization", odometer.quantization
 
 
-def field_variance(record: MagData, mag: MagSpec) -> FloatArray:
-    """Return the variance (M, 3) taken as white in a magnetic field [T^2], with what calibration left."""
-    size2 = np.sum(record.field_b**2, axis=1)
-    left = mag.scale_factor_sd**2 + mag.soft_iron_sd**2 + mag.misalignment_sd**2
-    total = record.sd**2 + mag.hard_iron_sd**2 + left * size2
-    variance: FloatArray = np.repeat(total[:, None], 3, axis=1)
-    return variance
-
-
-def _read_field(record: MagData, mag: MagSpec, *_: object) -> tuple[FloatArray, FloatArray]:
-    return record.field_b, field_variance(record, mag)
+def _read_field(record: MagData, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.field_b, np.repeat(np.square(record.sd)[:, None], 3, axis=1)
 
 
 def _magnetometer_errors(mag: MagSpec) -> Errors:

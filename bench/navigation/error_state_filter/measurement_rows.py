@@ -5,7 +5,7 @@ Every z is predicted minus measured, z = H dx + noise:
     fix        antenna position = dp - [C l x] phi + C dl + dm_p
                antenna velocity = dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl + dm_v
     baro       h + b - h_baro = -dp_D + db
-    magnetic   C' m_n - m_b = C' [m_n x] phi
+    magnetic   (1 + M) C' m_n + d - m_b = (1 + M) C' [m_n x] phi + dM C' m_n + dd
     airspeed   |v_n - w| - V = u . (dv - dw)
     radar      h + b - h_radar = -dp_D + db
     odometer   (1 + s) c . u - V = (1 + s) du + (c . u) ds, u of `vehicle_motion`
@@ -13,8 +13,9 @@ Every z is predicted minus measured, z = H dx + noise:
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
 
 with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
-estimated, u the direction of the airspeed and w in its row the wind. A fix without velocity has the rows of
-its position only. What has a column for the gyro bias has one for each state that adds to it
+estimated, u the direction of the airspeed and w in its row the wind, M and d the matrix and the offset that
+calibration left in a magnetometer (`state_blocks.MAGNETOMETER`). A fix without velocity has the rows of its
+position only. What has a column for the gyro bias has one for each state that adds to it
 (`corrections`).
 """
 
@@ -25,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
+from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, radii_kernel
 from bench.navigation.error_state_filter.corrections import (
@@ -33,7 +34,7 @@ from bench.navigation.error_state_filter.corrections import (
     motion_factors_kernel,
     motion_kernel,
 )
-from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL, StateLayout
+from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.navigation.error_state_filter.vehicle_motion import along_kernel
@@ -57,32 +58,6 @@ SENSORS = (
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
 RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
 ABSENT = -1
-
-OPENS = {
-    POSITION: ("pos",),
-    VELOCITY: ("vel",),
-    BARO: ("baro_bias",),
-    PSEUDORANGE: ("pos", "clock_offset"),
-    RANGE_RATE: ("vel", "clock_drift"),
-    AIRSPEED: ("wind_north", "wind_east"),
-    RADAR: ("radar_bias",),
-    ODOMETER: ("odometer_scale",),
-    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
-}
-"""The states that may have made a step where a sensor is believed again after refusals.
-
-A sensor whose states a filter does not have stays out until it agrees with the rest.
-"""
-
-
-def opened_states(code: int, layout: StateLayout) -> BoolArray:
-    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
-    opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
-    if all(layout.has(name) for name in names):
-        for name in names:
-            opens[layout.slice(name)] = True
-    return opens
-
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
@@ -251,14 +226,46 @@ def _magnetic_kernel(
     down = data.field_lla[2] - state[2]
     for i in range(3):
         m[i] = data.field[0, i] + north * data.field[1, i] + east * data.field[2, i] + down * data.field[3, i]
+    p = work.vectors[1]
     for j in range(3):
-        k = first + j
-        _row_kernel(pending, k, MAGNETIC, MAGNETIC, j, 3, data.variance[row, j])
-        pending.z[k] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2] - data.values[row, j]
-        pending.H[k, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
-        pending.H[k, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
-        pending.H[k, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
+        p[j] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2]
+    H, z = pending.H[first : first + 3], pending.z[first : first + 3]
+    for j in range(3):
+        _row_kernel(pending, first + j, MAGNETIC, MAGNETIC, j, 3, data.variance[row, j])
+        z[j] = p[j] - data.values[row, j]
+        H[j, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
+        H[j, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
+        H[j, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
+    _calibration_kernel(state, p, index, H, z, work.vectors[2:5])
     return 3
+
+
+@inner
+def _calibration_kernel(
+    state: FloatArray, p: FloatArray, index: Index, H: FloatArray, z: FloatArray, M: FloatArray
+) -> None:
+    """Add to z (3,) and H (3, n) of a true field p (3,) in b what calibration left in a magnetometer."""
+    M[:] = 0.0
+    for i in range(3):
+        if index.mag_iron_b >= 0:
+            z[i] += state[index.mag_iron_b + 1 + i]
+            H[i, index.mag_iron_b + i] = 1.0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for at, a, b, back in (
+            (index.mag_scale, i, i, 0.0),
+            (index.mag_soft_iron, j, k, 1.0),
+            (index.mag_turn, j, k, -1.0),
+        ):
+            if at >= 0:
+                M[a, b] += state[at + 1 + i]
+                M[b, a] += back * state[at + 1 + i]
+                H[a, at + i] = p[b]
+                H[b, at + i] += back * p[a]
+    for i in range(3):
+        z[i] += M[i, 0] * p[0] + M[i, 1] * p[1] + M[i, 2] * p[2]
+        a, b, c = H[0, PHI + i], H[1, PHI + i], H[2, PHI + i]
+        for j in range(3):
+            H[j, PHI + i] += M[j, 0] * a + M[j, 1] * b + M[j, 2] * c
 
 
 @inner

@@ -26,12 +26,22 @@ from bench.navigation.engine.kalman import (
     stretch_kernel,
     update_kernel,
 )
-from bench.navigation.error_state_filter.error_state import feedback_kernel, reset_kernel, turn_rows_kernel
+from bench.navigation.error_state_filter.error_state import (
+    StateLayout,
+    feedback_kernel,
+    reset_kernel,
+    turn_rows_kernel,
+)
 from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
+    AIRSPEED,
+    BARO,
     MAGNETIC,
+    NONHOLONOMIC,
+    ODOMETER,
     POSITION,
     PSEUDORANGE,
+    RADAR,
     RANGE_RATE,
     VELOCITY,
     ZERO_RATE,
@@ -39,6 +49,32 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, UpdateWork
 from bench.navigation.error_state_filter.rough_heading import blind_kernel
+
+OPENS = {
+    POSITION: ("pos",),
+    VELOCITY: ("vel",),
+    BARO: ("baro_bias",),
+    PSEUDORANGE: ("pos", "clock_offset"),
+    RANGE_RATE: ("vel", "clock_drift"),
+    MAGNETIC: ("mag_iron_b",),
+    AIRSPEED: ("wind_north", "wind_east"),
+    RADAR: ("radar_bias",),
+    ODOMETER: ("odometer_scale",),
+    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
+}
+"""The states that may have made a step where a sensor is believed again after refusals.
+
+A sensor whose states a filter does not have stays out until it agrees with the rest.
+"""
+
+
+def opened_states(code: int, layout: StateLayout) -> BoolArray:
+    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
+    opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
+    if all(layout.has(name) for name in names):
+        for name in names:
+            opens[layout.slice(name)] = True
+    return opens
 
 
 class Gate(NamedTuple):

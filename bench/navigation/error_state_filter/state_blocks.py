@@ -50,6 +50,10 @@ class Index(NamedTuple):
     antenna_b: int
     wind_north: int  # wind_east follows
     radar_bias: int
+    mag_iron_b: int
+    mag_scale: int
+    mag_soft_iron: int
+    mag_turn: int
     odometer_scale: int
     axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
     axle_b: int
@@ -344,6 +348,26 @@ RADAR_BIAS = Block("radar", _radar_bias, takes=("radar altimeter bias",), record
 """Bias of the radar altimeter, constant."""
 
 
+def _magnetometer(specs: AssumedSpecs) -> list[States]:
+    """Return offset and matrix of errors: its diagonal, and beside it the even and the odd parts.
+
+    An odd part is a turn. Each axis leans towards each other one by itself: half of that variance is odd.
+    """
+    mag = assumed(specs, "mag")
+    scale, lean = mag.soft_iron_sd**2 + mag.scale_factor_sd**2, 0.5 * mag.misalignment_sd**2
+    found = [
+        States("mag_iron_b", "T", 3, mag.hard_iron_sd**2),
+        States("mag_scale", "1", 3, scale),
+        States("mag_soft_iron", "1", 3, mag.soft_iron_sd**2 + lean),
+        States("mag_turn", "1", 3, lean),
+    ]
+    return [states for states in found if np.any(states.variance)]
+
+
+MAGNETOMETER = Block("magnetometer", _magnetometer, takes=("magnetometer calibration",), records=("mag",))
+"""What calibration left in a magnetometer, constant: hard iron, soft iron, scale factors, misalignment."""
+
+
 def _odometer_scale(specs: AssumedSpecs) -> list[States]:
     sd = assumed(specs, "odometer").scale_factor_sd
     return [States("odometer_scale", "1", 1, sd**2)] if sd > 0 else []
@@ -403,5 +427,5 @@ def chosen_blocks(options: FusionOptions) -> list[Block]:
     wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
     markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
     imu, satellites = (MEMS, EVERY_ERROR), (CLOCK, RANGE_ERRORS)
-    every = (BARO_BIAS, markov, *imu, *satellites, arm, wind, RADAR_BIAS, *ride, ODOMETER_SCALE)
+    every = (BARO_BIAS, markov, *imu, *satellites, arm, wind, RADAR_BIAS, MAGNETOMETER, *ride, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

@@ -46,8 +46,8 @@ from bench.navigation.error_state_filter.aiding_sensors import (
 )
 from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import ForwardRun, Nodes
-from bench.navigation.error_state_filter.measurement_rows import SENSORS, opened_states
-from bench.navigation.error_state_filter.measurement_update import Gate
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
+from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (

@@ -49,8 +49,8 @@ from bench.navigation.error_state_filter.measurement_rows import (
     POSITION,
     SENSORS,
     Measurements,
-    opened_states,
 )
+from bench.navigation.error_state_filter.measurement_update import opened_states
 from bench.navigation.error_state_filter.propagation import (
     FilterState,
     MeasureWork,
