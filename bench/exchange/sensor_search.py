@@ -90,6 +90,7 @@ def _name_velocity(third: str, word: str) -> _Quantity:
     return _Quantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
 
 
+_ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
 _RATES = (
     _TIME,
     _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
@@ -247,6 +248,8 @@ def _match_columns(
     columns: dict[str, str] = {}
     guessed: list[str] = []
     for quantity in quantities:
+        if any(split_unit(name)[0] in quantity.stems for name in columns):
+            continue  # the velocity down, and up as well
         theirs = [_find_name(pattern, plain, columns) for pattern in quantity.patterns]
         known = [name for name in theirs if name is not None]
         if len(known) < len(theirs):
@@ -292,10 +295,10 @@ def _split_name(name: str) -> tuple[str, str]:
 
 
 def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
-    """Return the shortest name that fits a pattern and is not taken."""
+    """Return the shortest name that fits a pattern, is not taken, and is not that of an accuracy."""
     fitting = [
         name
         for name, (stem, _) in plain.items()
-        if re.fullmatch(pattern, stem) and name not in taken.values()
+        if re.fullmatch(pattern, stem) and not _ACCURACY.fullmatch(stem) and name not in taken.values()
     ]
     return min(fitting, key=len, default=None)

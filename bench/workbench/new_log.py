@@ -11,10 +11,11 @@ import numpy as np
 from rich.console import Console
 
 from bench import durable
-from bench.config.log import load_log
+from bench.config.log import LogSpec, load_log
 from bench.errors import ConfigError
+from bench.evaluation.validity import check_recording
 from bench.exchange.exports.column_files import START
-from bench.exchange.log_records import read_records
+from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, Found, find_tables, find_texts
 from bench.files import check_file, read_json
@@ -26,6 +27,7 @@ _SEVERAL = (".ulg", ".bag", ".db3", ".mcap")  # hold several sensors and name th
 _DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
 _REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
 _MOST_CONFIGURATION = 1_000_000  # [byte]
+_CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offset_s", "imu_shift_s"))
 _SHARE = 0.25  # of a short record that passes before it is judged
 
 
@@ -59,17 +61,16 @@ def new_log(name: str, *, console: Console) -> None:
         found = find_texts(path)
     else:
         found = find_tables(path)
-    text = _write_log(path.stem, found, _read_antenna(found["gnss"]))
+    antenna = _read_antenna(found["gnss"])
+    clocks: dict[str, str] = {}
     try:
-        text.encode()
+        last = _try_log(log, found, antenna, clocks)
+        if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
+            text = _write_log(path.stem, found, antenna, clocks)
+            durable.write(log, f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n")
     except UnicodeEncodeError as error:  # a name of the disk that is not UTF-8
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
-    try:
-        durable.write(log, text)
-        last = float(read_records(load_log(str(log))).imu.t.max())
-        if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
-            durable.write(log, f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n")
     except BaseException:
         log.unlink(missing_ok=True)
         raise
@@ -79,8 +80,35 @@ def new_log(name: str, *, console: Console) -> None:
         console.print(f"{kind}: {one.path.name}{within}{': ' if named else ''}{named}", soft_wrap=True)
         for line in one.guessed:
             console.print(f"  {line}", soft_wrap=True)
+        if kind in clocks:
+            console.print(f"  {clocks[kind]}", soft_wrap=True)
     console.print(f"Wrote {log}. Lines with a question are for you.")
     console.print(f"Next: bench navigate {log}")
+
+
+def _try_log(
+    log: Path, found: Mapping[str, Found], antenna: tuple[list[float], str] | None, clocks: dict[str, str]
+) -> float:
+    """Write the log and read what it names; return the last time [s].
+
+    Into ``clocks`` goes by how much the times of a sensor are wrong, as its line of the log, if the motion
+    shows it: first those of velocities, by the positions, then those of the IMU, by the velocities.
+    """
+    spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    for kind, key, name in _CLOCKS:
+        checks = check_recording(records.imu, records.fixes, None, np.asarray(spec.antenna_b))
+        off = next((one.value for one in checks if one.name == name and not one.good), None)
+        if off is not None:
+            clocks[kind] = f"{key} = {off:+.3f}  # by the motion: right?"
+            spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    return float(records.imu.t.max())
+
+
+def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
+    """Write the log; return what it says, and the records it names."""
+    durable.write(log, text)
+    spec = load_log(str(log))
+    return spec, read_records(spec)
 
 
 def _read_antenna(fixes: Found) -> tuple[list[float], str] | None:
@@ -111,7 +139,12 @@ def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
             yield path.name, line[1].split(",")
 
 
-def _write_log(title: str, found: Mapping[str, Found], antenna: tuple[list[float], str] | None) -> str:
+def _write_log(
+    title: str,
+    found: Mapping[str, Found],
+    antenna: tuple[list[float], str] | None,
+    clocks: Mapping[str, str],
+) -> str:
     """Return the text of the log; what a file cannot say is a comment that asks."""
     lines = [f"title = {quote_toml(title)}"]
     asked = {
@@ -140,6 +173,7 @@ def _write_log(title: str, found: Mapping[str, Found], antenna: tuple[list[float
             listed = ", ".join(f"{ours} = {quote_toml(theirs)}" for ours, theirs in aliases.items())
             lines.append(f"columns = {{ {listed} }}")
         lines += [f"# {one_line(line)}: right?" for line in one.guessed] + asked[kind]
+        lines += [clocks[kind]] if kind in clocks else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
     lines += [f'{kind} = "{_DATASHEETS[kind]}"' for kind in found]
     lines += ["", "[alignment]", 'kind = "course"  # "level" if it stands for a minute before it moves?']

@@ -20,10 +20,11 @@ from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
+from bench.navigation.start.learnt_biases import LearntBiases
 from bench.navigation.start.whole_records import run_between_gaps
 from tests.builders import band, put, take
 from tests.flight.plans import truth_of
-from tests.weaving import DEG, units, weaving
+from tests.weaving import DEG, IMU, units, weaving
 
 RUNS = 20
 FILTER = Loose()
@@ -319,3 +320,39 @@ def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
     high = 9 * band(90)[1]
     assert (np.mean(inside, axis=0) < high).all(), np.mean(inside, axis=0)
     assert (np.mean(after, axis=0) < high).all(), np.mean(after, axis=0)
+
+
+# --- motion beyond the range of the IMU ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", ["adis16475", "bmi088"])
+def test_rolls_and_turns_beyond_a_range_are_claimed_as_unknown(recorded, unit):
+    """Aileron rolls beyond 125 deg/s, turns beyond 3 g: eight draws, at every tenth of a second.
+
+    Nothing is known of such a motion but the fixes. The NEES, averaged over the draws, has no instant above
+    30, where a model of usual manoeuvres has 1,500.
+    """
+    profile = load_profile("high-dynamics", {"sensors.imu": unit})
+    truth, found = truth_of(recorded(profile.flight), 100.0), []
+    for draw in range(8):
+        drawn = pipeline.sense(profile, truth, draw)
+        solution = load("loose-full", {}).run(drawn.data, drawn.initial)
+        assert any("at or beyond its range" in text for *_, text in solution.events.select("restart"))
+        found.append(error_series(truth, solution).nees)
+    nees = np.mean(found, axis=0)
+    assert nees.max() < 30.0
+    assert nees.mean() < 11.0
+
+
+def test_less_its_biases_a_sample_inside_the_range_stays_inside():
+    """A bias of 0.1 m/s^2 is learnt: a sample that much below the end of the range is no clipped one."""
+    imu = replace(IMU, accel=replace(IMU.accel, range=29.4), gyro=replace(IMU.gyro, range=5.0))
+    data = sensors.sense(weaving(1.0, rate=50.0), units(imu), 1, 0).data
+    dvel_b = data.imu.dvel_b.copy()
+    dvel_b[10, 2], dvel_b[20, 2] = -29.39 * 0.02, -29.4 * 0.02
+    data = replace(data, imu=put(data.imu, slice(None), dvel_b=dvel_b))
+    known = LearntBiases(np.zeros(3), np.full(3, 0.1), np.full(3, 1e-4), np.full(3, 1e-2))
+    less = known.taken_off(data)
+    assert np.flatnonzero(~less.imu.valid).tolist() == [20]
+    rows, _, _ = timeline.imu_rows(less.imu, 0.0, less.specs.imu)
+    assert sorted(set(range(len(less.imu))) - set(rows.tolist())) == [20]

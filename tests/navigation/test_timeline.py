@@ -255,7 +255,9 @@ def test_imu_rows_and_spans_by_hand(sensed):
         "imu: gap of 0.005 s",
         "imu: gap of 0.005 s",
     ]
-    steps = timeline.steps(imu, rows, span, 0.0025, np.array([0.007, 0.0275]), np.array([0.0124]))
+    steps = timeline.steps(
+        imu, rows, span, 0.0025, np.array([0.007, 0.0275]), np.array([0.0124]), sensed.data.specs.imu
+    )
     # cut at 7 ms; 10 to 15 ms and 20 to 25 ms bridged by the means before, the first cut at 12.4 ms
     assert_allclose(steps.t, [0.005, 0.007, 0.01, 0.0124, 0.015, 0.02, 0.025, 0.0275, 0.03])
     assert_array_equal(steps.row, [0, 1, 1, 6, 6, 3, 7, 5, 5])

@@ -16,6 +16,7 @@ import bench
 from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import WRONG
+from bench.evaluation.validity import check_recording
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import make_run
@@ -56,6 +57,22 @@ def test_the_log_reads_what_was_recorded(tmp_path, style, capsys):
     assert "mounting_deg" in text
     assert ("taken as deg_s by the values" in said) == (style == "theirs")
     assert ("taken as ms by the values: right?" in text) == (style == "theirs")
+
+
+@pytest.mark.parametrize("late", [0.0, 0.15])
+def test_clocks_that_the_motion_shows_to_be_apart_are_put_right(tmp_path, late, capsys):
+    """The IMU's times are too large by 0.15 s: the log takes that off, and its check is content."""
+    made = drives.sensed()
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(made["imu"]) | {"t_s": made["imu"]["t"] + late})
+    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(made["gnss"]))
+    assert main(["new", "log", str(tmp_path / "imu.csv")]) == 0
+    said, log = capsys.readouterr().out, load_log(str(tmp_path / "imu.toml"))
+    assert log.imu.time_offset == pytest.approx(-late, abs=0.02)
+    assert (log.imu.time_offset == 0.0) == (late == 0.0)
+    assert ("by the motion: right?" in said) == (late > 0.0)
+    records = read_records(log)
+    checks = check_recording(records.imu, records.fixes, None, np.asarray(log.antenna_b))
+    assert all(one.good for one in checks if one.name == "imu_shift_s")
 
 
 STRANGE = '\n[reference]\nfile = "x"\n\x1b\x7f \U0001f6e9'

@@ -39,6 +39,9 @@ _BLOCK = 0.1  # means whose spread that is: shorter ones show the noise of the s
 _BRIDGE_RATE_SD = 0.15  # [rad/s]
 _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
 _BRIDGE_CORRELATION = 3.0  # [s]
+# Where the last sample is near the end of its range, the true rates are likely beyond it.
+_NEAR = 0.8  # [1]
+_BEYOND = 10.0, 1.0  # from the held ones [m/s^2, rad/s]
 
 _NO_ROWS = np.empty(0, np.int64)
 
@@ -77,11 +80,13 @@ def bridge_variance(elapsed: FloatArray, spread: FloatArray) -> FloatArray:
     return variance
 
 
-def _rates_before(imu: ImuData, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+def _rates_before(imu: ImuData, rows: IntArray, spec: ImuSpec) -> tuple[FloatArray, FloatArray]:
     """Return the mean rates (2, 3) to hold over the gap after the last of some rows, and their spread (2,).
 
-    Both of dvel_b [m/s^2] and dtheta_b [rad/s]: the spread is that of block means over the last seconds.
+    Both of dvel_b [m/s^2] and dtheta_b [rad/s]: the spread is that of block means over the last seconds, and
+    more near the end of a range.
     """
+    most_rate, most_force = limits(spec)
     t, dt = imu.t[rows], imu.dt[rows]
     means, spread = np.zeros((2, 3)), np.zeros(2)
     held = t > t[-1] - max(_HELD, dt[-1]) + TIME_TOLERANCE
@@ -94,6 +99,8 @@ def _rates_before(imu: ImuData, rows: IntArray) -> tuple[FloatArray, FloatArray]
         blocks = np.array([np.bincount(block, column) for column in increment[recent].T]).T
         rates = blocks[full] / length[full, None]
         spread[k] = np.sqrt(np.mean(np.var(rates, axis=0)))
+        if np.abs(increment[-1]).max() > _NEAR * (most_force, most_rate)[k] * dt[-1]:
+            spread[k] = np.hypot(spread[k], _BEYOND[k])
     return means, spread
 
 
@@ -104,6 +111,7 @@ def steps(
     start: float,
     instants: FloatArray,
     in_gaps: FloatArray,
+    spec: ImuSpec,
     earlier: IntArray = _NO_ROWS,
 ) -> Steps:
     """Return the steps of a filter over IMU rows in use.
@@ -120,6 +128,8 @@ def steps(
         Where a step has to end too [s], wherever it is.
     in_gaps : (M,) array
         Where one has to end when there is a gap [s].
+    spec : ImuSpec
+        Datasheet, for its ranges.
     earlier : (L,) array of int
         Rows in use before the start: what is held over a gap comes from them, too.
     """
@@ -159,7 +169,7 @@ def steps(
         for g, k in enumerate(gaps.tolist()):
             past = np.concatenate([earlier, rows[max(k - _MOST_ROWS, 0) : k]])[-_MOST_ROWS:]
             # before the first sample there is only the first
-            held[g], spread[g] = _rates_before(imu, past if len(past) else rows[:1])
+            held[g], spread[g] = _rates_before(imu, past if len(past) else rows[:1], spec)
         dvel_b, dtheta_b = np.vstack([dvel_b, held[:, 0]]), np.vstack([dtheta_b, held[:, 1]])
         row[bridged], share[bridged] = len(imu) + of_gap, cut_span[bridged]
         spread = spread[of_gap]

@@ -331,6 +331,7 @@ class Schedule:
             self.t,
             everywhere,
             everywhere if self._as_sampled else np.concatenate([everywhere, arrivals]),
+            self._spec,
             self._earlier,
         )
         go_to = len(steps.t) - 1

@@ -19,6 +19,8 @@ from bench.navigation.mechanization import propagate
 from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_sd, rate_sd
 
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
+_ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
+_FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
 SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
 
 
@@ -53,7 +55,16 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     scale = (span / sensors.imu.dt[rows])[:, None]
     dtheta, dvel = sensors.imu.dtheta_b[rows] * scale, sensors.imu.dvel_b[rows] * scale
     match = _matched if by_velocity else _followed
-    states, F = match(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b])
+    for roll in _ROLLS:
+        path = match(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b], roll)
+        if path is not None:
+            break
+    else:
+        raise EstimatorError(
+            "alignment course: no attitude makes the inertial velocity follow the fixes; "
+            "do they belong together?"
+        )
+    states, F = path
     end = states[-1]
     T = float(span[a:b].sum())
 
@@ -179,7 +190,8 @@ def _followed(
     dt: FloatArray,
     dtheta: FloatArray,
     dvel: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    roll: float,
+) -> tuple[FloatArray, FloatArray] | None:
     """Return what :func:`_matched` returns, from four fixes without velocity.
 
     The strapdown gains the velocity by which the mean between the last two exceeds that between the first.
@@ -190,7 +202,7 @@ def _followed(
     early, late = span[1], span[3] - span[2]
     gain_time = span[3] - 0.5 * (early + late)
     vel = earth.difference_n(lla[1], lla[0]) / early
-    q = rotation.from_euler(0.0, 0.0, np.arctan2(vel[1], vel[0]))
+    q = rotation.from_euler(roll, 0.0, np.arctan2(vel[1], vel[0]))
     for _ in range(30):
         states = propagate(earth.displace(lla[0], -rotation.rotate(q, arm_b)), vel, q, dt, dtheta, dvel)
         at = states[list(samples)]
@@ -208,10 +220,8 @@ def _followed(
         if np.abs(phi).max() < 1e-9:
             states[-1, :3] = earth.displace(lla[3], -rotation.rotate(end[6:], arm_b))
             states[-1, 3:6] = wanted
-            return states, F
-    raise EstimatorError(
-        "alignment course: no attitude makes the inertial path follow the fixes; do they belong together?"
-    )
+            return (states, F) if abs(e[2]) < _FALLS else None
+    return None
 
 
 def _matched(
@@ -221,15 +231,18 @@ def _matched(
     dt: FloatArray,
     dtheta: FloatArray,
     dvel: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    roll: float,
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the strapdown between two fixes that gains their velocity and ends along their course, and F.
 
-    Newton's iteration on the attitude at the start; the antenna's lever arm is taken off both fixes.
+    Newton's iteration on the attitude at the start, from a ``roll`` [rad] on; the lever arm is taken
+    off both fixes. It looks at the horizontal velocity. None if that leads nowhere, or to an attitude with
+    which the aircraft would gain another vertical one: upside down.
     """
     assert sensors.fixes is not None
     v_1, v_2 = sensors.fixes.vel_n[list(ends)]
     T = float(dt.sum())
-    q = rotation.from_euler(0.0, 0.0, np.arctan2(v_1[1], v_1[0]))
+    q = rotation.from_euler(roll, 0.0, np.arctan2(v_1[1], v_1[0]))
     lla = sensors.fixes.lla[ends[0]]
     for _ in range(30):
         swept = _swept(sensors.antenna_b, q, dtheta[0] / dt[0], lla[0])
@@ -246,10 +259,8 @@ def _matched(
         if np.abs(phi).max() < 1e-9:
             last = earth.displace(sensors.fixes.lla[ends[1]], -rotation.rotate(end[6:], sensors.antenna_b))
             states[-1, :3], states[-1, 3:6] = last, wanted
-            return states, F
-    raise EstimatorError(
-        "alignment course: no attitude makes the inertial velocity follow the fixes; do they belong together?"
-    )
+            return (states, F) if abs(e[2]) < _FALLS else None
+    return None
 
 
 def _swept(antenna_b: FloatArray, q_nb: FloatArray, w_ib_b: FloatArray, lat: float) -> FloatArray:

@@ -24,10 +24,10 @@ from bench.navigation.start.singer import Fixes, Manoeuvres, Track, track_kernel
 SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
 
 
-def unknown_arm(antenna_b: FloatArray) -> FloatArray:
+def unknown_arm(antenna_b: FloatArray, swing: float = SWING) -> FloatArray:
     """Return the variance (6,) of position and velocity of an antenna about an IMU of unknown attitude."""
     arm2 = float(antenna_b @ antenna_b) / 3.0
-    return np.array([arm2] * 3 + [SWING**2 * arm2] * 3)
+    return np.array([arm2] * 3 + [swing**2 * arm2] * 3)
 
 
 class FixTrack:
@@ -59,6 +59,13 @@ class FixTrack:
         )
         self._work = track_work()
         self._rows = [(np.empty((0, 4)), np.empty((0, 4), np.int64))]
+
+    def expect(self, options: GnssOnlyOptions) -> None:
+        """Go on with other manoeuvres; what the acceleration may be now grows to theirs."""
+        sd = float(options.acceleration)
+        self._model = self._model._replace(sd=sd, tau=float(options.correlation_s))
+        for k in range(6, 9):
+            self._now.P[k, k] = max(self._now.P[k, k], sd**2)
 
     @classmethod
     def begin(

@@ -23,6 +23,9 @@ from bench.specs import GnssSpec
 _HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
 _BRIEF = 0.1  # rate of decay from which on an error of the fixes is as good as white [1/s]
 _TILT_SD = 0.5  # of an aircraft whose attitude is not known: banks of 30 deg are usual [rad]
+_VIOLENT = GnssOnlyOptions(acceleration=15.0)  # of one that its IMU cannot follow: 3 g in all
+_VIOLENT_RATE = 4.0  # and how fast it turns about each axis [rad/s]
+_VIOLENT_SWING = 1.5  # that moves the antenna, as long as it coasts: 3 g at 20 m/s [rad/s]
 
 
 class End(NamedTuple):
@@ -61,13 +64,21 @@ class Coast:
         self._white = np.where(_lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
         self.offset = self._total - self._white  # variance of what all fixes have in common
         self._used = False  # a fix
-        self._arm = unknown_arm(head.antenna_b)  # it follows the antenna
+        self._options = GnssOnlyOptions()  # how it manoeuvres
+        self._antenna_b, self._arm = head.antenna_b, unknown_arm(head.antenna_b)  # it follows the antenna
         self._fixes: GnssFixes | None = None  # not yet used
         self._track: FixTrack | None = None
         if np.isfinite(np.concatenate([end.lla, end.vel_n, end.q_nb, end.cov[:6, :6].ravel()])).all():
             antenna = earth.displace(end.lla, rotation.rotate(end.q_nb, head.antenna_b))
             cov = end.cov[:6, :6] + np.diag(self.offset)  # as the fixes will see it
-            self._track = FixTrack(GnssOnlyOptions(), end.t, antenna, end.vel_n, cov)
+            self._track = FixTrack(self._options, end.t, antenna, end.vel_n, cov)
+
+    def go_beyond(self) -> None:
+        """Say that the motion is beyond the range of the IMU: a roll, a spin, a steep turn."""
+        self._options = _VIOLENT
+        self._arm = unknown_arm(self._antenna_b, _VIOLENT_SWING)
+        if self._track is not None:
+            self._track.expect(_VIOLENT)
 
     def take(self, fixes: GnssFixes) -> None:
         """Take the next fixes, in the order of their arrival."""
@@ -86,6 +97,8 @@ class Coast:
         elapsed = np.array([t - self.end.t])
         turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
         most = np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD])
+        if self._options is _VIOLENT:  # upside down as well
+            turned, most = turned + (_VIOLENT_RATE * elapsed[0]) ** 2, np.full(3, UNKNOWN_HEADING_SD**2)
         held = np.diag(self.end.cov)[6:]
         cov[6:, 6:] = np.diag(np.maximum(held, np.minimum(held + turned, most)))
         return state[:3], state[3:6], cov
@@ -99,7 +112,7 @@ class Coast:
         for k in range(count):
             if self._track is None:
                 self._track = FixTrack.begin(
-                    GnssOnlyOptions(), float(used.t[k]), used.lla[k], used.vel_n[k], r[k]
+                    self._options, float(used.t[k]), used.lla[k], used.vel_n[k], r[k]
                 )
             else:
                 self._track.run(used, np.array([k]), r, np.zeros(1, np.int64), np.empty(0))
@@ -135,6 +148,7 @@ class Coast:
             "fixes": None if self._fixes is None else columns(self._fixes),
             "track": None if self._track is None else self._track.state(),
             "used": self._used,
+            "beyond": self._options is _VIOLENT,
         }
 
     @classmethod
@@ -145,8 +159,10 @@ class Coast:
         found._fixes = None if state["fixes"] is None else GnssFixes(**state["fixes"])
         if state["track"] is not None:
             nowhere = np.zeros(3)
-            found._track = FixTrack(GnssOnlyOptions(), 0.0, nowhere, nowhere, np.zeros((6, 6)))
+            found._track = FixTrack(found._options, 0.0, nowhere, nowhere, np.zeros((6, 6)))
             found._track.restore(state["track"])
+        if state["beyond"]:
+            found.go_beyond()
         return found
 
 

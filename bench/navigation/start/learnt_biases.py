@@ -8,6 +8,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import NavSolution, SensorData
+from bench.navigation.engine.imu_range import find_beyond
 from bench.navigation.start.fixes_only import End
 from bench.specs import AxisFigures, ImuSpec, TriadSpec
 
@@ -31,11 +32,21 @@ class LearntBiases:
         return replace(piece, specs=replace(piece.specs, imu=replace(spec, gyro=gyro)))
 
     def taken_off(self, piece: SensorData) -> SensorData:
-        """Return a piece less the biases, with the datasheet of what is left of them."""
+        """Return a piece less the biases, with the datasheet of what is left of them.
+
+        A sample is beyond the range by what the unit gave, not by what is left of that.
+        """
         imu, spec = piece.imu, piece.specs.imu
         dt = imu.dt[:, None]
-        less = replace(imu, dtheta_b=imu.dtheta_b - self.gyro * dt, dvel_b=imu.dvel_b - self.accel * dt)
-        gyro, accel = _less_turn_on(spec.gyro, self.gyro_sd), _less_turn_on(spec.accel, self.accel_sd)
+        beyond = np.any([rows for _, rows in find_beyond(imu, spec)], axis=0)
+        less = replace(
+            imu,
+            valid=imu.valid & ~beyond,
+            dtheta_b=imu.dtheta_b - self.gyro * dt,
+            dvel_b=imu.dvel_b - self.accel * dt,
+        )
+        gyro = _less(spec.gyro, self.gyro, self.gyro_sd)
+        accel = _less(spec.accel, self.accel, self.accel_sd)
         specs = replace(piece.specs, imu=replace(spec, gyro=gyro, accel=accel))
         return replace(piece, imu=less, specs=specs)
 
@@ -75,10 +86,11 @@ def learn_biases(
     return LearntBiases(gyro, accel, gyro_sd, accel_sd)
 
 
-def _less_turn_on(triad: TriadSpec, sd: FloatArray) -> TriadSpec:
-    """Return a triad whose biases are known to ``sd`` (3,), no better than its instability."""
+def _less(triad: TriadSpec, bias: FloatArray, sd: FloatArray) -> TriadSpec:
+    """Return a triad less biases that are known to ``sd`` (3,), no better than its instability."""
     left = np.sqrt(np.maximum(sd**2 - triad.instability_by_axis**2, (1e-3 * sd) ** 2))
     left = np.minimum(triad.by_axis("turn_on_bias_sd"), left)
     axes = tuple(one for one in triad.axes or () if one.name != "turn_on_bias_sd")
     own = AxisFigures("turn_on_bias_sd", *left.tolist())
-    return replace(triad, turn_on_bias_sd=float(left.max()), axes=(*axes, own))
+    most = triad.range and triad.range + float(np.abs(bias).max())
+    return replace(triad, turn_on_bias_sd=float(left.max()), range=most, axes=(*axes, own))

@@ -234,6 +234,8 @@ class BetweenGaps:
             coast = Coast(self.head, self.stopped, self.names, self.accuracy)
             self.pause = _Pause(coast, silent, "", np.empty(0), None, [], [])
         because = _name_ranges(self.lost)
+        if because:
+            self.pause.coast.go_beyond()
         self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
 
     def _align(
@@ -384,11 +386,12 @@ def _ways(begin: float, coast: Coast) -> list[StartSearch]:
     """Return how to look for a start behind a gap that ended at an instant [s]: at rest, then moving."""
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
+    speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity
     wide = np.diag(np.full(9, np.inf))
     ways = [
         InitialState(
             begin, unknown[:3], unknown[:3], unknown, wide, "course", _ALIGN_FOR,
-            drift_sd=float(np.arctan2(WIND_SD, max(np.hypot(*vel_n[:2]), LEAST_SPEED))),
+            drift_sd=float(np.arctan2(WIND_SD, max(speed, LEAST_SPEED))),
         )
     ]  # fmt: skip
     if np.isfinite(lla).all():
