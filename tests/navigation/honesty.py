@@ -281,6 +281,23 @@ def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
     yield f"Mean NIS out of its band: {'; '.join(out) or 'none'}."
 
 
+def write_pools(rows: Sequence[dict[str, Any]], key: str) -> Iterator[str]:
+    """Yield the lines of a table of the guide that pools pairs by unit or profile (``key``)."""
+    other = {"unit": "profile", "profile": "unit"}[key]
+    yield f"| {key} | draws | lost | NEES | largest mean | of |"
+    yield "|---|---|---|---|---|---|"
+    for name in sorted({row[key] for row in rows}):
+        own = [row for row in rows if row[key] == name]
+        averages = np.concatenate([row["averages"] for row in own])
+        worst = max(own, key=lambda row: row["mean"])
+        cells = [f"`{name}`", str(len(averages)), str(sum(row["failed"] for row in own))]
+        yield (
+            "| "
+            + " | ".join([*cells, f"{averages.mean():.2f}", f"{worst['mean']:.1f}", f"`{worst[other]}`"])
+            + " |"
+        )
+
+
 def main() -> None:
     """Print a row for each profile, unit and estimator."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -298,6 +315,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.table:
         rows = [json.loads(line) for line in given.table.read_text().splitlines()]
+        if all("twin" not in row for row in rows):
+            print("\n".join([*write_pools(rows, "unit"), "", *write_pools(rows, "profile")]))
+            return
         key = "unit" if len({row["profile"] for row in rows}) == 1 else "profile"
         print("\n".join(write_table(rows, key)))
         return

@@ -44,7 +44,7 @@ from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.start.alignment import SETTLED
 from bench.navigation.start.course import LEAST_SPEED
 
-LARGE = float(np.deg2rad(0.5))  # sd of a bias that turns the heading by 10 deg in 20 s [rad/s]
+LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 LONGEST, SHORTEST = 20.0, 5.0  # stretch [s]
 STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course in it [rad]
 TURNED_SD = float(np.deg2rad(5.0))  # of the change of each angle that the course does not show [rad]
