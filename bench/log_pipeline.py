@@ -24,6 +24,7 @@ from bench.evaluation.failures import check_starts, describe_error, make_failed_
 from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.recorded_motion import Check, RecordedMotion
+from bench.evaluation.required_metrics import list_requirements
 from bench.evaluation.rest_noise import assume_rest_noise
 from bench.evaluation.verdict import add_verdict
 from bench.exchange import reference
@@ -195,7 +196,8 @@ def navigate_log(
         else:
             errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
         coverage = measure_coverage(solution, data)
-        metrics[label] = add_verdict(label, {**judged, "unmodelled": unmodelled}, coverage)
+        values, required = {**judged, "unmodelled": unmodelled}, list_requirements(spec.document, label)
+        metrics[label] = add_verdict(label, values, coverage, required)
         solutions[label] = solution
         disk_arrays.release()
     check_starts(raised, len(log.estimators))

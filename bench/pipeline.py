@@ -173,6 +173,7 @@ def run(
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.evaluation.coverage import measure_coverage
+    from bench.evaluation.required_metrics import list_requirements
     from bench.evaluation.verdict import add_verdict
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
@@ -188,7 +189,12 @@ def run(
         for label, solution in solutions.items()
     }
     metrics = {
-        label: add_verdict(label, values, measure_coverage(solutions[label], sensed.data))
+        label: add_verdict(
+            label,
+            values,
+            measure_coverage(solutions[label], sensed.data),
+            list_requirements(profile.document, label),
+        )
         for label, values in metrics.items()
     }
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}

@@ -80,7 +80,11 @@ class RunResult(Rebuilt):
         texts = [
             text
             for values in self.metrics.values()
-            for text in (values.get("verdict_text", ""), *values.get("drift_text", ()))
+            for text in (
+                values.get("verdict_text", ""),
+                *values.get("drift_text", ()),
+                *values.get("required_text", ()),
+            )
         ]
         return "".join(f"<p>{escape(text)}</p>" for text in texts if text) + table
 

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 from bench import durable
 from bench.baselines.verdict_rows import Verdict
+from bench.evaluation.required_metrics import MET, Finding
 from bench.wording import one_line
 
 
@@ -31,6 +32,29 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
             case = _add(suite, "testcase", classname=f"{profile}.{row.estimator}", name=row.metric)
             if kind := _kind(row, strict):
                 _add(case, kind, message=row.sentence)
+    _write(path, root)
+
+
+def write_requirements(path: Path, suite: str, findings: Sequence[Finding]) -> None:
+    """Write a test case for each requirement; one that is not met is a failure.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    failed = sum(one.word != MET for one in findings)
+    root = ElementTree.Element("testsuites")
+    counts = {"tests": len(findings), "failures": failed, "skipped": 0, "errors": 0}
+    cases = _add(root, "testsuite", name=suite, **counts)
+    for one in findings:
+        case = _add(cases, "testcase", classname=f"{suite}.{one.label}", name=one.metric)
+        if one.word != MET:
+            _add(case, "failure", message=one.sentence)
+    _write(path, root)
+
+
+def _write(path: Path, root: ElementTree.Element) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.indent(root)
     durable.write(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")

@@ -22,6 +22,7 @@ from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
 from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
+from bench.evaluation.required_metrics import Finding, judge_runs, list_requirements
 from bench.scratch import make_scratch
 from bench.spawned import Printed
 from bench.specs import DEFAULT_GUARD, Guard
@@ -81,7 +82,24 @@ class Campaign:
     def sentences(self) -> tuple[str, ...]:
         """What the figures mean."""
         own = (text for outcome in self.outcomes for text in outcome.sentences)
-        return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons))
+        required = (one.sentence for one in self.requirements)
+        return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons), *required)
+
+    @property
+    def requirements(self) -> tuple[Finding, ...]:
+        """Whether the runs keep what is required, of each condition and estimator."""
+        if not any("requirement" in condition["as_flown"] for condition in self.conditions):
+            return ()
+        every, found = self.runs.to_pylist(), list[Finding]()
+        for k, condition in enumerate(self.conditions):
+            own = [row for row in every if row["condition"] == k]
+            varied = ", ".join(f"{name} = {value}" for name, value in condition["values"].items())
+            for label in dict.fromkeys(row["estimator"] for row in own):
+                rows = list_requirements(condition["as_flown"], label)
+                runs = [row for row in own if row["estimator"] == label]
+                shown = f"{varied}: {label}" if varied else label
+                found += judge_runs(shown, runs, rows) if rows else []
+        return tuple(found)
 
     def __repr__(self) -> str:
         """Return the number of runs and the sentences."""

@@ -18,11 +18,13 @@ from bench.cli.group import (
     guard_options,
     jobs_option,
     json_option,
+    junit_option,
     new_console,
     out_option,
     report_option,
     seed_option,
     set_option,
+    write_findings,
 )
 from bench.errors import DONE, INTERRUPTED, NEGATIVE
 
@@ -47,7 +49,8 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @force_option("campaign")
 @code_option("profile")
 @guard_options
-def campaign(profile: str, as_json: bool, **options: Any) -> int:
+@junit_option
+def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) -> int:
     """Run many noise draws of a profile and say what they tell together.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
@@ -79,7 +82,9 @@ def campaign(profile: str, as_json: bool, **options: Any) -> int:
         click.echo(to_json(describe(result)), nl=False)
     if result.interrupted:
         return INTERRUPTED
+    write_findings(junit, Path(profile).stem, result.requirements)
     good = not result.failed and all(one.converged.value == 1.0 for one in result.outcomes)
+    good &= all(one.word == "met" for one in result.requirements)
     return DONE if good else NEGATIVE
 
 

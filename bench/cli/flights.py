@@ -21,6 +21,7 @@ from bench.cli.group import (
     guard_options,
     jobs_option,
     json_option,
+    junit_option,
     make_guard,
     new_console,
     out_option,
@@ -28,6 +29,7 @@ from bench.cli.group import (
     report_option,
     seed_option,
     set_option,
+    write_findings,
 )
 from bench.errors import DONE, NEGATIVE
 
@@ -54,7 +56,8 @@ from bench.errors import DONE, NEGATIVE
 @force_option()
 @code_option("profile")
 @guard_options
-def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
+@junit_option
+def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
@@ -74,6 +77,7 @@ def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
+    from bench.evaluation.required_metrics import judge_result
     from bench.store import to_json
     from bench.workbench.flight_verbs import run as run_profile
     from bench.workbench.viewer import view as view_folder
@@ -82,6 +86,7 @@ def run(profile: str, then_view: bool, as_json: bool, **options: Any) -> int:
     result, folder = run_profile(profile, console=console, **options)
     if as_json:
         click.echo(to_json(result.metrics), nl=False)
+    write_findings(junit, result.name, judge_result(result.profile, result.metrics))
     if then_view:
         view_folder(folder, web=False, console=console)
     return end_run(result.metrics)

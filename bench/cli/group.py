@@ -6,7 +6,7 @@ import functools
 import math
 import textwrap
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,8 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from bench.evaluation.required_metrics import Finding
 
 _LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
 STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
@@ -205,6 +207,31 @@ def commands(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
+junit_option = click.option(
+    "--junit",
+    type=FILE,
+    metavar="FILE",
+    help="write what is required as a JUnit file, which CI services show",
+)
+
+
+def write_findings(path: Path | None, name: str, findings: Sequence[Finding]) -> None:
+    """Write whether requirements are met, if a file is given.
+
+    Raises
+    ------
+    click.UsageError
+        If nothing is required.
+    """
+    if path is None:
+        return
+    if not findings:
+        raise click.UsageError("--junit: the file has no [[requirement]]: bench guide profiles")
+    from bench.baselines.junit import write_requirements
+
+    write_requirements(path, name, findings)
+
+
 def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
     """Print the tracebacks of estimators that raised, and return the exit status of a run."""
     tracebacks = [values["traceback"] for values in metrics.values() if "traceback" in values]
@@ -212,7 +239,8 @@ def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
         click.echo(replace_control(text), err=True, nl=False)
     if tracebacks:
         return BUG
-    return DONE if all(values["converged"] for values in metrics.values()) else NEGATIVE
+    good = all(values["converged"] and values.get("required") != "missed" for values in metrics.values())
+    return DONE if good else NEGATIVE
 
 
 def new_console(*, stderr: bool = False) -> Console:

@@ -8,7 +8,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.config.profile_tables import ExperimentTable
+from bench.config.profile_tables import ExperimentTable, RequirementTable
+from bench.evaluation.required_metrics import is_metric
 from bench.instruments import INSTRUMENTS
 from bench.navigation.estimator import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
@@ -54,6 +55,20 @@ def check_outages(table: ExperimentTable) -> list[str]:
     if table.evaluation.from_s >= length:
         what = quantity("from_s", table.evaluation.from_s)
         wrong.append(f"[evaluation] {what} is outside the flight, 0 to {length:g} s")
+    return wrong
+
+
+def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[EstimatorChoice]) -> list[str]:
+    """Check that each requirement names a metric, one limit and an estimator that there is."""
+    wrong, labels = [], [choice.label for choice in choices]
+    for k, row in enumerate(rows, 1):
+        place = f"[[requirement]] {k}"
+        if not is_metric(row.metric):
+            wrong.append(f"{place}: no metric {row.metric!r}: bench list metrics")
+        if (row.most is None) == (row.least is None):
+            wrong.append(f"{place}: give most or least, one of them")
+        if row.estimator is not None and row.estimator not in labels:
+            wrong.append(f"{place}: no estimator {row.estimator!r}; there are {', '.join(labels)}")
     return wrong
 
 

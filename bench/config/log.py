@@ -14,7 +14,7 @@ from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
 from bench.config.log_tables import FileTable, LogAlignmentTable, LogTable
 from bench.config.overrides import DatasheetChanges, override, split_overrides
-from bench.config.profile import choose_estimators, describe_choice, make_choices
+from bench.config.profile import choose_estimators, describe_choice, less_empty, make_choices
 from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
@@ -163,6 +163,7 @@ def load_log(
     across = (
         checks.check_estimators(choices)
         + checks.check_requested(choices, estimators or ())
+        + checks.check_requirements(table.requirement, choices)
         + _check_start(table)
     )
     wrong += [f"{place}{line}" for line in across]
@@ -319,4 +320,4 @@ def _make_document(
     document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
     document["estimator"] = [describe_choice(choice) for choice in choices]
     changes.mark(document)
-    return document
+    return less_empty(document, "requirement")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable
+from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable, RequirementTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between
 
 _Angle = Annotated[float, between(-360, 360)]
@@ -148,3 +148,4 @@ class LogTable(Table):
     alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
     evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
+    requirement: Annotated[tuple[RequirementTable, ...], ROWS] = ()

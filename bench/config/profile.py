@@ -145,6 +145,7 @@ def load_profile(
     across += fault_tables.check_faults(
         table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
     )
+    across += checks.check_requirements(table.requirement, choices)
     across += checks.check_estimators(choices) + checks.check_requested(choices, estimators or ())
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
@@ -380,6 +381,13 @@ def _make_document(
     sensors["assumed"] = on_board | sensors["assumed"]
     changes.mark(document)
     document["estimator"] = [describe_choice(choice) for choice in choices]
+    return less_empty(document, "requirement")
+
+
+def less_empty(document: dict[str, Any], key: str) -> dict[str, Any]:
+    """Return a document without a key that is empty, in place: results say nothing of it."""
+    if not document[key]:
+        del document[key]
     return document
 
 

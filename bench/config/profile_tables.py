@@ -211,6 +211,21 @@ class EvaluationTable(Table):
     """How often a solution is asked for."""
 
 
+class RequirementTable(Table):
+    """A metric that an estimator has to keep."""
+
+    metric: str
+    """Its name: `bench list metrics`. `*` for a number is the worst: `outage_*_drift_h_m`."""
+    most: float | None = None
+    """Largest value allowed; this or `least`."""
+    least: float | None = None
+    """Smallest value allowed."""
+    share: Annotated[float, between(0.01, 0.999)] = 0.95
+    """Share of the runs of a campaign that has to keep it."""
+    estimator: str | None = None
+    """Label of the only estimator that has to; all, if left out."""
+
+
 class AntennaTable(Table):
     """GNSS antenna relative to the IMU, for an external truth."""
 
@@ -242,6 +257,7 @@ class ExperimentTable(Table):
     alignment: AlignmentTable = Field(default_factory=AlignmentTable)
     estimator: Annotated[tuple[EstimatorTable, ...], ROWS, Field(min_length=1)]
     evaluation: EvaluationTable = Field(default_factory=EvaluationTable)
+    requirement: Annotated[tuple[RequirementTable, ...], ROWS] = ()
 
 
 class ProfileTable(ExperimentTable):

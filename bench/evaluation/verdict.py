@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.drift_laws import RAYLEIGH_95
+from bench.evaluation.required_metrics import MET, MISSED, judge_run
 from bench.navigation.unmodelled_effects import explain
 from bench.wording import format_number
 
@@ -51,7 +52,12 @@ def find_bounds(name: str, values: Mapping[str, Any]) -> tuple[float | None, flo
     return None if low is None and high is None else (low, high)
 
 
-def add_verdict(label: str, values: dict[str, Any], coverage: Coverage | None = None) -> dict[str, Any]:
+def add_verdict(
+    label: str,
+    values: dict[str, Any],
+    coverage: Coverage | None = None,
+    requirements: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
     """Return the metrics of an estimator with its verdict.
 
     Parameters
@@ -63,13 +69,16 @@ def add_verdict(label: str, values: dict[str, Any], coverage: Coverage | None = 
     coverage : Coverage or None
         How much of what was asked for it answers. If that is not enough, it has not converged: a filter that
         is silent where it errs must not look better than one that answers.
+    requirements : sequence of mapping
+        What it has to keep (`required_metrics.list_requirements`).
 
     Returns
     -------
     values : dict
         First ``verdict`` (a word), ``verdict_text`` (a sentence or two), ``drift_text`` (a sentence for each
-        outage, and for a run without horizontal aiding) and ``outside`` (the names of the metrics outside
-        their bounds), then ``values``.
+        outage, and for a run without horizontal aiding), ``outside`` (the names of the metrics outside
+        their bounds), and where something is required ``required`` (a word) and ``required_text`` (a sentence
+        each), then ``values``.
     """
     word, text = _judge(label, values)
     if coverage is not None and not values.get("failed"):
@@ -84,7 +93,15 @@ def add_verdict(label: str, values: dict[str, Any], coverage: Coverage | None = 
             text += f" Its first answer is at t = {coverage.first:g} s."
     outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
     judged = {"verdict": word, "verdict_text": text, "drift_text": _judge_drift(label, values)}
-    return {**judged, "outside": outside, **values}
+    found = judge_run(label, values, requirements)
+    required = {"required": MISSED if any(one.word == MISSED for one in found) else MET} if found else {}
+    sentences = {"required_text": [one.sentence for one in found]} if found else {}
+    return {**judged, "outside": outside, **required, **sentences, **values}
+
+
+def list_sentences(values: Mapping[str, Any]) -> list[str]:
+    """Return what the verdict of an estimator says beyond its first sentence: drift and requirements."""
+    return [*values.get("drift_text", ()), *values.get("required_text", ())]
 
 
 def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:

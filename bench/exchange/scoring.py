@@ -19,6 +19,7 @@ from bench.errors import ConfigError
 from bench.evaluation import metrics
 from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.fixes import judge as judge_by_fixes
+from bench.evaluation.required_metrics import list_requirements
 from bench.evaluation.verdict import add_verdict
 from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
@@ -110,5 +111,6 @@ def _make_score(
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
-    judged = add_verdict(label, measured, measure_coverage(solution, run.sensors))
+    required = list_requirements(run.profile, label)
+    judged = add_verdict(label, measured, measure_coverage(solution, run.sensors), required)
     return Score(label, solution, errors, judged, run, coverage, rows)

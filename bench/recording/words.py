@@ -10,6 +10,7 @@ import rerun as rr
 
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.verdict import list_sentences
 from bench.plots.content import Content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
@@ -109,7 +110,7 @@ def make_summary(result: RunResult) -> str:
         f"or a fault is scripted, and scaled to what comes after {from_s}.",
     ]
     for label, values in metrics.items():
-        for text in (values.get("verdict_text"), *values.get("drift_text", ())):
+        for text in (values.get("verdict_text"), *list_sentences(values)):
             lines += ["", _escape(text)] if text else []
         if values.get("same_as"):
             same = f"With these sensors **{_escape(label)}** is the same as **{_escape(values['same_as'])}**."

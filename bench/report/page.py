@@ -135,7 +135,10 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
         "kind": kind,
         "mark": mark,
         "text": str(values.get("verdict_text") or ""),
-        "drifts": [text.removeprefix(f"{label}, ") for text in values.get("drift_text", ())],
+        "drifts": [
+            text.removeprefix(f"{label}, ").removeprefix(f"{label}: ")
+            for text in verdict.list_sentences(values)
+        ],
         "remarks": remarks,
         "unmodelled": list(values.get("unmodelled") or ()),
     }

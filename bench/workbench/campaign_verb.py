@@ -124,7 +124,7 @@ def print_campaign(console: Console, result: Campaign) -> None:
     if result.outcomes:
         (_compare_conditions if several else _compare_estimators)(console, result)
         console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
-    sentences = () if several else result.sentences
+    sentences = [one.sentence for one in result.requirements] if several else result.sentences
     if several:
         console.print(f"The sentences on each condition are in {store.CAMPAIGN_RESULT}.", style="dim")
     for sentence in sentences:

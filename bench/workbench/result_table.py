@@ -59,7 +59,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     if any(name.startswith("outage_") for name in names):
         console.print(OUTAGES, style="dim")
     for values in measured.values():
-        for text in values.get("drift_text", ()):
+        for text in verdict.list_sentences(values):
             console.print(text)
     _print_remarks(console, measured, solutions)
 

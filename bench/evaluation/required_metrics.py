@@ -1,0 +1,151 @@
+"""What is required of an estimator, and whether one run, or many, keep it.
+
+A requirement is a row ``[[requirement]]`` of a profile or a log, as its document has it. One run keeps it if
+its metric does; a run that did not converge, or has no such metric, does not. Of many runs a ``share`` has
+to: that is met or missed where the 95 % bound on their share says so (Clopper and Pearson, one side), else
+more runs are needed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.evaluation.ensemble import estimate_rate
+from bench.evaluation.metrics import find_metric
+from bench.wording import format_number
+
+MET, MISSED, UNDECIDED = "met", "missed", "undecided"
+EVERY = "*"
+"""In the name of a metric: every outage or fault, the worst of them."""
+
+_TWO_SIDED = 0.90  # each end of this interval is a bound of 95 %
+_MOST_RUNS = 100_000  # that are thought of
+
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Whether an estimator keeps a requirement."""
+
+    label: str
+    metric: str
+    word: str  # MET, MISSED or UNDECIDED
+    sentence: str
+
+
+def is_metric(name: str) -> bool:
+    """Tell whether a requirement may name a metric so; :data:`EVERY` stands for a number."""
+    return find_metric(name.replace(EVERY, "1")) is not None
+
+
+def list_requirements(document: Mapping[str, Any], label: str) -> list[Mapping[str, Any]]:
+    """Return the requirements that a profile or log as flown has for an estimator."""
+    return [row for row in document.get("requirement", ()) if row.get("estimator", label) == label]
+
+
+def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+    """Return whether one run keeps each requirement.
+
+    Parameters
+    ----------
+    label : str
+        Of the estimator.
+    values : mapping
+        Its metrics.
+    rows : sequence of mapping
+        Of :func:`list_requirements`.
+    """
+    found = []
+    for row in rows:
+        word = MET if _keeps(row, values) else MISSED
+        value = _take(row, values)
+        shown = "has no value" if value is None else f"is {_show(row, value)}"
+        if not values.get("converged", True):
+            shown += " in a run that did not converge"
+        text = f"{label}: {row['metric']} {shown}, {_describe(row)} is required: {word}."
+        found.append(Finding(label, row["metric"], word, text))
+    return found
+
+
+def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> list[Finding]:
+    """Return whether one run keeps what a profile or log as flown requires of each estimator."""
+    every = ((label, values, list_requirements(document, label)) for label, values in metrics.items())
+    return [one for label, values, rows in every for one in judge_run(label, values, rows)]
+
+
+def judge_runs(label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+    """Return whether a share of some runs keeps each requirement; parameters as for :func:`judge_run`."""
+    found = []
+    for row in rows if runs else ():
+        count, n, share = sum(_keeps(row, values) for values in runs), len(runs), float(row["share"])
+        held = estimate_rate(count, n, _TWO_SIDED)
+        word = decide(count, n, share)
+        text = (
+            f"{label}: {row['metric']} is {_describe(row)} in {count} of {n} runs, "
+            f"{100 * held.low:.3g} to {100 * held.high:.3g} % of all, {100 * share:g} % are required: {word}"
+        )
+        if word == UNDECIDED:
+            needed = count_deciding_runs(count, n, share)
+            text += "; no number of runs decides it" if needed is None else f"; {needed} runs would decide it"
+        found.append(Finding(label, row["metric"], word, f"{text}."))
+    return found
+
+
+def decide(count: int, n: int, share: float) -> str:
+    """Return whether a share is met by ``count`` of n runs.
+
+    Examples
+    --------
+    >>> decide(58, 58, 0.95), decide(59, 59, 0.95), decide(50, 59, 0.95)
+    ('undecided', 'met', 'missed')
+    """
+    held = estimate_rate(count, n, _TWO_SIDED)
+    return MET if held.low >= share else MISSED if held.high < share else UNDECIDED
+
+
+def count_deciding_runs(count: int, n: int, share: float) -> int | None:
+    """Return how many runs decide a share if as many of them keep it as of the n; None for more than 100,000.
+
+    Examples
+    --------
+    >>> count_deciding_runs(8, 8, 0.95)
+    59
+    """
+    more = n + 1
+    while more <= _MOST_RUNS:
+        if decide(round(count / n * more), more, share) != UNDECIDED:
+            return more
+        more += max(1, more // 200)
+    return None
+
+
+def _keeps(row: Mapping[str, Any], values: Values) -> bool:
+    value = _take(row, values)
+    if value is None or not values.get("converged", True):
+        return False
+    return bool(value <= row.get("most", math.inf) and value >= row.get("least", -math.inf))
+
+
+def _take(row: Mapping[str, Any], values: Values) -> float | None:
+    """Return the value of a metric, of several the worst; None if there is none, or one is missing."""
+    pattern = re.escape(row["metric"]).replace(re.escape(EVERY), r"\d+")
+    found = [value for name, value in values.items() if re.fullmatch(pattern, name)]
+    if not found or not all(isinstance(value, int | float) and math.isfinite(value) for value in found):
+        return None
+    return float(max(found) if "most" in row else min(found))
+
+
+def _describe(row: Mapping[str, Any]) -> str:
+    word = "most" if "most" in row else "least"
+    return f"at {word} {_show(row, float(row[word]))}"
+
+
+def _show(row: Mapping[str, Any], value: float) -> str:
+    metric = find_metric(row["metric"].replace(EVERY, "1"))
+    unit = "" if metric is None or metric.unit == "1" else f" {metric.unit}"
+    return f"{format_number(value)}{unit}"
