@@ -40,7 +40,7 @@ class _LogCommand(click.Command):
 
 
 @commands.command(cls=_LogCommand, epilog=STATUS)
-@click.argument("log", metavar="LOG.toml")
+@click.argument("log", metavar="LOG.toml|FILE")
 @estimator_option("use only this one, of the file, built in")
 @click.option(
     "--outages",
@@ -67,6 +67,7 @@ class _LogCommand(click.Command):
 def navigate(log: str, as_json: bool, **options: Any) -> int:
     """Run estimators on a recording of real sensors.
 
+    FILE is a recording: its LOG.toml is written beside it first, as bench new log does.
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
     mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
     data is reported first. Every fifth fix is withheld from the filters to judge them;

@@ -142,6 +142,11 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
         for name in values
         if name.startswith("nis_mean_") and not name.endswith("_all") and is_outside(name, values)
     ]
+    loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
+    if loud and "withheld_fixes" in values:  # no truth: its own innovations are the best witness
+        ratios = [f"{name} {values[f'nis_mean_{name}']:.3g}" for name in loud]
+        most = ", at most ".join([" and ".join(ratios), format_number(values[f"nis_high_{loud[0]}"], 3)])
+        return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {most} possible: {error}."
     text = f"{label} is consistent with its covariance as far as one run can tell: {error} ({figures})."
     if wrong:
         text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."

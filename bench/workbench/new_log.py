@@ -13,12 +13,14 @@ from rich.console import Console
 from bench import durable
 from bench.config.log import LogSpec, load_log
 from bench.errors import ConfigError
+from bench.evaluation.recorded_motion import RecordedMotion
 from bench.evaluation.validity import check_recording
 from bench.exchange.exports.column_files import START
 from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, Found, find_tables, find_texts
 from bench.files import check_file, read_json
+from bench.navigation.start.course import LEAST_SPEED
 from bench.wording import one_line, quote_toml
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
@@ -28,6 +30,7 @@ _DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
 _REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
 _MOST_CONFIGURATION = 1_000_000  # [byte]
 _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offset_s", "imu_shift_s"))
+_ALIGNS = 10.0  # that an alignment takes [s]
 _SHARE = 0.25  # of a short record that passes before it is judged
 
 
@@ -64,10 +67,13 @@ def new_log(name: str, *, console: Console) -> None:
     antenna = _read_antenna(found["gnss"])
     clocks: dict[str, str] = {}
     try:
-        last = _try_log(log, found, antenna, clocks)
+        records = _try_log(log, found, antenna, clocks)
+        last = float(records.imu.t.max())
+        rest = None if _gives_a_course(records) else min(max(_SHARE * last, _ALIGNS), 60.0)
+        text = _write_log(path.stem, found, antenna, clocks, rest)
         if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
-            text = _write_log(path.stem, found, antenna, clocks)
-            durable.write(log, f"{text}\n[evaluation]\nfrom_s = {_SHARE * last:.1f}\n")
+            text += f"\n[evaluation]\nfrom_s = {_SHARE * last if rest is None else rest + 3.0:.1f}\n"
+        durable.write(log, text)
     except UnicodeEncodeError as error:  # a name of the disk that is not UTF-8
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
@@ -88,8 +94,8 @@ def new_log(name: str, *, console: Console) -> None:
 
 def _try_log(
     log: Path, found: Mapping[str, Found], antenna: tuple[list[float], str] | None, clocks: dict[str, str]
-) -> float:
-    """Write the log and read what it names; return the last time [s].
+) -> LogRecords:
+    """Write the log and read what it names.
 
     Into ``clocks`` goes by how much the times of a sensor are wrong, as its line of the log, if the motion
     shows it: first those of velocities, by the positions, then those of the IMU, by the velocities.
@@ -101,7 +107,14 @@ def _try_log(
         if off is not None:
             clocks[kind] = f"{key} = {off:+.3f}  # by the motion: right?"
             spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
-    return float(records.imu.t.max())
+    return records
+
+
+def _gives_a_course(records: LogRecords) -> bool:
+    """Tell whether it moves fast enough for a course, for long enough."""
+    t, _, vel_n = RecordedMotion.from_records(records.imu, records.fixes).take_velocities()
+    moving = t[np.hypot(vel_n[:, 0], vel_n[:, 1]) > LEAST_SPEED]
+    return bool(np.ptp(moving) > _ALIGNS) if len(moving) else False
 
 
 def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
@@ -144,8 +157,12 @@ def _write_log(
     found: Mapping[str, Found],
     antenna: tuple[list[float], str] | None,
     clocks: Mapping[str, str],
+    rest: float | None = None,
 ) -> str:
-    """Return the text of the log; what a file cannot say is a comment that asks."""
+    """Return the text of the log; what a file cannot say is a comment that asks.
+
+    ``rest`` [s]: it does not move, and so much of it is for the alignment.
+    """
     lines = [f"title = {quote_toml(title)}"]
     asked = {
         "imu": [
@@ -176,5 +193,9 @@ def _write_log(
         lines += [clocks[kind]] if kind in clocks else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
     lines += [f'{kind} = "{_DATASHEETS[kind]}"' for kind in found]
-    lines += ["", "[alignment]", 'kind = "course"  # "level" if it stands for a minute before it moves?']
+    lines += ["", "[alignment]"]
+    if rest is None:
+        lines += ['kind = "course"  # "level" if it stands for a minute before it moves?']
+    else:
+        lines += ['kind = "level"  # it does not move fast enough for a course', f"duration_s = {rest:.1f}"]
     return "\n".join(lines) + "\n"

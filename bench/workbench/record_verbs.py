@@ -22,6 +22,7 @@ from bench.wording import one_line
 from bench.workbench import result_table
 from bench.workbench.divided_table import Column, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
+from bench.workbench.new_log import new_log
 
 
 def navigate_log(
@@ -38,10 +39,12 @@ def navigate_log(
 ) -> dict[str, Any]:
     """Check a recording, run estimators on it, print their metrics, and write the results folder.
 
-    If ``out`` is None the folder is ``runs/<log>``. ``log_options`` are those of `bench.read_log`.
+    ``name`` is a log, or a recording, for which one is written beside it unless it is there. If ``out`` is
+    None the folder is ``runs/<log>``. ``log_options`` are those of `bench.read_log`.
     Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
+    name = _find_log(name, console)
     folder = out or RUNS / Path(name).stem
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
@@ -61,9 +64,23 @@ def navigate_log(
     result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
+    elif log.reference is None:
+        console.print("Withheld fixes tell little of the IMU; its drift shows in cuts: --outages 10,30,60")
     save(result, folder, recording=recording, report=report, force=force, say=console.print)
     print_end(console, folder, begun)
     return {"metrics": result.metrics, **result.more}
+
+
+def _find_log(name: str, console: Console) -> str:
+    """Return the log of a recording, which is written if it is not there; a log is its own."""
+    path, log = Path(name), Path(name).with_suffix(".toml")
+    if path.suffix == ".toml" or not path.exists():
+        return name
+    if log.exists():
+        console.print(f"{log} says how to read {path}.", soft_wrap=True)
+    else:
+        new_log(name, console=console)
+    return str(log)
 
 
 def _print_drifts(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:

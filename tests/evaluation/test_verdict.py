@@ -49,6 +49,21 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
     assert found["outside"] == ["nees_mean", "coverage_3sigma_pos_e"]
 
 
+def test_without_a_truth_loud_innovations_are_overconfident():
+    """Withheld fixes lie as near as claimed, every NIS is far above its band; beside a truth a remark."""
+    sound = {"nees_mean": 9.0, "coverage_3sigma_pos_e": 1.0, "coverage_3sigma_pos_n": 1.0}
+    nis = {"nis_mean_gnss_position": 120.0, "nis_low_gnss_position": 2.8, "nis_high_gnss_position": 3.2}
+    log = verdict(**sound, **nis, withheld_fixes=50)
+    assert log["verdict"] == "overconfident"
+    assert log["verdict_text"] == (
+        "loose-15 is overconfident by its innovations, NIS of gnss_position 120, at most 3.2 possible: "
+        "withheld fixes lie 13.7 m away."
+    )
+    quiet = {**nis, "nis_mean_gnss_position": 1.0}
+    assert verdict(**sound, **quiet, withheld_fixes=50)["verdict"] == "consistent"
+    assert verdict(**sound, **nis)["verdict"] == "consistent"
+
+
 @pytest.mark.parametrize(
     ("changes", "word", "part"),
     [

@@ -147,7 +147,7 @@ ULOG_SENSORS = {
     "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;"
     "float[3] accelerometer_m_s2;",
     "vehicle_imu": "uint64_t timestamp;uint64_t timestamp_sample;float[3] delta_angle;"
-    "float[3] delta_velocity;",
+    "float[3] delta_velocity;uint32_t delta_angle_dt;uint32_t delta_velocity_dt;",
     "vehicle_gps_position": "uint64_t timestamp;double latitude_deg;double longitude_deg;"
     "double altitude_ellipsoid_m;float s_variance_m_s;float eph;float epv;float vel_n_m_s;float vel_e_m_s;"
     "float vel_d_m_s;uint8_t fix_type;uint8_t satellites_used;bool vel_ned_valid;",
@@ -157,8 +157,12 @@ ULOG_SENSORS = {
 }
 
 
-def ulog(path: Path, made, increments=False, old=False) -> Path:
-    """Bytes by docs.px4.io, ULog file format: header, flag bits, formats, subscriptions, data."""
+def ulog(path: Path, made, increments=False, old=False, measured=1.0) -> Path:
+    """Bytes by docs.px4.io, ULog file format: header, flag bits, formats, subscriptions, data.
+
+    Unless these are wanted, increments are there once a second, as telemetry, and wrong. ``measured``: part
+    of the time between two rows of the IMU.
+    """
     imu, gnss, baro = made["imu"], made["gnss"], made["baro"]
 
     def message(kind: str, body: bytes) -> bytes:
@@ -167,15 +171,19 @@ def ulog(path: Path, made, increments=False, old=False) -> Path:
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message("B", bytes(40))]
     names = ["vehicle_imu" if increments else "sensor_combined"]
     names += ["sensor_gps" if old else "vehicle_gps_position", "vehicle_air_data"]
+    names += [] if increments else ["vehicle_imu"]
     parts += [message("F", f"{name}:{ULOG_SENSORS[name]}".encode()) for name in names]
     parts += [message("A", struct.pack("<BH", 0, k) + name.encode()) for k, name in enumerate(names)]
     rows = []
     for k, t in enumerate(imu["t"]):
         us = round(t * 1e6)
         if increments:
-            body = struct.pack("<QQ6f", us + 400, us, *imu["gyro"][k] * 0.01, *imu["accel"][k] * 0.01)
+            both = *imu["gyro"][k] * 0.008, *imu["accel"][k] * 0.009  # of intervals of their own
+            body = struct.pack("<QQ6f2I", us + 400, us, *both, 8_000, 9_000)
         else:
-            body = struct.pack("<Q3fI3f", us, *imu["gyro"][k], 10_000, *imu["accel"][k])
+            body = struct.pack("<Q3fI3f", us, *imu["gyro"][k], round(10_000 * measured), *imu["accel"][k])
+            if k % 100 == 0:
+                rows.append((us, struct.pack("<HQQ6f2I", 3, us, us, *np.ones(6), 8_000, 9_000)))
         rows.append((us, struct.pack("<H", 0) + body))
     h, v, s = np.sqrt(2) * drives.POS_SD[0], drives.POS_SD[2], np.sqrt(3) * drives.VEL_SD[0]
     for k, t in enumerate(gnss["t"]):
@@ -326,6 +334,15 @@ def test_ulog_of_px4(tmp_path, made, increments, old):
     assert_allclose(found.baro.alt_baro, made["baro"]["alt"], atol=1e-3)
     if not old:
         assert set(found.fixes.satellites) == {17}
+
+
+def test_an_imu_that_measured_little_of_the_time_is_refused(tmp_path, made):
+    """Rows of 0.4 ms every 10 ms tell nothing of what is between them."""
+    ulog(tmp_path / "log.ulg", made, measured=0.04)
+    said = refused(tmp_path, "log.ulg")
+    assert (
+        "log.ulg: sensor_combined has 100 rows a second, which measured 4 % of the time between them" in said
+    )
 
 
 def test_structures_of_navego(tmp_path, made):
@@ -517,7 +534,7 @@ def test_a_topic_that_is_not_there_or_not_alone_is_named(tmp_path, made):
         in said
     )
     ulog(tmp_path / "log.ulg", made)
-    assert "no rows of vehicle_imu" in refused(tmp_path, "log.ulg", imu_more='topic = "vehicle_imu"')
+    assert "no rows of sensor_accel" in refused(tmp_path, "log.ulg", imu_more='topic = "sensor_accel"')
     assert "NaveGo has no structure for a barometer" in refused_baro(tmp_path)
 
 

@@ -685,7 +685,7 @@ def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "Missing argument 'LOG.toml'"),
+        ([], "Missing argument 'LOG.toml|FILE'"),
         (
             ["--observations", "a", "--navigation=b", "--mask-deg", "5"],
             "error: bench navigate takes a LOG.toml; for RINEX files use: bench fixes OBSERVATIONS NAV",

@@ -75,6 +75,26 @@ def test_clocks_that_the_motion_shows_to_be_apart_are_put_right(tmp_path, late, 
     assert all(one.good for one in checks if one.name == "imu_shift_s")
 
 
+def test_a_recording_that_stands_is_leveled(tmp_path, capsys):
+    """Forty seconds at rest: no course, so the log says level; the drive gives one."""
+    rng, t = np.random.default_rng(2), np.arange(1, 4001) / 100.0
+    still = {"t": t, "gyro": 1e-4 * rng.normal(size=(4000, 3))}
+    still["accel"] = np.array([0.0, 0.0, -9.80]) + 1e-3 * rng.normal(size=(4000, 3))
+    fixes = {"t": t[::100], "lla": np.tile(drives.sensed()["gnss"]["lla"][0], (40, 1))}
+    fixes["vel_n"] = 0.02 * rng.normal(size=(40, 3))
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns(still))
+    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(fixes))
+    order = ["navigate", str(tmp_path / "imu.csv"), "--no-rrd", "--no-report", "-o", str(tmp_path / "out")]
+    assert main(order) == 0
+    said = capsys.readouterr().out
+    assert (
+        'kind = "level"  # it does not move fast enough for a course' in (tmp_path / "imu.toml").read_text()
+    )
+    assert "Wrote" in said
+    assert main([*order, "--force"]) == 0
+    assert "imu.toml says how to read" in capsys.readouterr().out
+
+
 STRANGE = '\n[reference]\nfile = "x"\n\x1b\x7f \U0001f6e9'
 
 

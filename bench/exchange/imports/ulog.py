@@ -1,8 +1,9 @@
 """PX4 ULog, read with pyulog. Fields and units are those of the uORB messages of PX4-Autopilot (msg/).
 
-imu: ``vehicle_imu`` (increments) or ``sensor_combined`` (rates), forward, right, down. gnss:
-``vehicle_gps_position`` or ``sensor_gps``. baro: ``vehicle_air_data`` or ``sensor_baro``. Times are those of
-the sample if the message has them.
+imu: ``sensor_combined`` (rates) or ``vehicle_imu`` (increments), forward, right, down. gnss:
+``vehicle_gps_position`` or ``sensor_gps``. baro: ``vehicle_air_data`` or ``sensor_baro``. Of these the one
+with the most rows: firmware logs others once or twice a second, for telemetry. Times are those of the sample
+if the message has them.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
+_LEAST_COVERED = 0.5  # part of the time between two rows of an IMU that the rows measured
 _TOPICS = {
-    "imu": ("vehicle_imu", "sensor_combined"),
+    "imu": ("sensor_combined", "vehicle_imu"),
     "gnss": ("vehicle_gps_position", "sensor_gps"),
     "baro": ("vehicle_air_data", "sensor_baro"),
 }
@@ -52,7 +54,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     if not found:
         there = ", ".join(sorted(log.message_formats))[:300]
         raise ConfigError(f"{path.name}: no rows of {' or '.join(wanted)}; it defines {there or 'none'}")
-    name = next(name for name in wanted if name in found)
+    name = max(reversed(found), key=lambda one: (len(found[one]["timestamp"]), -wanted.index(one)))
     data = found[name]
     if len(data["timestamp"]) > MOST_ROWS:
         raise ConfigError(f"{path.name}: more than {MOST_ROWS} rows")
@@ -60,8 +62,15 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     try:
         t = _read_time(data)
         values = {"imu": _read_imu, "gnss": _read_gnss, "baro": _read_baro}[kind](data)
+        covered = _measure_cover(t, data) if kind == "imu" else 1.0
     except KeyError as error:
         raise ConfigError(f"{path.name}: message {name} has no field {error.args[0]!r}") from None
+    if covered < _LEAST_COVERED:
+        rate = (len(t) - 1) / float(np.ptp(t))
+        raise ConfigError(
+            f"{path.name}: {name} has {rate:.3g} rows a second, which measured {100 * covered:.2g} % of the "
+            "time between them: too few to navigate; log the IMU at full rate (SDLOG_PROFILE)"
+        )
     return LogRows(t, values, notes)
 
 
@@ -78,9 +87,27 @@ def _read_vectors(data: Data, name: str) -> FloatArray:
     return np.stack([np.asarray(data[f"{name}[{k}]"], float) for k in range(3)], axis=-1)
 
 
+def _read_duration(data: Data, name: str) -> FloatArray:
+    """Return durations in seconds; old firmware has them so, later one in microseconds."""
+    found = np.asarray(data[name], float)
+    return np.asarray(found if np.median(found) < 1.0 else 1e-6 * found)
+
+
+def _measure_cover(t: FloatArray, data: Data) -> float:
+    """Return the part of the time between two rows that the rows measured themselves, by the median."""
+    name = "delta_angle_dt" if "delta_angle[0]" in data else "gyro_integral_dt"
+    if len(t) < 2 or not np.ptp(t) > 0.0:
+        return 1.0
+    return float(np.median(_read_duration(data, name)) / np.median(np.diff(t)))
+
+
 def _read_imu(data: Data) -> dict[str, FloatArray]:
-    if "delta_angle[0]" in data:
-        return {"dtheta": _read_vectors(data, "delta_angle"), "dvel": _read_vectors(data, "delta_velocity")}
+    if "delta_angle[0]" in data:  # of an interval of its own
+        gyro, accel = (
+            _read_vectors(data, f"delta_{what}") / _read_duration(data, f"delta_{what}_dt")[:, None]
+            for what in ("angle", "velocity")
+        )
+        return {"gyro": gyro, "accel": accel}
     return {"gyro": _read_vectors(data, "gyro_rad"), "accel": _read_vectors(data, "accelerometer_m_s2")}
 
 
