@@ -164,6 +164,7 @@ def ulog(path: Path, made, increments=False, old=False, measured=1.0) -> Path:
     of the time between two rows of the IMU.
     """
     imu, gnss, baro = made["imu"], made["gnss"], made["baro"]
+    between_us = round(1e6 * measured * float(np.median(np.diff(imu["t"]))))
 
     def message(kind: str, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), ord(kind)) + body
@@ -181,7 +182,7 @@ def ulog(path: Path, made, increments=False, old=False, measured=1.0) -> Path:
             both = *imu["gyro"][k] * 0.008, *imu["accel"][k] * 0.009  # of intervals of their own
             body = struct.pack("<QQ6f2I", us + 400, us, *both, 8_000, 9_000)
         else:
-            body = struct.pack("<Q3fI3f", us, *imu["gyro"][k], round(10_000 * measured), *imu["accel"][k])
+            body = struct.pack("<Q3fI3f", us, *imu["gyro"][k], between_us, *imu["accel"][k])
             if k % 100 == 0:
                 rows.append((us, struct.pack("<HQQ6f2I", 3, us, us, *np.ones(6), 8_000, 9_000)))
         rows.append((us, struct.pack("<H", 0) + body))
