@@ -257,12 +257,19 @@ def range_and_rate(lla, vel, sat_pos, sat_vel):
     return travel * LIGHT, rate, np.arcsin(-down), np.arctan2(east, north)
 
 
-def satellite(lla, vel, C, bias, lever, w_b, sat_pos, sat_vel, n, mask):
+def may_be_noise(w_b, variance):
+    """Whether a rate may be the noise of a sample: an antenna shows no attitude by it."""
+    return w_b @ w_b < 16.3 * variance
+
+
+def satellite(lla, vel, C, bias, lever, w_b, slow, sat_pos, sat_vel, n, mask):
     """Range and rate, H (2, n) of both by differences, elevation and azimuth; nothing below the mask."""
 
     def measured(x):
         place, speed, tilted, _ = correct(lla, vel, C, bias, -x)
         antenna_lla, antenna_vel, _ = antenna(place, speed, tilted, lever, w_b - x[9:12])
+        if slow:
+            _, antenna_vel, _ = antenna(place, speed, C, lever, w_b - x[9:12])
         return np.array(range_and_rate(antenna_lla, antenna_vel, sat_pos, sat_vel))
 
     found = measured(np.zeros(n))
@@ -380,11 +387,12 @@ def wandering(o, sky):
     return [*names, "troposphere"], np.array([*rates, 1 / sky.troposphere_correlation])
 
 
-def use_satellite(aiding, o, row, state, lever, w_b, sky, wander):
+def use_satellite(aiding, o, row, state, lever, w_b, slow, sky, wander):
     """Use one satellite of one frequency: range, then rate; ``wander`` are its states, from the first on."""
     lla, _, _, bias = state
     n = aiding.kf.dim_x
-    seen = satellite(*state, lever, w_b, o.sat_pos_e[row], o.sat_vel_e[row], n, sky.elevation_mask)
+    mask = sky.elevation_mask
+    seen = satellite(*state, lever, w_b, slow, o.sat_pos_e[row], o.sat_vel_e[row], n, mask)
     if seen is None:
         return
     (distance, rate, el, az), H = seen
@@ -477,9 +485,13 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
                 Q[clock, clock + 1] = Q[clock + 1, clock] = walk * T**2 / 2
             kf.predict(F=Phi, Q=Q)
         points, aiding.now = [], now
+        w_b = dtheta / dt
+        slow = may_be_noise(w_b, specs.imu.gyro.random_walk**2 / dt)
         if k in fixes_at:
             row = fixes_at[k]
-            place, speed, H = antenna(lla, vel, C, sensors.antenna_b, dtheta / dt)
+            place, speed, H = antenna(lla, vel, C, sensors.antenna_b, w_b)
+            if slow:
+                H[3:, 6:9] = 0.0
             z = np.concatenate(
                 [(place - sensors.fixes.lla[row]) * metres(lla), speed - sensors.fixes.vel_n[row]]
             )
@@ -493,9 +505,8 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         if k in epochs_at:
             epoch = epochs_at[k]
             for row in range(o.epoch_start[epoch], o.epoch_start[epoch + 1]):
-                use_satellite(
-                    aiding, o, row, (lla, vel, C, bias), sensors.antenna_b, dtheta / dt, sky, wander
-                )
+                state = lla, vel, C, bias
+                use_satellite(aiding, o, row, state, sensors.antenna_b, w_b, slow, sky, wander)
             lla, vel, C, bias = feed_back(kf, lla, vel, C, bias)
         if k in baro_at:
             H = np.zeros((1, 16))

@@ -76,3 +76,46 @@ def test_honest_after_a_step_of_the_radar_altimeter(use, figure_eight_truth):
         errors = error_series(figure_eight_truth, solution)
         averages.append(errors.nees[errors.t > 60.0].mean())
     assert_honest(averages)
+
+
+_NOISY = """
+title = "gyros with white noise, a scale factor and little else"
+class = "consumer"
+confidence = "table"
+source = "made for this test"
+[gyro]
+noise_deg_s_sqrt_hz = 0.015
+turn_on_bias_sd_deg_s = 0.01
+scale_factor_sd_percent = 0.5
+[accel]
+noise_ug_sqrt_hz = 230.0
+turn_on_bias_sd_mg = 2.0
+"""
+_CRUISE = """
+title = "ten minutes straight on, the antenna metres ahead of the IMU"
+aircraft = "jet747"
+rate_hz = 200
+seed = 5077
+start = { lat_deg = 47.0, lon_deg = 11.0, alt_m = 9000.0, heading_deg = 280.0, speed_mps = 230.0 }
+sensors = { imu = "noisy.toml", gnss = "l1-code", baro = "bmp388" }
+initial_error_sd = { pos_m = [3.0, 3.0, 5.0], vel_mps = [0.2, 0.2, 0.2], tilt_deg = 0.5, heading_deg = 2.0 }
+leg = [{ kind = "straight", duration_s = 600.0 }]
+estimator = [{ use = "loose-full" }]
+evaluation = { output_hz = 1.0 }
+"""
+
+
+def test_noise_of_the_gyros_does_not_tell_their_scale_factor(tmp_path):
+    """Nothing turns, and an antenna metres ahead of the IMU shows the noise of a sample at every fix.
+
+    So the scale factors stay what they were: within half of what is not known of them.
+    """
+    (tmp_path / "noisy.toml").write_text(_NOISY)
+    (tmp_path / "cruise.toml").write_text(_CRUISE)
+    flown = bench.load_profile(str(tmp_path / "cruise.toml"))
+    truth = bench.fly(flown)
+    for run in range(4):
+        sensed = pipeline.sense(flown, truth, run)
+        solution = load("loose-full", {}).run(sensed.data, sensed.initial)
+        at = [solution.extra_names.index(f"gyro_scale_{axis}_1") for axis in "xyz"]
+        assert (np.abs(solution.extra[-1, at]) < 0.5 * solution.extra_sd[-1, at]).all()

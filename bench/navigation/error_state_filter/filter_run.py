@@ -249,7 +249,7 @@ class ForwardRun:
             state[lever + 1 : lever + 4] = antenna_b
         self.now = FilterState(state, widened(model.P), np.zeros(n))
         self.work = work_for(n, model.process.drives)
-        self.work.carried.known[:] = model.process.thermal[0], *model.process.range
+        self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
         self.pending = pending_for(n, 1, 6)
         self.moved = False
         self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far

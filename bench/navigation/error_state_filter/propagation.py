@@ -73,7 +73,7 @@ class MeasureWork(NamedTuple):
     C: FloatArray  # (3, 3)
     lever: FloatArray  # (3,)
     motion: FloatArray  # (2, 3) the same of the instants that the measurement is of
-    known: FloatArray  # (3,) `Carried.known`
+    known: FloatArray  # (4,) `Carried.known`
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
     slope: FloatArray  # (6,) of gyros and accelerometers along their axes
@@ -93,12 +93,14 @@ class UpdateWork(NamedTuple):
 class Carried(NamedTuple):
     """What the next step needs of the steps before; also the first two of `MeasureWork`."""
 
-    whole: FloatArray  # (62,) memory of all of it
-    kept: FloatArray  # (62,) a copy, while a filter goes ahead for an answer
+    whole: FloatArray  # (63,) memory of all of it
+    kept: FloatArray  # (63,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
-    known: FloatArray  # (3,) of the IMU: temperature above reference [K], range of gyros, of accelerometers
+    # of the IMU (4,): temperature above reference [K], range of gyros, of accelerometers, and the variance of
+    # the noise of the newest sample of a gyro [rad^2/s^2]
+    known: FloatArray
     lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
     elapsed: FloatArray  # (1,) since the last step of the covariance [s]
 
@@ -128,7 +130,7 @@ class Work(NamedTuple):
 
 def work_for(n: int, drives: IntArray) -> Work:
     """Return the memory for n states and their drives (D, 3)."""
-    shapes = (7,), (2, 3), (8, 3), (3, 3), (STATE_SIZE,), (3,), (2,), (1,)
+    shapes = (7,), (2, 3), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     whole = np.zeros(ends[-1])
     before, last, vectors, *others = (
@@ -318,6 +320,7 @@ def advance_kernel(
             increments_kernel(state, dt, drives, known, dth, dv, slope)
             for i in range(3):
                 last[0, i], last[1, i] = dth[i] / dt, dv[i] / dt
+            known[3] = process.q[PHI] / dt
             if driven > 0:
                 for i in range(3):
                     w_sum[i] += dth[i]
