@@ -45,8 +45,9 @@ def assert_honest(averages, draws=DRAWS):
         (TOUR, {"wind.turbulence": "light"}, "loose-full", SEED),
         ("climb-cruise-descend", {"sensors.imu": "mpu-9250"}, "loose-full", SEED),
         ("date-line", {"sensors.imu": "bmi088"}, "loose-full", 5077),  # one has a bias of three sd
+        ("long-cruise", {"sensors.imu": "icm-20948"}, "loose-full", 5077),
     ],
-    ids=["calm", "calm-smoothed", "light", "transport", "three-sigma"],
+    ids=["calm", "calm-smoothed", "light", "transport", "three-sigma", "cruise"],
 )
 def test_honest_straight_out_with_a_consumer_imu(profile, changes, use, seed):
     flown = bench.load_profile(profile, {**changes, "evaluation.output_hz": 1.0})

@@ -1,10 +1,11 @@
-"""A large turn-on bias of the gyros, learnt over the first seconds before a linear filter takes it.
+"""A large turn-on bias of the gyros, learnt over the first minutes before a linear filter takes it.
 
 In straight flight no measurement shows the heading. A bias of degrees per second turns it by tens of degrees
 until the first turn, and a linear filter is then lost. So the mean rate over a stretch in which the course
 stays is taken for the bias: the attitude of a vehicle that flies or drives straight changes little. At rest
-it does not change at all. The filter begins again at the start with what is left of the bias; until the end
-of the stretch its answers are those without this knowledge.
+it does not change at all. What is left of the bias turns the heading, too, only later: while the course
+stays, it is learnt again by a stretch three times as long. Each time the filter begins again at the start
+with what is left of the bias; the answers until then are those without this knowledge.
 """
 
 from __future__ import annotations
@@ -18,16 +19,13 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData, no_innovations
-from bench.errors import EstimatorError
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import columns, take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
-    answer_now,
     join_solutions,
-    take_answers,
 )
 from bench.navigation.engine.record_cuts import (
     as_plain,
@@ -35,7 +33,6 @@ from bench.navigation.engine.record_cuts import (
     from_plain,
     join_pieces,
     newest_sample,
-    nothing_known,
     take_head,
 )
 from bench.navigation.engine.timeline import TIME_TOLERANCE
@@ -45,7 +42,9 @@ from bench.navigation.start.alignment import SETTLED
 from bench.navigation.start.course import LEAST_SPEED
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
-LONGEST, SHORTEST = 20.0, 5.0  # stretch [s]
+STAGES = 20.0, 60.0, 180.0, 540.0  # longest stretch of each [s]; one turns the heading by 15 deg in the next
+SHORTEST = 5.0  # stretch [s]
+_LESS = 0.5  # of the sd of the stage before: no more is worth to begin again for
 STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course in it [rad]
 TURNED_SD = float(np.deg2rad(5.0))  # of the change of each angle that the course does not show [rad]
 STILL = 0.5  # largest speed over ground at rest, by fixes [m/s]
@@ -67,7 +66,7 @@ class TurnOn:
 class FromTurnOn:
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
-    It waits until the stretch at the start is over.
+    At the end of each stage it takes the record so far once more, from the start.
 
     Parameters
     ----------
@@ -85,18 +84,17 @@ class FromTurnOn:
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
-        self._begin, self.head, self.initial, self.events = begin, take_head(first), initial, events
-        self.record: SensorData | None = self.head  # until the bias is learnt, or not
+        self._begin, self.head, self.initial = begin, take_head(first), initial
+        self.pieces: list[SensorData] = [self.head]  # until there are no more stages
+        self.stage = 0
         self.found: TurnOn | None = None
-        self.filter: InPieces | None = None
+        self.told = -np.inf  # until then the filter before has told its innovations [s]
+        self.filter = begin(self.head, initial, events, None)
 
     @property
     def end(self) -> float:
         """Instant of the last IMU sample taken, or of the start [s]."""
-        if self.filter is not None:
-            return self.filter.end
-        assert self.record is not None
-        return max(self.initial.t, newest_sample(self.record))
+        return self.filter.end
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return those of the filter with the bias that it did not see (`piecewise.KnowsImuErrors`)."""
@@ -105,70 +103,94 @@ class FromTurnOn:
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
-        if self.filter is not None:
-            return self._own(self.filter.feed(self._less(piece), look_back, last=last))
-        assert self.record is not None
         if not np.array_equal(self.head.antenna_b, piece.antenna_b):
-            raise EstimatorError("it cannot go over to another antenna before it has learnt the turn-on bias")
-        record = piece if self.record is self.head else join_pieces(self.record, piece)
-        if not last and newest_sample(record) < self.initial.t + LONGEST + SETTLED:
-            self.record = record
-            return nothing_known(np.empty(0))
-        self.record, found = None, find_turn_on(record, self.initial)
-        self.found, parts = found, list[NavSolution]()
-        wanted = record.output_t
-        if found is not None:
-            early = cut_piece(record, np.flatnonzero(~(record.imu.t > found.until)), -np.inf, np.inf)
-            early = replace(early, output_t=wanted[wanted <= found.until])
-            without = self._begin(self.head, self.initial, [], None).feed(early, 0.0, last=True)
-            parts.append(replace(without, innovations=no_innovations(), events=Events.from_rows([])))
-            text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
-            self.events = [(self.initial.t, found.until, "alignment", text), *self.events]
-        self.filter = self._begin(self.head, self.initial, self.events, found.sd if found else None)
-        solution = self._own(self.filter.feed(self._less(record), look_back, last=last))
-        if found is not None:
-            solution = take_answers(solution, slice(int((solution.t <= found.until).sum()), None))
-        return join_solutions([*parts, solution])
+            self.stage = len(STAGES)  # the record from the start is of another antenna
+        parts: list[NavSolution] = []
+        if self.stage < len(STAGES):
+            self.pieces.append(piece)
+        while self.stage < len(STAGES):
+            due = self.initial.t + STAGES[self.stage] + SETTLED
+            if max(newest_sample(one) for one in self.pieces) < due:
+                break
+            found = self._learn(due)
+            self.stage = self.stage + 1 if found else len(STAGES)
+            if found:
+                before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
+                piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
+                parts.append(self._own(self.filter.feed(self._less(before), 0.0, last=True)))
+                events = [*parts[-1].events.rows(), _event(self.initial, found)]
+                parts[-1] = replace(parts[-1], events=Events.from_rows(events))
+                self._begin_again(found, due, look_back)
+        if self.stage == len(STAGES):
+            self.pieces = []
+        return join_solutions([*parts, self._own(self.filter.feed(self._less(piece), look_back, last=last))])
+
+    def _learn(self, due: float) -> TurnOn | None:
+        """Return the bias by the stretch of this stage, None if it tells little more than the one before."""
+        (record,) = self.pieces = [_join_all(self.pieces)]
+        found = _find_in(record, self.initial, STAGES[self.stage])
+        much = self.found is None or (found is not None and found.sd <= _LESS * self.found.sd)
+        return found if much else None
+
+    def _begin_again(self, found: TurnOn, due: float, look_back: float) -> None:
+        """Let a filter without this bias take the record until an instant [s] once more."""
+        (record,), self.found, self.told = self.pieces, found, due
+        self.filter = self._begin(self.head, self.initial, [], found.sd)
+        again = cut_piece(record, np.flatnonzero(~(record.imu.t > due)), -np.inf, due)
+        self.filter.feed(self._less(replace(again, output_t=np.empty(0))), look_back, last=False)
 
     def _less(self, piece: SensorData) -> SensorData:
         return piece if self.found is None else _take_off(self.found, piece)
 
     def _own(self, solution: NavSolution) -> NavSolution:
-        return solution if self.found is None else _give_back(self.found, solution)
+        return solution if self.found is None else _give_back(self.found, _after(self.told, solution))
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
-        if self.filter is not None:
-            return self._own(self.filter.answer(self._less(head)))
-        assert self.record is not None
-        wanted = self.record.output_t
-        self.record = replace(self.record, output_t=wanted[wanted < self.end - TIME_TOLERANCE])
-        return answer_now(self, head)
+        return self._own(self.filter.answer(self._less(head)))
 
     def copy(self) -> FromTurnOn:
         """Return a filter that goes on from here by itself."""
         other = copy(self)
-        other.filter = None if self.filter is None else self.filter.copy()
+        other.pieces, other.filter = [*self.pieces], self.filter.copy()
         return other
 
     def state(self) -> dict[str, Any]:
         """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
         return {
-            "record": None if self.record is None else as_plain(self.record),
+            "record": as_plain(_join_all(self.pieces)) if self.pieces else None,
+            "stage": self.stage,
             "found": None if self.found is None else columns(self.found),
-            "events": [list(row) for row in self.events],
-            "filter": None if self.filter is None else self.filter.state(),
+            "told": self.told,
+            "filter": self.filter.state(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Take over what :meth:`state` returned."""
         self.found = None if state["found"] is None else TurnOn(**state["found"])
-        self.record = None if state["record"] is None else from_plain(state["record"], self.head.specs)
-        self.events = [(t, t_end, *texts) for t, t_end, *texts in state["events"]]
-        self.filter = None
-        if state["filter"] is not None:
-            self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
-            self.filter.restore(state["filter"])
+        self.stage, self.told, record = int(state["stage"]), state["told"], state["record"]
+        self.pieces = [] if record is None else [from_plain(record, self.head.specs)]
+        self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
+        self.filter.restore(state["filter"])
+
+
+def _after(t: float, solution: NavSolution) -> NavSolution:
+    """Return a solution without the innovations and events until an instant [s]."""
+    table = solution.innovations
+    kept = table.t > t + TIME_TOLERANCE
+    if not kept.all():
+        rest = {name: one[kept] for name, one in columns(table).items() if name != "sensor"}
+        solution = replace(solution, innovations=replace(table, **rest))
+    events = [row for row in solution.events.rows() if row[1] > t + TIME_TOLERANCE]
+    return replace(solution, events=Events.from_rows(events))
+
+
+def _join_all(pieces: list[SensorData]) -> SensorData:
+    """Return pieces that follow on each other as one, by halves."""
+    while len(pieces) > 1:
+        pairs = zip(pieces[::2], pieces[1::2], strict=False)
+        pieces = [join_pieces(one, other) for one, other in pairs] + pieces[len(pieces) & ~1 :]
+    return pieces[0]
 
 
 def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
@@ -187,9 +209,12 @@ def smooth_from_turn_on(run: Run, sensors: SensorData, initial: InitialState) ->
 def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:
     """Return the solution of a filter that gets a bias taken off its increments, the event first."""
     solution = _give_back(found, run(_take_off(found, sensors), initial, found.sd))
+    return replace(solution, events=Events.from_rows([_event(initial, found), *solution.events.rows()]))
+
+
+def _event(initial: InitialState, found: TurnOn) -> EventRow:
     text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
-    event: EventRow = (initial.t, found.until, "alignment", text)
-    return replace(solution, events=Events.from_rows([event, *solution.events.rows()]))
+    return initial.t, found.until, "alignment", text
 
 
 def _take_off(found: TurnOn, piece: SensorData) -> SensorData:
@@ -204,22 +229,33 @@ def _give_back(found: TurnOn, solution: NavSolution) -> NavSolution:
 
 
 def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
-    """Return the bias of the gyros by a stretch at the start; None if it is small or there is no stretch.
+    """Return the bias of the gyros by the longest stretch at the start; None if it is small or there is none.
 
     The attitude at the start has to be given.
     """
+    best: TurnOn | None = None
+    for longest in STAGES:
+        found = _find_in(sensors, initial, longest)
+        if found is None or (best is not None and found.sd > _LESS * best.sd):
+            break
+        best = found
+    return best
+
+
+def _find_in(sensors: SensorData, initial: InitialState, longest: float) -> TurnOn | None:
+    """Return the bias by a stretch that is no longer than so many seconds, None without one."""
     fixes, spec = sensors.fixes, sensors.specs.imu
     if fixes is None or not may_be_learnt(sensors, initial):
         return None
     used, _, _ = timeline.fix_rows(fixes, sensors.imu.t, initial.t)
-    used = used[(fixes.t_arrival[used] <= initial.t + LONGEST) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
+    used = used[(fixes.t_arrival[used] <= initial.t + longest) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
     t, vel_n = fixes.t[used], fixes.vel_n[used]
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
     if not len(t):
         return None
     if (speed < STILL).all():
-        inside = rows[sensors.imu.t[rows] <= initial.t + LONGEST]
+        inside = rows[sensors.imu.t[rows] <= initial.t + longest]
         ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
         span = len(ends) * standstill.WINDOW
         if span < SHORTEST:
