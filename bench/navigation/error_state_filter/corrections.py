@@ -12,12 +12,15 @@ from bench.compiled import inner
 from bench.navigation.error_state_filter.error_state import GYRO
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 
+RATE_NOISE = 16.3
+"""99.9 % of chi-squared of 3: a rate with a square of less, by the variance of a sample, may be noise."""
+
 
 @inner
 def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: FloatArray) -> float:
     """Return the integral over dt of what a drive multiplies its state by (`state_blocks`).
 
-    ``known`` is the temperature above reference [K] and the range of gyros and accelerometers.
+    ``known`` begins with the temperature above reference [K] and the range of gyros and accelerometers.
     """
     value: float = dt
     if by < 3:
@@ -97,6 +100,24 @@ def motion_kernel(
     """
     increments_kernel(state, 1.0, drives, known, motion[0], motion[1], slope)
     motion_factors_kernel(motion, drives, known, factor)
+
+
+@inner
+def newest_kernel(last: FloatArray, noise: float, motion: FloatArray) -> bool:
+    """Fill a motion (2, 3) with the newest sample; tell whether its rate may be noise, and leave that out.
+
+    That noise is in the velocity of the antenna, too. A row with it would take it for the work of each state
+    that it multiplies (scale factors, heading, the lever arm), at every fix in the same direction.
+    """
+    square = 0.0
+    for i in range(3):
+        motion[0, i], motion[1, i] = last[0, i], last[1, i]
+        square += last[0, i] * last[0, i]
+    slow = bool(square < RATE_NOISE * noise)
+    if slow:
+        for i in range(3):
+            motion[0, i] = 0.0
+    return slow
 
 
 @inner

@@ -33,6 +33,7 @@ from bench.navigation.error_state_filter.corrections import (
     drive_rows_kernel,
     motion_factors_kernel,
     motion_kernel,
+    newest_kernel,
 )
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
@@ -58,7 +59,6 @@ SENSORS = (
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
 RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
 ABSENT = -1
-_NOISE = 16.3  # 99.9 % of chi-squared of 3: up to it the square of a rate, by its variance, may be noise
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
@@ -149,24 +149,6 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 
 @inner
-def _slow_kernel(work: MeasureWork) -> bool:
-    """Fill the motion with the newest sample; return whether its rate may be noise, and is left out.
-
-    That noise is in the velocity of the antenna, too. A row with it would take it for the work of each state
-    that it multiplies (scale factors, heading, the lever arm), at every fix in the same direction.
-    """
-    square = 0.0
-    for i in range(3):
-        work.motion[0, i], work.motion[1, i] = work.last[0, i], work.last[1, i]
-        square += work.last[0, i] * work.last[0, i]
-    slow = square < _NOISE * work.known[3]
-    if slow:
-        for i in range(3):
-            work.motion[0, i] = 0.0
-    return bool(slow)
-
-
-@inner
 def antenna_rows_kernel(
     now: FilterState,
     antenna_b: FloatArray,
@@ -186,7 +168,7 @@ def antenna_rows_kernel(
         work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
     matrix_kernel(now.state, work.C)
     antenna_kernel(now.state, work.C, work.lever, work.last[0], lla, vel_n, H, z)
-    if _slow_kernel(work):
+    if newest_kernel(work.last, work.known[3], work.motion):
         for i in range(3):
             for j in range(3):
                 H[3 + i, PHI + j] = 0.0

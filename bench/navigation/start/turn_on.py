@@ -10,6 +10,7 @@ with what is left of the bias; the answers until then are those without this kno
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
@@ -37,9 +38,11 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter import standstill
+from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.start.alignment import SETTLED
 from bench.navigation.start.course import LEAST_SPEED
+from bench.specs import ImuSpec
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 STAGES = 20.0, 60.0, 180.0, 540.0  # longest stretch of each [s]; one turns the heading by 15 deg in the next
@@ -254,13 +257,15 @@ def _find_in(sensors: SensorData, initial: InitialState, longest: float) -> Turn
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
     if not len(t):
         return None
+    height = fixes.lla[used, 2]
     if (speed < STILL).all():
         inside = rows[sensors.imu.t[rows] <= initial.t + longest]
         ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
         span = len(ends) * standstill.WINDOW
         if span < SHORTEST:
             return None
-        return TurnOn(motion_b[:, :3].mean(axis=0), STILL_SD / span, float(ends[-1]))
+        sd = math.hypot(STILL_SD / span, _warming_sd(span, height, spec, initial))
+        return TurnOn(motion_b[:, :3].mean(axis=0), sd, float(ends[-1]))
     course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
     straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
     count = len(t) if straight.all() else int(np.argmin(straight))
@@ -272,4 +277,14 @@ def _find_in(sensors: SensorData, initial: InitialState, longest: float) -> Turn
     turn_n = np.array([0.0, 0.0, (course[count - 1] - course[0]) / span])
     turn_b = rotation.rotate(rotation.conjugate(initial.q_nb), turn_n)
     mean = sensors.imu.dtheta_b[inside].sum(axis=0) / span
-    return TurnOn(mean - turn_b, TURNED_SD / span, float(fixes.t_arrival[used[count - 1]]))
+    sd = math.hypot(TURNED_SD / span, _warming_sd(span, height[:count], spec, initial))
+    return TurnOn(mean - turn_b, sd, float(fixes.t_arrival[used[count - 1]]))
+
+
+def _warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
+    """Return a bound of the sd by which warming changes a bias over a span [s] at heights [m]."""
+    begun, ground, lapse, time_constant = thermal_figures(initial.t, float(initial.lla[2]), spec)
+    change = float(np.nanmax(np.abs(ground + lapse * height - begun), initial=0.0))
+    if time_constant > 0.0:
+        change *= -math.expm1(-span / time_constant)
+    return float(spec.gyro.temperature_sd * change)

@@ -18,6 +18,7 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import correction_period, nis, tolerance, trace_ratio
+from bench.navigation.error_state_filter.corrections import RATE_NOISE
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.models.classic import process_model
@@ -198,6 +199,8 @@ class FilterLoop:
             )
         H, Q = measurement_matrix(), measurement_noise(self.sig, east, north, jump)
         antenna_matrix(H, self.nav, earth, self.antenna, self.w_b)
+        if self.before is not None and self.w_b @ self.w_b < RATE_NOISE * self.sig.gyro**2 / self.before[0]:
+            H[4:7, 6:9] = 0.0  # what may be noise shows no attitude
         R = Q @ Q.T
         Y = self._measurements(earth, fix, alt_baro)
         x, PH = self.form.x.astype(float), self.form.covariance @ H.T
