@@ -49,19 +49,89 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bench.moved import MovedModules
 
 __version__ = "0.1.0"
 
+if TYPE_CHECKING:
+    from bench.api import (
+        describe_flight as describe_flight,
+        export_run as export_run,
+        fly as fly,
+        judge as judge,
+        list_exports as list_exports,
+        measure_allan as measure_allan,
+        navigate as navigate,
+        open_filter as open_filter,
+        run as run,
+        score_solution as score_solution,
+        sense as sense,
+        solve_rinex as solve_rinex,
+        stream_run as stream_run,
+    )
+    from bench.baselines.checking import check as check, record_baselines as record_baselines
+    from bench.baselines.comparing import compare_results as compare_results
+    from bench.campaigns.card import (
+        Card as Card,
+        make_card as make_card,
+        read_card as read_card,
+        write_suite as write_suite,
+    )
+    from bench.campaigns.card_comparison import compare_cards as compare_cards
+    from bench.campaigns.running import Campaign as Campaign, campaign as campaign
+    from bench.campaigns.stored import load_campaign as load_campaign
+    from bench.campaigns.tuning import Tuning as Tuning, tune as tune
+    from bench.config import (
+        list_aircraft as list_aircraft,
+        list_estimators as list_estimators,
+        list_legs as list_legs,
+        list_profiles as list_profiles,
+        list_sensors as list_sensors,
+        load_profile as load_profile,
+    )
+    from bench.data import (
+        ErrorSeries as ErrorSeries,
+        Events as Events,
+        InitialState as InitialState,
+        Innovations as Innovations,
+        NavSolution as NavSolution,
+        Sensed as Sensed,
+        SensorData as SensorData,
+        Trajectory as Trajectory,
+    )
+    from bench.errors import (
+        BenchError as BenchError,
+        ConfigError as ConfigError,
+        EstimatorError as EstimatorError,
+        FlightError as FlightError,
+    )
+    from bench.log_pipeline import navigate_log as navigate_log, read_log as read_log
+    from bench.navigation.engine.record_cuts import take_piece as take_piece
+    from bench.navigation.estimator import Estimator as Estimator, check_estimator as check_estimator
+    from bench.navigation.filter_adapters import fix_steps as fix_steps, track_solution as track_solution
+    from bench.recording import write_recording as write_recording
+    from bench.report.paper import plot_result as plot_result
+    from bench.report.writing import write_figures as write_figures, write_report as write_report
+    from bench.run_result import RunResult as RunResult
+    from bench.saving import save as save
+    from bench.specs import Guard as Guard, Profile as Profile
+    from bench.store import load as load, to_arrow as to_arrow, to_pandas as to_pandas
+    from bench.store.filter_state import resume_filter as resume_filter, save_filter as save_filter
+    from bench.studies.conducting import study as study
+    from bench.studies.study import StudyResult as StudyResult
+    from bench.studies.study_folder import load_study as load_study
+
 _PUBLIC = {
-    "check": "bench.baselines.checking",
     "campaign": "bench.campaigns.running",
+    "check": "bench.baselines.checking",
+    "check_estimator": "bench.navigation.estimator",
     "compare_cards": "bench.campaigns.card_comparison",
     "compare_results": "bench.baselines.comparing",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
+    "fix_steps": "bench.navigation.filter_adapters",
     "fly": "bench.api",
     "judge": "bench.api",
     "list_aircraft": "bench.config",
@@ -78,9 +148,10 @@ _PUBLIC = {
     "measure_allan": "bench.api",
     "navigate": "bench.api",
     "navigate_log": "bench.log_pipeline",
+    "open_filter": "bench.api",
+    "plot_result": "bench.report.paper",
     "read_card": "bench.campaigns.card",
     "read_log": "bench.log_pipeline",
-    "open_filter": "bench.api",
     "record_baselines": "bench.baselines.checking",
     "resume_filter": "bench.store.filter_state",
     "run": "bench.api",
@@ -94,31 +165,44 @@ _PUBLIC = {
     "take_piece": "bench.navigation.engine.record_cuts",
     "to_arrow": "bench.store",
     "to_pandas": "bench.store",
-    "plot_result": "bench.report.paper",
-    "write_suite": "bench.campaigns.card",
+    "track_solution": "bench.navigation.filter_adapters",
+    "tune": "bench.campaigns.tuning",
     "write_figures": "bench.report.writing",
     "write_recording": "bench.recording",
     "write_report": "bench.report.writing",
-    "check_estimator": "bench.navigation.estimator",
-    "fix_steps": "bench.navigation.filter_adapters",
-    "tune": "bench.campaigns.tuning",
-    "track_solution": "bench.navigation.filter_adapters",
+    "write_suite": "bench.campaigns.card",
     "BenchError": "bench.errors",
+    "Campaign": "bench.campaigns.running",
+    "Card": "bench.campaigns.card",
     "ConfigError": "bench.errors",
+    "ErrorSeries": "bench.data",
+    "Estimator": "bench.navigation.estimator",
     "EstimatorError": "bench.errors",
+    "Events": "bench.data",
     "FlightError": "bench.errors",
     "Guard": "bench.specs",
+    "InitialState": "bench.data",
+    "Innovations": "bench.data",
+    "NavSolution": "bench.data",
+    "Profile": "bench.specs",
+    "RunResult": "bench.run_result",
+    "Sensed": "bench.data",
+    "SensorData": "bench.data",
+    "StudyResult": "bench.studies.study",
+    "Trajectory": "bench.data",
+    "Tuning": "bench.campaigns.tuning",
 }
 
 __all__ = ["__version__", *_PUBLIC]
 
 sys.meta_path.append(MovedModules())
 
+if not TYPE_CHECKING:  # a checker of types sees the imports above, and no name that is not there
 
-def __getattr__(name: str) -> Any:
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    raise AttributeError(f"module 'bench' has no attribute {name!r}")
+    def __getattr__(name: str) -> Any:
+        if name in _PUBLIC:
+            return getattr(import_module(_PUBLIC[name]), name)
+        raise AttributeError(f"module 'bench' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

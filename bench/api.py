@@ -16,6 +16,8 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+import numpy as np
+
 from bench import pipeline, store
 from bench.config import load_profile
 from bench.config.listing import CatalogEntry
@@ -42,6 +44,7 @@ def run(
     run: int = 0,
     estimators: Sequence[str] | None = None,
     sensors: Mapping[str, str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
     bound: bool = False,
     guard: Guard = DEFAULT_GUARD,
     progress: Callable[[float], None] | None = None,
@@ -54,8 +57,8 @@ def run(
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name, path of a TOML file, or a profile already read; with the last, only ``run`` may be
-        given.
+        Shipped name, path of a TOML file, or a profile already read; with the last, nothing that changes it
+        may be given.
     seed : int or None
         Seed of noise and turbulence; None takes that of the profile.
     run : int
@@ -64,7 +67,9 @@ def run(
         Built-in names, ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
         None takes those of the profile, but no code; `load_profile` with ``allow_code`` permits that.
     sensors : mapping or None
-        Sensors to replace, for example ``{"imu": "icm-42688-p"}``.
+        Sensors to replace, for example ``{"imu": "icm-42688-p"}``: short for ``{"sensors.imu": ...}``.
+    overrides : mapping or None
+        Dotted keys and values that replace those of the file, as for `load_profile`.
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     guard : Guard
@@ -78,39 +83,58 @@ def run(
         If the profile or an argument is wrong, if an estimator cannot be built, and if the aircraft cannot be
         loaded, trimmed or flown.
     """
+    if sensors is not None and not isinstance(sensors, Mapping):
+        raise ConfigError(f'bench.run: sensors = {sensors!r} must be a mapping: {{"imu": "stim300"}}')
     if isinstance(profile, Profile):
-        if (seed, estimators, sensors, guard) != (None, None, None, DEFAULT_GUARD):
+        given = {"seed": seed, "estimators": estimators, "sensors": sensors, "overrides": overrides}
+        if any(value is not None for value in given.values()) or guard != DEFAULT_GUARD:
             raise ConfigError(
-                "bench.run: with a profile already read, seed, estimators, sensors and guard cannot be given"
+                f"bench.run: with a profile already read, {', '.join(given)} and guard change nothing"
             )
     else:
-        overrides = {f"sensors.{kind}": name for kind, name in (sensors or {}).items()}
-        profile = load_profile(str(profile), overrides, seed, estimators, guard=guard)
-    if run != int(run) or run < 0:
-        raise ConfigError(f"bench.run: run = {run} must be a whole number, at least 0")
+        changes = {**(overrides or {}), **{f"sensors.{kind}": name for kind, name in (sensors or {}).items()}}
+        profile = load_profile(profile, changes, seed, estimators, guard=guard)
+    if not isinstance(run, int | np.integer) or run < 0:
+        raise ConfigError(f"bench.run: run = {run!r} must be a whole number, at least 0")
     return pipeline.run(profile, int(run), bound=bound, progress=progress)
 
 
-def fly(profile: str | Path | Profile) -> Trajectory:
-    """Return the truth of a profile, from the cache if it was flown before. Errors as for :func:`run`."""
-    return pipeline.fly(_read_profile(profile))
+def fly(
+    profile: str | Path | Profile, *, seed: int | None = None, overrides: Mapping[str, Any] | None = None
+) -> Trajectory:
+    """Return the truth of a profile, from the cache if it was flown before.
+
+    Arguments and errors are those of :func:`run`.
+    """
+    return pipeline.fly(_read_profile(profile, seed, overrides))
 
 
 def describe_flight(
-    profile: str | Path | Profile, progress: Callable[[float], None] | None = None
+    profile: str | Path | Profile,
+    progress: Callable[[float], None] | None = None,
+    *,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> Mapping[str, Any]:
     """Fly the truth of a profile into the cache and return its figures.
 
     These are the legs, the extremes of altitude, speed and attitude, motions that are implausible for the
     aircraft class, and the error of an error-free strapdown against the truth. Names end in their unit, SI
-    and radians. Memory does not grow with the length of the flight. Errors as for :func:`run`.
+    and radians. Memory does not grow with the length of the flight. Arguments and errors as for :func:`run`.
     """
-    return pipeline.fly_over(_read_profile(profile), progress)
+    return pipeline.fly_over(_read_profile(profile, seed, overrides), progress)
 
 
-def sense(profile: str | Path | Profile, truth: Trajectory, run: int = 0) -> Sensed:
-    """Return the sensor data of a profile for a truth, with one noise draw."""
-    return pipeline.sense(_read_profile(profile), truth, run)
+def sense(
+    profile: str | Path | Profile,
+    truth: Trajectory,
+    run: int = 0,
+    *,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> Sensed:
+    """Return the sensor data of a profile for a truth, with one noise draw. Arguments as for :func:`run`."""
+    return pipeline.sense(_read_profile(profile, seed, overrides), truth, run)
 
 
 def navigate(
@@ -166,14 +190,21 @@ def open_filter(
 
 
 def judge(
-    profile: str | Path | Profile, truth: Trajectory, solution: NavSolution, sensed: Sensed | None = None
+    profile: str | Path | Profile,
+    truth: Trajectory,
+    solution: NavSolution,
+    sensed: Sensed | None = None,
+    *,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution relative to a truth, and its metrics.
 
-    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned.
+    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned. Other arguments as
+    for :func:`run`.
     """
     drawn = None if sensed is None else sensed.truth
-    return pipeline.judge(_read_profile(profile), truth, solution, drawn)
+    return pipeline.judge(_read_profile(profile, seed, overrides), truth, solution, drawn)
 
 
 def measure_allan(
@@ -396,6 +427,14 @@ def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> Non
             raise ConfigError(f"{name} = {value!r} must be one of {', '.join(known)}")
 
 
-def _read_profile(profile: str | Path | Profile) -> Profile:
+def _read_profile(
+    profile: str | Path | Profile, seed: int | None, overrides: Mapping[str, Any] | None
+) -> Profile:
     """Read a profile of which no estimator is run."""
-    return profile if isinstance(profile, Profile) else load_profile(str(profile), allow_code=True)
+    if not isinstance(profile, Profile):
+        return load_profile(profile, overrides, seed, allow_code=True)
+    if seed is not None or overrides is not None:
+        raise ConfigError(
+            "with a profile already read, seed and overrides change nothing: give its name or path"
+        )
+    return profile

@@ -217,7 +217,7 @@ class GnssObservations(Record):
         return count
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class SensorData(InstrumentReports, Rebuilt):
     """The input of an estimator: measurements, and the datasheets to assume."""
 
@@ -229,6 +229,7 @@ class SensorData(InstrumentReports, Rebuilt):
     observations: GnssObservations | None = None
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
+    __repr__ = Rebuilt.__repr__
 
     def __post_init__(self) -> None:
         freeze_field(self, "antenna_b", float, (3,), finite=True)
@@ -240,7 +241,7 @@ class SensorData(InstrumentReports, Rebuilt):
         return float(self.output_t[-1]) - start if len(self.output_t) else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class InitialState(Rebuilt):
     """Initial state of an estimator with its covariance.
 
@@ -361,7 +362,7 @@ class NavSolution(Record):
         self._freeze(width=len(self.extra_names))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Reference(Rebuilt):
     """What another unit says of the motion of a log, to judge by; no estimator gets it."""
 
@@ -386,7 +387,7 @@ class ErrorSeries(Record):
     states: int  # number of states in nees
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Sensed(Rebuilt):
     """One draw of the sensors: the input of the estimators, and the true errors, which they must not see."""
 

@@ -8,7 +8,7 @@ profile in SI; each figure declares its unit and limits in a file, and the table
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import partial
 from typing import Any, ClassVar, TypeVar, dataclass_transform
 
@@ -20,6 +20,8 @@ from bench.units import unit_of
 _T = TypeVar("_T")
 
 NED, XYZ = ("n", "e", "d"), ("x", "y", "z")
+_SHOWN = 6  # numbers of an array that a repr shows
+_WIDTH = 80  # characters of a value that a repr shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +149,8 @@ def triad_figure(
     frozen_default=True, field_specifiers=(column, vector, matrix, figure, triad_figure, field)
 )
 def declared(cls: type[_T]) -> type[_T]:
-    """Make a frozen dataclass from a class with declared fields."""
-    return dataclass(frozen=True, slots=True)(cls)
+    """Make a frozen dataclass from a class with declared fields; a record of columns has its own repr."""
+    return dataclass(frozen=True, slots=True, repr=not issubclass(cls, Record))(cls)
 
 
 class Rebuilt:
@@ -159,6 +161,11 @@ class Rebuilt:
 
     def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
         return partial(type(self), **{f.name: getattr(self, f.name) for f in fields(self)}), ()
+
+    def __repr__(self) -> str:
+        """Return a line for each field: rows and span of a record, the shape of an array, a short value."""
+        lines = [f"  {f.name}: {describe_field(getattr(self, f.name))}" for f in fields(self)]
+        return "\n".join([f"<{type(self).__name__}", *lines]) + ">"
 
 
 class Record(Rebuilt):
@@ -202,6 +209,19 @@ class Record(Rebuilt):
     def __len__(self) -> int:
         return len(getattr(self, next(iter(columns_of(type(self))))))
 
+    def __repr__(self) -> str:
+        """Return the number of rows, their span, and the columns with their units."""
+        columns = (
+            f"{name} [{', '.join(dict.fromkeys(one.units))}]" if one.units else name
+            for name, one in columns_of(type(self)).items()
+        )
+        return f"<{type(self).__name__}: {self._describe_rows()}; {', '.join(columns)}>"
+
+    def _describe_rows(self) -> str:
+        t: Any = getattr(self, "t", ())
+        span = f", t = {t[0]:g} to {t[-1]:g} s" if len(t) else ""
+        return f"{len(self)} row{'' if len(self) == 1 else 's'}{span}"
+
 
 def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite: bool = False) -> None:
     """Replace a field of a frozen record by a checked, read-only view.
@@ -218,6 +238,21 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
         else as_kind(place, value, np.dtype(kind).type, shape)
     )
     object.__setattr__(record, name, read_only(array))
+
+
+def describe_field(value: object) -> str:
+    """Return a value of a record in at most a line: the rows of a record, the shape of a long array."""
+    if isinstance(value, Record):
+        return f"{type(value).__name__}, {value._describe_rows()}"
+    if isinstance(value, Rebuilt):
+        present = (f.name for f in fields(value) if getattr(value, f.name) is not None)
+        return f"{type(value).__name__} with {', '.join(present)}"
+    if isinstance(value, np.ndarray) and value.size > _SHOWN:
+        return f"array {value.shape}"
+    if is_dataclass(value) and hasattr(value, "name"):
+        return f"{type(value).__name__} {value.name!r}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _WIDTH else f"{type(value).__name__} (...)"
 
 
 def columns_of(record: type) -> dict[str, Column]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
 from typing import Any
 
 import bench
 from bench.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
 from bench.fields import Rebuilt
+from bench.notebook import Red, format_cell, make_frame, write_sentences, write_table
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -52,7 +52,7 @@ class RunResult(Rebuilt):
         both = [record.events for record in (self.truth, self.sensed) if record is not None]
         return Events.from_rows([row for events in both for row in events.rows()])
 
-    def plot(self, tab: str, estimator: str | None = None, **look: Any) -> Any:
+    def plot(self, tab: str | None = None, estimator: str | None = None, **look: Any) -> Any:
         """Draw the plots of a tab, such as "position": see `bench.plot_result`."""
         return bench.plot_result(self, tab, estimator, **look)
 
@@ -69,14 +69,12 @@ class RunResult(Rebuilt):
     def _repr_html_(self) -> str:
         """Return the verdicts, and the metrics without ``_all`` as a table, a column for each estimator."""
         names = {name: None for values in self.metrics.values() for name in values}
-        rows = [f"<td></td>{''.join(f'<td>{escape(label)}</td>' for label in self.metrics)}"]
+        rows = []
         for name in names:
             values = [one.get(name) for one in self.metrics.values()]
             if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
-                cells = "".join(_make_cell(name, one) for one in self.metrics.values())
-                rows.append(f"<td>{escape(name)}</td>{cells}")
-        head = escape(f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}")
-        table = f"<table><caption>{head}</caption>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+                rows.append([name, *(_mark(name, one) for one in self.metrics.values())])
+        head = f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}"
         texts = [
             text
             for values in self.metrics.values()
@@ -86,16 +84,14 @@ class RunResult(Rebuilt):
                 *values.get("required_text", ()),
             )
         ]
-        return "".join(f"<p>{escape(text)}</p>" for text in texts if text) + table
+        return write_sentences(texts) + write_table(head, ["", *self.metrics], rows)
+
+    def frame(self) -> Any:
+        """Return the metrics as a pandas.DataFrame, a column for each estimator."""
+        return make_frame({label: dict(values) for label, values in self.metrics.items()})
 
 
-def _make_cell(name: str, values: Mapping[str, Any]) -> str:
-    """Return the cell of a metric, marked and red if it is outside its bounds."""
-    text = escape(_format_value(values.get(name)))
-    return f'<td style="color:red">{text} !</td>' if name in values.get("outside", ()) else f"<td>{text}</td>"
-
-
-def _format_value(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "-" if value is None else str(value)
+def _mark(name: str, values: Mapping[str, Any]) -> Any:
+    """Return the value of a metric, red if it is outside its bounds."""
+    value = values.get(name)
+    return Red(format_cell(value)) if name in values.get("outside", ()) else value

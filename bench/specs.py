@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -709,6 +709,14 @@ class Profile:
     estimators: tuple[EstimatorChoice, ...]
     evaluation_from: float  # end of the alignment window [s]
     document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
+
+    def __repr__(self) -> str:
+        """Return name, seed, flight, sensors and estimators."""
+        units = (getattr(self.sensors, f.name) for f in fields(self.sensors))
+        names = dict.fromkeys(unit.name for unit in units if hasattr(unit, "name"))
+        estimators = ", ".join(one.label for one in self.estimators)
+        head = f"{self.name!r}, seed {self.seed}: {self.flight.label}"
+        return f"<Profile {head}; sensors {', '.join(names)}; estimators {estimators}>"
 
 
 if not TYPE_CHECKING:

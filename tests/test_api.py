@@ -118,3 +118,48 @@ def test_a_unit_is_exchanged_by_name():
     assert "run" in dir(bench)
     with pytest.raises(AttributeError, match="has no attribute 'fligh'"):
         bench.fligh  # noqa: B018
+
+
+def test_a_list_that_is_a_text_and_a_profile_that_is_none_are_one_line():
+    for call, message in (
+        (lambda: bench.run("figure-eight", estimators="loose-15"), r"give a list: \['loose-15'\]"),
+        (lambda: bench.run(42), "profile = 42 must be a name or the path"),
+        (lambda: bench.fly(3.5), "profile = 3.5 must be a name or the path"),
+        (lambda: bench.run("figure-eight", sensors="stim300"), "must be a mapping"),
+    ):
+        with pytest.raises(ConfigError, match=message) as caught:
+            call()
+        assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_campaign_asks_for_the_name_of_a_profile_that_is_read_already(profile):
+    with pytest.raises(ConfigError, match="'figure-eight' is read already; give its name") as caught:
+        bench.campaign(profile, 2)
+    assert len(str(caught.value)) < 200
+
+
+def test_overrides_and_seed_are_those_of_load_profile_in_every_step(profile):
+    own = {"seed": 3, "overrides": SHORT}
+    truth = bench.fly("figure-eight", **own)
+    np.testing.assert_array_equal(truth.lla, bench.fly(profile).lla)
+    sensed = bench.sense("figure-eight", truth, **own)
+    np.testing.assert_array_equal(sensed.data.imu.dvel_b, bench.sense(profile, truth).data.imu.dvel_b)
+    result = bench.run("figure-eight", estimators=["loose-15"], **own)
+    errors, metrics = bench.judge("figure-eight", truth, result.solutions["loose-15"], **own)
+    assert metrics["pos_rmse_h_m"] == result.metrics["loose-15"]["pos_rmse_h_m"]
+    assert len(errors) == 201
+    with pytest.raises(ConfigError, match="seed and overrides change nothing"):
+        bench.fly(profile, seed=4)
+
+
+def test_every_result_shows_itself_on_one_screen_and_as_a_frame(profile):
+    result = bench.run(profile)
+    for one in (profile, result, result.truth, result.sensed, result.sensors, result.sensed.initial,
+                result.sensors.imu, result.errors["loose-15"], result.solutions["loose-15"]):  # fmt: skip
+        shown = repr(one)
+        assert len(shown) < 1600
+        assert shown.count("\n") < 24
+    assert "4000 rows, t = 0.005 to 20 s" in repr(result.sensors.imu)
+    frame = result.frame()
+    assert frame.loc["pos_rmse_h_m", "loose-15"] == result.metrics["loose-15"]["pos_rmse_h_m"]
+    assert result.plot().axes

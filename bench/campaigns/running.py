@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import bench
 from bench import durable, pipeline, store
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
@@ -20,12 +21,15 @@ from bench.campaigns.outcome import Outcome, compare, summarize
 from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
 from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
+from bench.config.library import name_profile
 from bench.errors import ConfigError, FlightError
 from bench.evaluation.ensemble import Comparison
 from bench.evaluation.required_metrics import Finding, judge_runs, list_requirements
+from bench.notebook import make_frame, write_sentences, write_table
 from bench.scratch import make_scratch
 from bench.spawned import Printed
 from bench.specs import DEFAULT_GUARD, Guard
+from bench.wording import format_number
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
@@ -105,6 +109,29 @@ class Campaign:
         """Return the number of runs and the sentences."""
         return "\n".join([f"<Campaign: {self.finished} of {self.planned} runs>", *self.sentences])
 
+    def _repr_html_(self) -> str:
+        """Return the sentences, and a table of the figures with their intervals."""
+        names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
+        rows = [
+            [one.condition, one.label, f"{one.converged_runs} of {one.runs}"]
+            + [
+                f"{format_number(e.value)} ({e.interval})" if (e := one.errors.get(name)) else "-"
+                for name in names
+            ]
+            for one in self.outcomes
+        ]
+        head = ["condition", "estimator", "converged", *names]
+        caption = f"{self.finished} of {self.planned} runs"
+        return write_sentences(self.sentences) + write_table(caption, head, rows)
+
+    def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
+        """Draw a quantity along the runs, a plot for each condition: see `bench.plot_result`."""
+        return bench.plot_result(self, quantity, **look)
+
+    def frame(self) -> Any:
+        """Return the table of runs as a pandas.DataFrame, a row for each run and estimator."""
+        return make_frame(self.runs.to_pydict())
+
 
 def campaign(
     profile: str | Path,
@@ -154,7 +181,7 @@ def campaign(
     if resume and (out is None or force):
         raise ConfigError("bench.campaign: resume continues the campaign in out, and force replaces it")
     plan = plan_runs(
-        str(profile),
+        name_profile(profile),
         runs,
         flights=flights,
         seed=seed,

@@ -15,8 +15,8 @@ from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
-from bench.specs import AircraftSpec, ForeignSpec, RunwaySpec
-from bench.wording import quantity, suggest, tell_where
+from bench.specs import AircraftSpec, ForeignSpec, Profile, RunwaySpec
+from bench.wording import one_line, quantity, suggest, tell_where
 
 
 class _Position(Table):
@@ -66,14 +66,15 @@ class AircraftTable(Table):
     """A table: gains of the autopilot, by their names in guidance.xml."""
 
 
-def find_profile(name: str) -> tuple[Path, str]:
+def find_profile(name: str | Path) -> tuple[Path, str]:
     """Return the file of a profile, found by path or shipped name, and its name in messages.
 
     Raises
     ------
     ConfigError
-        If there is no such profile.
+        If there is no such profile, or the name is not a text or a path.
     """
+    name = name_profile(name)
     if name.endswith(".toml"):
         return Path(name), name
     known = [path.stem for path in PROFILES.glob("*.toml")]
@@ -83,6 +84,18 @@ def find_profile(name: str) -> tuple[Path, str]:
             f"{suggest(name, known, 'profiles')}"
         )
     return PROFILES / f"{name}.toml", f"{name}.toml"
+
+
+def name_profile(profile: object) -> str:
+    """Return the name or path of a profile as a text; `ConfigError` if it is anything else."""
+    if isinstance(profile, str | Path):
+        return str(profile)
+    if isinstance(profile, Profile):
+        raise ConfigError(
+            f"profile {profile.name!r} is read already; give its name or its path here, with seed, "
+            "estimators and overrides as arguments"
+        )
+    raise ConfigError(f"profile = {one_line(repr(profile))[:60]} must be a name or the path of a .toml file")
 
 
 class ForeignTable(AircraftTable):

@@ -60,7 +60,7 @@ DEFAULT_DAY = date(2026, 1, 1)
 
 
 def load_profile(
-    name: str,
+    name: str | Path,
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
     estimators: Sequence[str] | None = None,
@@ -71,7 +71,7 @@ def load_profile(
 
     Parameters
     ----------
-    name : str
+    name : str or Path
         Name of a shipped profile, or the path of a ``.toml`` file.
     overrides : mapping
         Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.1.laps": 2}``.
@@ -93,7 +93,9 @@ def load_profile(
     ConfigError
         One message for each problem in the file, the overrides and the files it names.
     """
-    path, shown = find_profile(str(name))
+    path, shown = find_profile(name)
+    if isinstance(estimators, str):
+        raise ConfigError(f"estimators = {estimators!r} is a text; give a list: [{estimators!r}]")
     document = read_toml(path, shown)
     check_kind(document, "a profile", shown)
     overrides = dict(overrides or {})

@@ -183,13 +183,25 @@ def _list_lost(campaign: Campaign) -> list[tuple[str, str, str]]:
 
 def _draw_conditions(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[Section]:
     """Yield the plots of the first conditions."""
-    epochs, runs = (
-        {name: np.array(column) for name, column in table.to_pydict().items()}
-        for table in (campaign.epochs, campaign.runs)
-    )
+    runs = {name: np.array(column) for name, column in campaign.runs.to_pydict().items()}
+    for number, plots, shades in plot_courses(campaign, colours):
+        condition = campaign.conditions[number]
+        of_runs = {name: column[runs["condition"] == number] for name, column in runs.items()}
+        yield Section(
+            str(condition["profile"]),
+            ", ".join(f"{key} = {value}" for key, value in condition["values"].items()),
+            [figure for plot in plots for figure in _draw(plot, shades)],
+            [figure for plot in _plot_distributions(of_runs, colours) for figure in _draw(plot)],
+        )
+
+
+def plot_courses(
+    campaign: Campaign, colours: Mapping[str, Colour]
+) -> Iterator[tuple[int, list[Plot], tuple[series.Shade, ...]]]:
+    """Yield number, plots of each channel along the run, and outages of the first conditions."""
+    epochs = {name: np.array(column) for name, column in campaign.epochs.to_pydict().items()}
     for number, condition in enumerate(campaign.conditions[:_MOST_CONDITIONS]):
         here = {name: column[epochs["condition"] == number] for name, column in epochs.items()}
-        of_runs = {name: column[runs["condition"] == number] for name, column in runs.items()}
         if len(here["t_s"]):
             flown = condition["as_flown"]
             begun = float(flown["evaluation"]["from_s"])
@@ -198,12 +210,7 @@ def _draw_conditions(campaign: Campaign, colours: Mapping[str, Colour]) -> Itera
                 for row in flown.get("gnss_outage", ())
             )
             shades = (series.Shade("outage", "GNSS outage", series.OUTAGE, lost),) if lost else ()
-            yield Section(
-                str(condition["profile"]),
-                ", ".join(f"{key} = {value}" for key, value in condition["values"].items()),
-                [figure for plot in _plot_courses(here, colours, begun) for figure in _draw(plot, shades)],
-                [figure for plot in _plot_distributions(of_runs, colours) for figure in _draw(plot)],
-            )
+            yield number, list(_plot_courses(here, colours, begun)), shades
 
 
 def _plot_courses(

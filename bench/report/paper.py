@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,11 @@ from bench.wording import suggest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bench.campaigns.running import Campaign
+    from bench.studies.study import StudyResult
+
+_T = TypeVar("_T")
 
 FORMATS = ("pdf", "svg", "png")
 COLUMN_MM = 88.0
@@ -39,23 +44,25 @@ _SHADES = {"outage": (0.9, 0.9, 0.9), "fault": (0.94, 0.87, 0.94)}
 
 
 def plot_result(
-    result: RunResult,
-    tab: str,
+    result: RunResult | StudyResult | Campaign,
+    tab: str | None = None,
     estimator: str | None = None,
     *,
     width_mm: float = COLUMN_MM,
     serif: bool = False,
 ) -> Figure:
-    """Draw the plots of a tab below each other.
+    """Draw the plots of a tab of a run below each other, a figure of a study, or a quantity of a campaign.
 
     Parameters
     ----------
-    result : RunResult
-        As `bench.run` or `bench.load` returns it.
-    tab : str
-        Name of a tab of the recording, such as "position"; capitals do not matter.
+    result : RunResult, StudyResult or Campaign
+        As `bench.run`, `bench.study`, `bench.campaign` or their ``load`` return it.
+    tab : str or None
+        Of a run the name of a tab of the recording, such as "position", capitals do not matter; of a study
+        the name of a figure; of a campaign a column of its table of epochs, such as "pos_err_n_m". None
+        takes the first one.
     estimator : str or None
-        Whose; None takes the first one. Tabs that belong to no estimator have one drawing.
+        Of a run: whose; None takes the first one. Tabs that belong to no estimator have one drawing.
     width_mm : float
         Width of the figure [mm].
     serif : bool
@@ -71,15 +78,55 @@ def plot_result(
     ConfigError
         If there is no such tab or estimator, or nothing to draw.
     """
+    plots: Sequence[Plot]
+    shades: Sequence[Shade] = ()
+    if isinstance(result, RunResult):
+        plots, shades = _find_drawing(result, tab, estimator)
+    elif estimator is not None:
+        raise ConfigError(f"estimator = {estimator!r}: only the plots of a run belong to an estimator")
+    elif hasattr(result, "figures"):
+        plots = [_choose(result.figures, tab, "figures")]
+    else:
+        plots, shades = _find_courses(result, tab)
+    return _draw(plots, shades, width_mm, serif)
+
+
+def _find_drawing(
+    result: RunResult, tab: str | None, estimator: str | None
+) -> tuple[list[Plot], Sequence[Shade]]:
+    """Return the plots of a tab, and what is shaded."""
     drawings = {(name.lower(), label): plots for name, label, plots in _list_drawings(result)}
-    tabs = dict.fromkeys(name for name, _ in drawings)
-    if tab.lower() not in tabs:
-        raise ConfigError(f"tab = {tab!r} has no plots{suggest(tab.lower(), tabs, 'tabs')}")
-    labels = [label for name, label in drawings if name == tab.lower()]
+    by_tab: dict[str, list[str]] = {}
+    for name, label in drawings:
+        by_tab.setdefault(name, []).append(label)
+    name = tab.lower() if tab is not None else next(iter(by_tab), "")
+    labels = _choose(by_tab, name, "tabs")
     label = labels[0] if estimator is None or labels == [""] else estimator
     if label not in labels:
         raise ConfigError(f"estimator = {label!r} has no plots there{suggest(label, labels, 'estimators')}")
-    return _draw(drawings[tab.lower(), label], series.shades(result.events), width_mm, serif)
+    return drawings[name, label], series.shades(result.events)
+
+
+def _find_courses(campaign: Campaign, quantity: str | None) -> tuple[list[Plot], Sequence[Shade]]:
+    """Return the plot of a quantity along the runs of each condition, and the outages of the first."""
+    from bench.report import campaign_page
+
+    colours = series.estimator_colours(list(dict.fromkeys(one.label for one in campaign.outcomes)))
+    by_name: dict[str, list[Plot]] = {}
+    shaded: Sequence[Shade] = ()
+    for number, plots, shades in campaign_page.plot_courses(campaign, colours):
+        shaded = shaded if number else shades
+        for plot in plots:
+            by_name.setdefault(plot.path[-1], []).append(plot)
+    return _choose(by_name, quantity, "quantities"), shaded
+
+
+def _choose(known: Mapping[str, _T], name: str | None, what: str) -> _T:
+    """Return the value of a name, the first if it is None; `ConfigError` if there is none."""
+    chosen = next(iter(known), "") if name is None else name
+    if chosen not in known:
+        raise ConfigError(f"{chosen!r} has no plots{suggest(chosen, known, what)}")
+    return known[chosen]
 
 
 def write_figures(

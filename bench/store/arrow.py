@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from bench.errors import BenchError
+from bench.notebook import load_pandas
 from bench.run_result import RunResult
 from bench.store.columns import flatten
 from bench.store.parquet import to_table
@@ -68,10 +69,7 @@ def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> A
     bench.errors.BenchError
         Also if pandas is not installed.
     """
-    try:
-        import pandas  # noqa: F401
-    except ImportError:
-        raise BenchError("bench.to_pandas needs pandas: pip install pandas") from None
+    load_pandas()
     return to_arrow(result, record, estimator).to_pandas()
 
 

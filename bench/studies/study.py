@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+import bench
 from bench.campaigns.batches import Lost, compute
 from bench.campaigns.campaign_file import CampaignSpec
 from bench.campaigns.plan import plan_campaign
@@ -19,6 +20,7 @@ from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.evaluation.ensemble import Estimate
+from bench.notebook import make_frame, write_sentences, write_table
 from bench.plots.series import Plot
 from bench.studies import STUDIES, Entry
 from bench.units import unit_of
@@ -126,6 +128,29 @@ class StudyResult:
     def figures(self) -> Mapping[str, Plot]:
         """The figures by name."""
         return {plot.path[-1]: plot for plot in self.findings.figures}
+
+    def plot(self, figure: str | None = None, **look: Any) -> Any:
+        """Draw a figure, the first if none is named: see `bench.plot_result`."""
+        return bench.plot_result(self, figure, **look)
+
+    def frame(self, table: str | None = None) -> Any:
+        """Return a table, the first if none is named, as a pandas.DataFrame."""
+        name = table or next(iter(self.tables), "")
+        if name not in self.tables:
+            raise ConfigError(f"table = {name!r} is not in this study{suggest(name, self.tables, 'tables')}")
+        return make_frame(self.tables[name].columns)
+
+    def __repr__(self) -> str:
+        """Return the question and what was found."""
+        return "\n".join([f"<StudyResult {self.name}: {self.question}>", *self.verdicts])
+
+    def _repr_html_(self) -> str:
+        """Return what was found, and the tables."""
+        tables = (
+            write_table(table.title, list(table.columns), list(zip(*table.columns.values(), strict=True)))
+            for table in self.tables.values()
+        )
+        return write_sentences(self.verdicts) + "".join(tables)
 
 
 class Work:

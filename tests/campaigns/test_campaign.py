@@ -470,3 +470,17 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
     assert result.finished == 4
     campaign("mortal", resume=True)  # it is tried again
     assert same(here / "two", here / "mortal")
+
+
+def test_a_campaign_shows_its_figures_in_a_notebook_as_a_plot_and_as_a_frame(here):
+    loaded = bench.load_campaign("two")
+    shown = loaded._repr_html_()
+    assert all(f"<p>{sentence}" in shown for sentence in loaded.sentences if "<" not in sentence)
+    assert "<th>pos_rmse_h_m</th>" in shown
+    frame = loaded.frame()
+    assert len(frame) == loaded.runs.num_rows
+    assert frame["pos_rmse_h_m"].tolist() == loaded.runs["pos_rmse_h_m"].to_pylist()
+    figure = loaded.plot("pos_err_e_m")
+    assert len(figure.axes) == len(loaded.conditions)
+    with pytest.raises(ConfigError, match="'pos_err' has no plots"):
+        loaded.plot("pos_err")

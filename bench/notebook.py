@@ -1,0 +1,63 @@
+"""What a result shows in a notebook: sentences, and tables of at most a screen, as HTML without scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib import import_module
+from typing import Any
+
+from bench.errors import BenchError
+
+MOST_ROWS = 30
+"""Rows of a table that a notebook shows."""
+
+
+class Red(str):
+    """The text of a cell that is outside its bounds."""
+
+    __slots__ = ()
+
+
+def write_sentences(texts: Iterable[str]) -> str:
+    """Return a paragraph for each text that is not empty."""
+    return "".join(f"<p>{escape(text)}</p>" for text in texts if text)
+
+
+def write_table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a table with its caption and a heading for each column; a line counts the rows left out.
+
+    Numbers have four digits, None is a dash, and cells that are :class:`Red` are marked.
+    """
+    lines = ["".join(f"<th>{escape(name)}</th>" for name in head)]
+    lines += ["".join(_write_cell(value) for value in row) for row in rows[:MOST_ROWS]]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    left = len(rows) - MOST_ROWS
+    more = f"<p>{left} more rows</p>" if left > 0 else ""
+    return f"<table><caption>{escape(caption)}</caption>{body}</table>{more}"
+
+
+def _write_cell(value: object) -> str:
+    if isinstance(value, Red):
+        return f'<td style="color:red">{escape(value)} !</td>'
+    return f"<td>{escape(format_cell(value))}</td>"
+
+
+def format_cell(value: object) -> str:
+    """Return a number with four digits, None as a dash, anything else as it is."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)
+
+
+def make_frame(columns: Mapping[str, Any]) -> Any:
+    """Return columns as a pandas.DataFrame. A `BenchError` says so if pandas is not installed."""
+    return load_pandas().DataFrame(dict(columns))
+
+
+def load_pandas() -> Any:
+    """Return the module pandas, which bench does not install; `BenchError` if it is not there."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise BenchError("a frame needs pandas: pip install pandas") from None
