@@ -200,11 +200,11 @@ def judge(
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution relative to a truth, and its metrics.
 
-    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned. Other arguments as
-    for :func:`run`.
+    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned; a silence of its IMU
+    excuses one of the solution. Other arguments as for :func:`run`.
     """
-    drawn = None if sensed is None else sensed.truth
-    return pipeline.judge(_read_profile(profile, seed, overrides), truth, solution, drawn)
+    drawn, data = (None, None) if sensed is None else (sensed.truth, sensed.data)
+    return pipeline.judge(_read_profile(profile, seed, overrides), truth, solution, drawn, data)
 
 
 def measure_allan(

@@ -95,9 +95,16 @@ def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
 
 
 def judge(
-    profile: Profile, truth: Trajectory, solution: NavSolution, drawn: SensorTruth | None = None
+    profile: Profile,
+    truth: Trajectory,
+    solution: NavSolution,
+    drawn: SensorTruth | None = None,
+    data: SensorData | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution and its metrics; those of biases if the true ones are given."""
+    """Return the errors of a solution and its metrics; those of biases if the true ones are given.
+
+    The sensor ``data`` may excuse a silence.
+    """
     from bench.evaluation import metrics
 
     return metrics.judge(
@@ -108,6 +115,7 @@ def judge(
         faults=profile.sensors.faults,
         assumed=profile.sensors.assumed,
         drawn=drawn,
+        data=data,
     )
 
 
@@ -178,7 +186,7 @@ def run(
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
     for label, solution in solutions.items():
-        judged[label] = judge(profile, truth, solution, sensed.truth)
+        judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data)
         disk_arrays.release()
     metrics = {
         label: {

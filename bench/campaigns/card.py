@@ -213,8 +213,6 @@ def _judge_causality(plan: Plan, suite: Suite, label: str) -> Line:
             text, value = found.text, found.seconds if found.repeatable else None
         except (ValueError, EstimatorError, EstimatorFailedError) as error:
             text = f"uses the future: not proven, {one_line(str(error))[:200]}"
-        if value and choice.use.startswith("command:"):
-            text += ", part of it because what lies between its rows is interpolated"
     return Line(
         topic="causality", flight=names[number], figure="look-ahead [s]", value=value, low=value, high=value,
         sentence=f"{names[number]}: {text}.",

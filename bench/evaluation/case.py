@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench import disk_arrays
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
 from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
+from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
@@ -44,7 +45,11 @@ class BiasError:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The epochs of one run from an instant on, with everything a metric may use."""
+    """The epochs of one run from an instant on, with everything a metric may use.
+
+    Those of claims are the epochs with an answer; those of accuracy hold the silent ones, too, with the last
+    answer carried on (`bench.evaluation.coverage.carry_on`).
+    """
 
     t: FloatArray  # (M,) [s]
     pos_n: FloatArray  # (M, 3) errors [m], n
@@ -64,7 +69,9 @@ class Case:
     scripted: tuple[Fault, ...]  # all faults of the run
     alarms: tuple[Alarms, ...]  # of the whole run
     from_s: float  # [s]
-    asked: int  # number of epochs asked for; t holds those with a solution
+    asked: int  # number of epochs asked for; of claims, t holds those with a solution
+    silent: BoolArray  # (M,) epochs without an answer that nothing excuses
+    coverage: Coverage | None  # of the whole run
     solution: NavSolution  # these epochs; all its innovations and events
     biases: Mapping[str, BiasError]  # of the bias states, "gyro_bias_x" ...; empty if the truth is unknown
     poses: Poses | None  # None if a position is not finite
@@ -125,6 +132,8 @@ def build_case(
     assumed: AssumedSpecs | None = None,
     drawn: SensorTruth | None = None,
     poses: Poses | None = None,
+    silent: BoolArray | None = None,
+    coverage: Coverage | None = None,
 ) -> Case:
     """Collect what the metrics need of a whole run.
 
@@ -144,6 +153,10 @@ def build_case(
         The true biases.
     poses : Poses or None
         Those of the solution.
+    silent : (M,) array of bool or None
+        Epochs without an answer that nothing excuses; None: none.
+    coverage : Coverage or None
+        Of the solution.
     """
     nis = nis_by_sensor(solution.innovations)
     with np.errstate(invalid="ignore"):
@@ -173,6 +186,8 @@ def build_case(
         alarms=collect_alarms(nis, solution.events),
         from_s=-np.inf,
         asked=len(errors) + len(missing),
+        silent=np.zeros(len(errors), np.bool_) if silent is None else silent,
+        coverage=coverage,
         solution=solution,
         biases=bias_errors(solution, drawn) if drawn is not None else {},
         poses=None if poses is None else poses.select(slice(None)),
@@ -209,6 +224,7 @@ def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case
         faults={key: fault for key, fault in whole.faults.items() if fault.start >= begin},
         from_s=from_s,
         asked=int(rows.sum() + np.sum(missing >= begin)),
+        silent=whole.silent[taken],
         solution=select_epochs(whole.solution, rows),
         biases={name: BiasError(one.error[taken], one.sd[taken]) for name, one in whole.biases.items()},
         poses=None if whole.poses is None else whole.poses.select(taken),

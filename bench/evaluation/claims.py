@@ -1,4 +1,4 @@
-"""Metrics of what an estimator claims: bands of NEES and coverage in one run, errors of its bias states.
+"""Metrics of what an estimator claims and answers: NEES, coverage, NIS and their bands, bias states.
 
 The errors of one run last: a run of ten minutes with an error that wanders over two minutes tells as much as
 five independent values. A band for one run therefore counts independent values, not epochs.
@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 
 from bench.evaluation.case import Case
-from bench.evaluation.consistency import chi2_quantile, count_independent
+from bench.evaluation.consistency import chi2_quantile, count_independent, mean_nis
 from bench.evaluation.error_series import BLOCKS
+from bench.evaluation.failures import FAILED
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 AXES = ("n", "e", "d")
@@ -25,6 +26,43 @@ COVERAGE_PROBABILITY = 0.995
 INSIDE_3_SIGMA = 0.9973
 """Probability that a normal error is within 3 sigma [1]."""
 _UNITS = {"gyro_bias": DEG / HOUR, "accel_bias": 1e-3 * STANDARD_GRAVITY}  # deg/h and mg in SI
+
+
+def nees_mean(case: Case) -> float:
+    """Mean NEES, expected to be nees_states; nees_low to nees_high is its band in one run."""
+    return float(np.mean(case.nees))
+
+
+def nees_states(case: Case) -> float:
+    """Number of states in NEES, its expected value."""
+    return float(case.states)
+
+
+def nees_inside_95(case: Case) -> float:
+    """Fraction of epochs whose NEES lies in the central 95 % of its chi-square distribution."""
+    low, high = chi2_quantile(0.025, case.states), chi2_quantile(0.975, case.states)
+    return float(np.mean((low <= case.nees) & (case.nees <= high)))
+
+
+def coverage(block: str, case: Case) -> Mapping[str, float | None]:
+    """Fraction of epochs with the error of a block within 3 sigma: n, e, d; 0.9973 is expected."""
+    inside = np.abs(getattr(case, f"{block}_n")) <= 3.0 * case.sd[:, BLOCKS[block]]
+    return {axis: float(np.mean(inside[:, k])) for k, axis in enumerate(AXES)}
+
+
+def nis(part: Literal["mean", "low", "high"], case: Case) -> Mapping[str, float | None]:
+    """Mean NIS of each sensor, refused updates included; low, high: the 99.9 % band of a matched filter."""
+    return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
+
+
+def updates(case: Case) -> Mapping[str, float | None]:
+    """Number of updates of each sensor, used or refused."""
+    return {name: float(len(s.nis)) for name, s in case.nis.items()}
+
+
+def rejected(case: Case) -> Mapping[str, float | None]:
+    """Number of updates of each sensor with at least one component that the gate refused."""
+    return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
 
 
 def nees_samples(case: Case) -> float:
@@ -83,6 +121,24 @@ def error_over_sigma(case: Case) -> Mapping[str, float | None]:
         for block, rows in BLOCKS.items()
         if not np.isnan(case.sd[:, rows]).all()
     }
+
+
+# --- answers ---------------------------------------------------------------------------------------------
+
+
+def output_coverage(case: Case) -> float:
+    """Fraction of the requested epochs that have a solution; errors of the others: its last, carried on."""
+    return 0.0 if case.solution.events.select(FAILED) else len(case.t) / case.asked
+
+
+def answered(case: Case) -> Mapping[str, float | None]:
+    """Share of the instants that a block answers, from the first answer on, less what the data excuse."""
+    return {} if case.coverage is None else case.coverage.shares
+
+
+def first_answer(case: Case) -> float | None:
+    """Time from the first instant asked for to the first answer [s]."""
+    return None if case.coverage is None else case.coverage.waited
 
 
 # --- biases -----------------------------------------------------------------------------------------------

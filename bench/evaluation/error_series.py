@@ -20,8 +20,11 @@ _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 BLOCKS = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
 """Block of states -> its rows of ``NavSolution.cov``."""
 
-_VALUES = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
+VALUES = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
 """Block of states -> its field in a solution."""
+
+TITLES = {"pos": "position", "vel": "velocity", "phi": "attitude"}
+"""Block of states -> its name in words."""
 
 NOT_COVERED = "not_covered"
 """Kind of the events of an interval without a solution."""
@@ -93,7 +96,7 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
     return tuple(
         name
         for name, rows in BLOCKS.items()
-        if _has_number(getattr(solution, _VALUES[name])) or _claims(solution, rows)
+        if _has_number(getattr(solution, VALUES[name])) or _claims(solution, rows)
     )
 
 
@@ -249,8 +252,7 @@ def check_convergence(
     blocks = estimated_blocks(solution)
     if not blocks:
         return False, "no finite position, velocity or attitude at any epoch"
-    titles = {"pos": "position", "vel": "velocity", "phi": "attitude"}
-    columns = {titles[name]: getattr(solution, _VALUES[name]) for name in blocks}
+    columns = {TITLES[name]: getattr(solution, VALUES[name]) for name in blocks}
     biases = {"gyro bias": solution.gyro_bias_b, "accelerometer bias": solution.accel_bias_b}
     columns |= {title: bias_b for title, bias_b in biases.items() if not np.isnan(bias_b).all()}
     if not (np.isfinite(solution.extra).all() and np.isfinite(solution.extra_sd).all()):
@@ -310,7 +312,7 @@ def count_aligning_epochs(solution: NavSolution, until: float) -> int:
     """Count the epochs at the start of a solution, before ``until`` [s], that are NaN throughout."""
     for rows in chain([slice(0, 1)], disk_arrays.blocks(len(solution))):  # most begin with the first
         started = solution.t[rows] >= until
-        for column in (*(getattr(solution, name) for name in _VALUES.values()), solution.cov):
+        for column in (*(getattr(solution, name) for name in VALUES.values()), solution.cov):
             started |= ~np.isnan(column[rows].reshape(len(started), -1)).all(axis=1)
         if started.any():
             return int(rows.start + np.argmax(started))
@@ -333,7 +335,7 @@ def find_covered_epochs(solution: NavSolution) -> BoolArray:
 def find_answered_epochs(solution: NavSolution) -> BoolArray:
     """Return a mask (M,) of the epochs that have any number, and that no `NOT_COVERED` event holds."""
     rows = np.zeros(len(solution), np.bool_)
-    columns = [*(getattr(solution, name) for name in _VALUES.values()), solution.cov]
+    columns = [*(getattr(solution, name) for name in VALUES.values()), solution.cov]
     for block in disk_arrays.blocks(len(solution)):
         for column in columns:
             if rows[block].all():

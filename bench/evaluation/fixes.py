@@ -14,9 +14,10 @@ import numpy as np
 from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
+from bench.evaluation.coverage import carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.failures import describe_failure
-from bench.evaluation.metrics import METRICS, judge_epochs
+from bench.evaluation.metrics import METRICS, Carried, judge_epochs
 from bench.units import SAME_INSTANT
 
 _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
@@ -139,10 +140,22 @@ def judge(
             for metric in METRICS
             if metric.block not in left_out and not metric.name.startswith(_OF_TRUTH)
         ]
-        covered = find_covered_epochs(solution)[rows]
+        covered, silent = find_covered_epochs(solution)[rows], find_silent_epochs(solution)
         at_fixes, judged = select_epochs(solution, rows[covered]), select_epochs(errors, covered)
+        carried = None
+        if silent[rows].any():
+            moved = carry_on(solution, silent)
+            unexcused = (silent & ~find_excused(solution, data))[rows]
+            carried = Carried(antenna_errors(moved, fixes, data), select_epochs(moved, rows), unexcused)
         if len(judged):
-            values = judge_epochs(judged, at_fixes, evaluation_from, metrics=wanted)
+            values = judge_epochs(
+                judged,
+                at_fixes,
+                evaluation_from,
+                metrics=wanted,
+                carried=carried,
+                coverage=measure_coverage(solution, data),
+            )
     return errors, {**values, "withheld_fixes": len(rows)}
 
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, NavSolution, SensorTruth, Trajectory
+from bench.data import ErrorSeries, NavSolution, SensorData, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors
 from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
-from bench.evaluation.consistency import chi2_quantile, mean_nis
+from bench.evaluation.coverage import Coverage, carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import (
     BLOCKS,
     check_convergence,
@@ -29,7 +29,7 @@ from bench.evaluation.error_series import (
     find_covered_epochs,
     select_epochs,
 )
-from bench.evaluation.failures import FAILED, describe_failure
+from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
 from bench.specs import AssumedSpecs, Fault
 from bench.units import SAME_INSTANT, unit_of
@@ -131,13 +131,13 @@ def _order_statistic(values: FloatArray, fraction: float) -> float:
 
 
 def cep(fraction: float, case: Case) -> float:
-    """Radius that holds 50 or 95 % of the horizontal errors [m]; navigation standards call cep95 R95."""
-    return _order_statistic(case.pos_h, fraction)
+    """Radius that holds 50 or 95 % of the horizontal errors [m], a silence is infinite; cep95 is also R95."""
+    return _order_statistic(np.where(case.silent, np.inf, case.pos_h), fraction)
 
 
 def pos_95_v(case: Case) -> float:
-    """Vertical distance that holds 95 % of the vertical errors [m]."""
-    return _order_statistic(np.abs(case.pos_n[:, 2]), 0.95)
+    """Vertical distance that holds 95 % of the vertical errors [m]; a silence is infinite."""
+    return _order_statistic(np.where(case.silent, np.inf, np.abs(case.pos_n[:, 2])), 0.95)
 
 
 # --- outages and convergence --------------------------------------------------------------------------
@@ -184,49 +184,7 @@ def _settle(case: Case, below: BoolArray) -> Value:
     return None
 
 
-# --- consistency --------------------------------------------------------------------------------------
-
-
-def nees_mean(case: Case) -> float:
-    """Mean NEES, expected to be nees_states; nees_low to nees_high is its band in one run."""
-    return float(np.mean(case.nees))
-
-
-def nees_states(case: Case) -> float:
-    """Number of states in NEES, its expected value."""
-    return float(case.states)
-
-
-def nees_inside_95(case: Case) -> float:
-    """Fraction of epochs whose NEES lies in the central 95 % of its chi-square distribution."""
-    low, high = chi2_quantile(0.025, case.states), chi2_quantile(0.975, case.states)
-    return float(np.mean((low <= case.nees) & (case.nees <= high)))
-
-
-def coverage(block: str, case: Case) -> Values:
-    """Fraction of epochs with the error of a block within 3 sigma: n, e, d; 0.9973 is expected."""
-    inside = np.abs(getattr(case, f"{block}_n")) <= 3.0 * case.sd[:, BLOCKS[block]]
-    return {axis: float(np.mean(inside[:, k])) for k, axis in enumerate(AXES)}
-
-
-def output_coverage(case: Case) -> float:
-    """Fraction of the requested epochs that have a solution; the other metrics use only those."""
-    return 0.0 if case.solution.events.select(FAILED) else len(case.t) / case.asked
-
-
-def nis(part: Literal["mean", "low", "high"], case: Case) -> Values:
-    """Mean NIS of each sensor, refused updates included; low, high: the 99.9 % band of a matched filter."""
-    return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
-
-
-def updates(case: Case) -> Values:
-    """Number of updates of each sensor, used or refused."""
-    return {name: float(len(s.nis)) for name, s in case.nis.items()}
-
-
-def rejected(case: Case) -> Values:
-    """Number of updates of each sensor with at least one component that the gate refused."""
-    return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
+# --- refusals and events -------------------------------------------------------------------------------
 
 
 def refused(case: Case) -> Values:
@@ -263,18 +221,20 @@ METRICS: tuple[Metric, ...] = (
     Metric("false_alarms_{}", detection.false_alarms, "", "zero"),
     Metric("false_alarm_rate_per_h", detection.false_alarm_rate, "", "not judged"),
     Metric("false_alarm_share", detection.false_alarm_share, "", "not judged"),
-    Metric("nees_mean", nees_mean, "cov", "matched"),
-    Metric("nees_states", nees_states, "cov", "not judged"),
-    Metric("nees_inside_95", nees_inside_95, "cov", "matched"),
-    Metric("coverage_3sigma_pos_{}", partial(coverage, "pos"), "pos cov", "matched"),
-    Metric("coverage_3sigma_vel_{}", partial(coverage, "vel"), "vel cov", "matched"),
-    Metric("coverage_3sigma_phi_{}", partial(coverage, "phi"), "phi cov", "matched"),
-    Metric("output_coverage", output_coverage, "", "matched"),
-    Metric("nis_mean_{}", partial(nis, "mean"), "", "matched"),
-    Metric("nis_low_{}", partial(nis, "low"), "", "not judged"),
-    Metric("nis_high_{}", partial(nis, "high"), "", "not judged"),
-    Metric("updates_{}", updates, "", "not judged"),
-    Metric("rejected_{}", rejected, "", "not judged"),
+    Metric("nees_mean", claims.nees_mean, "cov", "matched"),
+    Metric("nees_states", claims.nees_states, "cov", "not judged"),
+    Metric("nees_inside_95", claims.nees_inside_95, "cov", "matched"),
+    Metric("coverage_3sigma_pos_{}", partial(claims.coverage, "pos"), "pos cov", "matched"),
+    Metric("coverage_3sigma_vel_{}", partial(claims.coverage, "vel"), "vel cov", "matched"),
+    Metric("coverage_3sigma_phi_{}", partial(claims.coverage, "phi"), "phi cov", "matched"),
+    Metric("output_coverage", claims.output_coverage, "", "matched"),
+    Metric("answered_{}", claims.answered, "", "not judged"),
+    Metric("first_answer_s", claims.first_answer, "", "not judged"),
+    Metric("nis_mean_{}", partial(claims.nis, "mean"), "", "matched"),
+    Metric("nis_low_{}", partial(claims.nis, "low"), "", "not judged"),
+    Metric("nis_high_{}", partial(claims.nis, "high"), "", "not judged"),
+    Metric("updates_{}", claims.updates, "", "not judged"),
+    Metric("rejected_{}", claims.rejected, "", "not judged"),
     Metric("events_{}", events, "", "not judged"),
     Metric("refused_{}_s", refused, "", "zero"),
     Metric("pos_claimed_h_m", claims.claimed_error_h, "pos cov", "not judged"),
@@ -303,6 +263,9 @@ METRICS: tuple[Metric, ...] = (
 )
 
 
+_OF_ANSWERS = ("output_coverage", "answered_{}", "first_answer_s")
+"""Metrics that need no epoch with an answer."""
+
 # --- all metrics of a run ----------------------------------------------------------------------------------
 
 
@@ -315,6 +278,7 @@ def judge(
     faults: Sequence[Fault] = (),
     assumed: AssumedSpecs | None = None,
     drawn: SensorTruth | None = None,
+    data: SensorData | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Compare a solution with the truth: return the errors and the metrics of one estimator in one run.
 
@@ -335,6 +299,8 @@ def judge(
         The datasheets to expect drift from.
     drawn : SensorTruth or None
         The true biases.
+    data : SensorData or None
+        What the estimator got; it may excuse a silence.
 
     Returns
     -------
@@ -354,8 +320,12 @@ def judge(
     if len(solution) == 0:
         raise ValueError("NavSolution.t must hold at least one instant; got none")
     errors = error_series(truth, solution)
-    rows = find_covered_epochs(solution)
+    rows, silent = find_covered_epochs(solution), find_silent_epochs(solution)
     judged, covered = select_epochs(errors, rows), select_epochs(solution, rows)
+    carried = None
+    if silent.any():
+        moved = carry_on(solution, silent)
+        carried = Carried(error_series(truth, moved), moved, silent & ~find_excused(solution, data))
     return errors, judge_epochs(
         judged,
         covered,
@@ -366,7 +336,17 @@ def judge(
         assumed=assumed,
         drawn=drawn,
         factored=True,
+        carried=carried,
+        coverage=measure_coverage(solution, data),
     )
+
+
+class Carried(NamedTuple):
+    """A solution with its silences carried on, and its errors."""
+
+    errors: ErrorSeries
+    solution: NavSolution
+    silent: BoolArray  # (M,) epochs without an answer that nothing excuses
 
 
 def judge_epochs(
@@ -381,11 +361,14 @@ def judge_epochs(
     drawn: SensorTruth | None = None,
     factored: bool = False,
     metrics: Sequence[Metric] = METRICS,
+    carried: Carried | None = None,
+    coverage: Coverage | None = None,
 ) -> dict[str, Any]:
     """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.
 
     ``missing`` holds the instants (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
-    of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`.
+    of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`. Metrics of accuracy are
+    of ``carried``, if it is given, and so hold silent epochs.
     """
     aligned = slice(count_aligning_epochs(solution, evaluation_from), None)
     errors, solution = select_epochs(errors, aligned), select_epochs(solution, aligned)
@@ -396,9 +379,18 @@ def judge_epochs(
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
         poses = Poses.from_errors(solution, errors)
-        run = build_case(errors, solution, outages, faults, missing, assumed, drawn, poses)
-        cases = run, cut_case(run, evaluation_from, missing)
-        whole, window = (_compute_metrics(case, solution, metrics) for case in cases)
+        run = build_case(errors, solution, outages, faults, missing, assumed, drawn, poses, coverage=coverage)
+        every = run
+        if carried is not None:
+            off, moved = carried.errors, carried.solution
+            poses = Poses.from_errors(moved, off)
+            every = build_case(
+                off, moved, outages, faults, assumed=assumed, poses=poses, silent=carried.silent
+            )
+        whole = _compute_metrics(run, every, solution, metrics)
+        window = _compute_metrics(
+            cut_case(run, evaluation_from, missing), cut_case(every, evaluation_from), solution, metrics
+        )
     lost = detection.find_lost_aiding(run)
     if sound and lost is not None:
         sound, reason = False, lost
@@ -408,16 +400,21 @@ def judge_epochs(
     return values
 
 
-def _compute_metrics(case: Case, solution: NavSolution, metrics: Sequence[Metric]) -> dict[str, Value]:
-    """Compute the metrics of the estimated blocks; a value that is not finite becomes None."""
-    if not len(case.t):
+def _compute_metrics(
+    case: Case, every: Case, solution: NavSolution, metrics: Sequence[Metric]
+) -> dict[str, Value]:
+    """Compute the metrics of the estimated blocks; a value that is not finite becomes None.
+
+    Those of accuracy are of ``every`` epoch, the others of those of ``case``.
+    """
+    if not len(every.t):
         return {}
     claimed = claimed_blocks(solution)
     blocks = ("", *estimated_blocks(solution), *(f"{name} cov" for name in claimed), *["cov"][: len(claimed)])
     values: dict[str, Value] = {}
     for metric in metrics:
-        if metric.block in blocks:
-            result = metric.function(case)
+        if metric.block in blocks and (len(case.t) or metric.block in BLOCKS or metric.name in _OF_ANSWERS):
+            result = metric.function(every if metric.block in BLOCKS else case)
             named = result if isinstance(result, Mapping) else {"": result}
             values.update({metric.name.format(key): value for key, value in named.items()})
             if len(case.t) > disk_arrays.LONG * disk_arrays.ROWS:

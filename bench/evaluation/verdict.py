@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.drift_laws import RAYLEIGH_95
+from bench.evaluation.error_series import DIVERGED_HORIZONTAL, TITLES
 from bench.evaluation.required_metrics import MET, MISSED, judge_run
 from bench.navigation.unmodelled_effects import explain
 from bench.wording import format_number
@@ -19,7 +20,6 @@ FAILED, DIVERGED, NO_CLAIM, INCOMPLETE = "failed", "diverged", "no claim", "inco
 """Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy, it answers
 only a part."""
 
-BLOCKS = {"pos": "position", "vel": "velocity", "phi": "attitude"}
 _ALIKE = 1e-3  # relative difference of two errors that are the same one [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
@@ -75,24 +75,26 @@ def add_verdict(
     Returns
     -------
     values : dict
-        First ``verdict`` (a word), ``verdict_text`` (a sentence or two), ``drift_text`` (a sentence for each
-        outage, and for a run without horizontal aiding), ``outside`` (the names of the metrics outside
-        their bounds), and where something is required ``required`` (a word) and ``required_text`` (a sentence
-        each), then ``values``.
+        First ``verdict`` (a word), ``coverage_text`` if it is known, ``verdict_text`` (a sentence or two),
+        ``drift_text`` (a sentence for each outage, and for a run without horizontal aiding), ``outside`` (the
+        names of the metrics outside their bounds), and where something is required ``required`` (a word) and
+        ``required_text`` (a sentence each), then ``values``.
     """
     word, text = _judge(label, values)
+    covered = {}
     if coverage is not None and not values.get("failed"):
+        covered = {"coverage_text": f"{label} {coverage.text}."}
+        if coverage.share < 1.0:  # of what is whole nothing need be said
+            text = f"{covered['coverage_text']} With its last answer carried on over silences: {text}"
         if not coverage.enough:
             good = values["converged"]
             word = INCOMPLETE if good else word
             reason = coverage.text if good else f"{values['reason']}; it {coverage.text}"
             values = {**values, "converged": False, "reason": reason}
-            start = f"{label} {coverage.text}. " + ("Where it answers: " if good else "")
-            text = start + text
         if coverage.first is not None:
             text += f" Its first answer is at t = {coverage.first:g} s."
     outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
-    judged = {"verdict": word, "verdict_text": text, "drift_text": _judge_drift(label, values)}
+    judged = {"verdict": word, **covered, "verdict_text": text, "drift_text": _judge_drift(label, values)}
     found = judge_run(label, values, requirements)
     required = {"required": MISSED if any(one.word == MISSED for one in found) else MET} if found else {}
     sentences = {"required_text": [one.sentence for one in found]} if found else {}
@@ -147,7 +149,11 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
         ratios = [f"{name} {values[f'nis_mean_{name}']:.3g}" for name in loud]
         most = ", at most ".join([" and ".join(ratios), format_number(values[f"nis_high_{loud[0]}"], 3)])
         return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {most} possible: {error}."
-    text = f"{label} is consistent with its covariance as far as one run can tell: {error} ({figures})."
+    word = "consistent with its covariance as far as one run can tell"
+    largest = values.get("pos_max_h_m") or 0.0
+    if largest > DIVERGED_HORIZONTAL:  # that it is right does not make it of use
+        word = f"honest, and up to {format_distance(largest)} off: {word}"
+    text = f"{label} is {word}: {error} ({figures})."
     if wrong:
         text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."
     return CONSISTENT, text
@@ -167,7 +173,7 @@ def _explain(values: Mapping[str, Any]) -> str:
     largest = max(worst_m, key=lambda number: worst_m[number], default=None)
     if largest is not None and worst_m[largest] >= (1.0 - _ALIKE) * values.get("pos_max_h_m", np.inf):
         return f" Why: its largest error, {format_distance(worst_m[largest])}, came in fault {largest}."
-    ratios = {block: values.get(f"error_over_sigma_{block}") for block in BLOCKS}
+    ratios = {block: values.get(f"error_over_sigma_{block}") for block in TITLES}
     known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
     for block in sorted(known, key=lambda block: known[block], reverse=True):
         if known[block] > 1.0 and (why := explain(list(values.get("unmodelled") or ()), block)):
@@ -175,7 +181,7 @@ def _explain(values: Mapping[str, Any]) -> str:
     worst = max(known, key=lambda block: known[block], default=None)
     if worst is None:
         return ""
-    return f" Worst is the {BLOCKS[worst]}, in 3D: {format_number(known[worst], 3)} sigma, root mean square."
+    return f" Worst is the {TITLES[worst]}, in 3D: {format_number(known[worst], 3)} sigma, root mean square."
 
 
 def _describe_error(values: Mapping[str, Any]) -> str:

@@ -1,8 +1,9 @@
 """Run an external program as an estimator: ``use = "command:./myfilter {sensors} {solution}"``.
 
 The program, in any language, runs in a temporary folder with the sensor data as ``bench export --to csv``
-writes it, without the truth. It writes a solution that `bench.exchange.solutions` reads. No shell is used. If
-the program fails, the result says why.
+writes it, without the truth. It writes a solution that `bench.exchange.solutions` reads; each row counts
+until the next one, its position moved by its velocity. No shell is used. If the program fails, the result
+says why.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.failures import make_failed_solution
 from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
-from bench.exchange.solutions import FileEstimator, check_unit, read_solution, resample
+from bench.exchange.solutions import FileEstimator, carry_rows, check_unit, read_solution
 from bench.navigation.estimator import Estimator, construct
 from bench.scratch import make_scratch
 from bench.spawned import (
@@ -84,7 +85,7 @@ class CommandEstimator:
     guard : Guard
         What it may take.
     max_gap_s : float or None
-        Longest interval that is interpolated [s], as in `bench.exchange.solutions.resample`.
+        Longest time that a row is carried on [s], as in `bench.exchange.solutions.carry_rows`.
 
     Raises
     ------
@@ -127,7 +128,7 @@ class CommandEstimator:
                 check_unit(own_solution, initial.t, initial.lla)
             except ConfigError as error:
                 return make_failed_solution(sensors.output_t, f"{ended}: {error}", events)
-            result = resample(own_solution, sensors.output_t, self._longest)
+            result = carry_rows(own_solution, sensors.output_t, self._longest)
         return replace(result, events=Events.from_rows([*result.events.rows(), *events]))
 
     def _run_program(

@@ -77,6 +77,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         faults=faults,
         assumed=sensed.data.specs if sensed else None,
         drawn=sensed.truth if sensed else None,
+        data=run.sensors,
     )
     return _make_score(label, solution, errors, measured, run, len(foreign))
 

@@ -1,9 +1,10 @@
 """Read a solution from a table of time and position, velocity or attitude, and use it as an estimator.
 
 Column names give quantity, frame and unit (`COLUMNS`). Covariance is optional. Values that the table does not
-give are NaN. Between rows, position is a cubic with the velocities at both ends (linear without velocities);
-velocity, biases and covariance are linear; attitude turns at a constant rate. There is no solution before the
-first row, after the last row, and in a gap.
+give are NaN. Between rows of a file, position is a cubic with the velocities at both ends (linear without
+velocities); velocity, biases and covariance are linear; attitude turns at a constant rate. There is no
+solution before the first row, after the last row, and in a gap. The rows of a program that runs are carried
+on instead: what lies between two of them must not follow from the later one.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.errors import ConfigError, EstimatorError
+from bench.evaluation.coverage import carry_positions
 from bench.evaluation.error_series import NOT_COVERED
 from bench.evaluation.failures import FAILED
 from bench.exchange.imports.text import read_kf_gins_solution
@@ -33,6 +35,9 @@ from bench.exchange.table_files import (
 )
 from bench.exchange.trajectory import KINDS, check_positions, normalize_quaternions
 from bench.units import SAME_INSTANT
+
+INTERPOLATED, CARRIED = "interpolated", "carried_on"
+"""Kinds of events: instants between rows, and what is taken there."""
 
 MOST_ROWS = 3_000_000
 _MOST_VALUES = 60_000_000  # rows times columns: half a gigabyte
@@ -275,9 +280,7 @@ def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = N
         NaN at times that it does not cover, which events of kind "not_covered" list; an event of kind
         "failed" if it covers none.
     """
-    steps = np.diff(solution.t)
-    median = float(np.median(steps)) if len(steps) else 0.0
-    most = min(_GAPS * median, _LONGEST) if longest is None else longest
+    most = _choose_longest(solution, longest)
     before = np.searchsorted(solution.t, t + SAME_INSTANT, "right") - 1  # the last row not after t
     inside = before >= 0
     before = np.maximum(before, 0)
@@ -310,7 +313,50 @@ def resample(solution: ForeignSolution, t: FloatArray, longest: float | None = N
         extra=np.empty((len(t), 0)),
         extra_sd=np.empty((len(t), 0)),
         innovations=no_innovations(),
-        events=_list_events(solution, t, covered, np.where(on_row, 0.0, width), most),
+        events=_list_events(solution, t, covered, np.where(on_row, 0.0, width), most, INTERPOLATED),
+    )
+
+
+def _choose_longest(solution: ForeignSolution, longest: float | None) -> float:
+    """Return the longest interval that is bridged [s]."""
+    median = float(np.median(np.diff(solution.t))) if len(solution) > 1 else 0.0
+    return min(_GAPS * median, _LONGEST) if longest is None else longest
+
+
+def carry_rows(solution: ForeignSolution, t: FloatArray, longest: float | None = None) -> NavSolution:
+    """Return a solution at other times, each row carried on until the next: position by its velocity.
+
+    Parameters as for :func:`resample`; ``longest`` is the longest time that a row is carried on [s].
+    """
+    most = _choose_longest(solution, longest)
+    row = np.searchsorted(solution.t, t + SAME_INSTANT, "right") - 1  # the last row not after t
+    begun = row >= 0
+    row = np.maximum(row, 0)
+    age = np.maximum(t - solution.t[row], 0.0)
+    age[age <= SAME_INSTANT] = 0.0
+    covered = begun & (age <= most + SAME_INSTANT)
+    later = np.flatnonzero(age > 0.0)
+    lla = solution.lla[row]
+    lla[later] = carry_positions(solution.t, solution.lla, solution.vel_n, row[later], t[later])
+    cov = np.full((len(t), 9, 9), np.nan) if solution.cov is None else solution.cov[row]
+    rest = (solution.vel_n, solution.q_nb, solution.gyro_bias_b, solution.accel_bias_b)
+    values = (lla, *(one[row] for one in rest), cov)
+    nothing = np.empty((len(t), 0))
+    events = _list_events(solution, t, covered, age, most, CARRIED)
+    lla, vel_n, q_nb, gyro_bias_b, accel_bias_b, cov = (_blank_uncovered(one, covered) for one in values)
+    return NavSolution(
+        t=t,
+        lla=lla,
+        vel_n=vel_n,
+        q_nb=q_nb,
+        gyro_bias_b=gyro_bias_b,
+        accel_bias_b=accel_bias_b,
+        cov=cov,
+        extra_names=(),
+        extra=nothing,
+        extra_sd=nothing,
+        innovations=no_innovations(),
+        events=events,
     )
 
 
@@ -338,14 +384,15 @@ def _blank_uncovered(values: FloatArray, covered: BoolArray) -> FloatArray:
 
 
 def _list_events(
-    solution: ForeignSolution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float
+    solution: ForeignSolution, t: FloatArray, covered: BoolArray, width: FloatArray, most: float, how: str
 ) -> Events:
     found = [(0.0, 0.0, "table", text) for text in solution.remarks]
     between = covered & (width > 0)
     if between.any():
         count = f"{int(between.sum())} of {len(t)}"
-        words = f"{count} instants lie between rows, up to {width[between].max():.3g} s apart"
-        found.append((float(t[between][0]), float(t[between][-1]), "interpolated", words))
+        apart = "apart" if how == INTERPOLATED else "after the one before"
+        words = f"{count} instants lie between rows, up to {width[between].max():.3g} s {apart}"
+        found.append((float(t[between][0]), float(t[between][-1]), how, words))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~covered, [False]]).astype(np.int8)))
     found += [
         (float(t[a]), float(t[b - 1]), NOT_COVERED, f"no rows, or more than {most:.3g} s apart")

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 import bench
-from bench import disk_arrays
+from bench import disk_arrays, earth
 from bench.cli import main
 from bench.data import InitialState, NavSolution, SensorData
-from bench.evaluation.coverage import Coverage, measure_coverage
+from bench.evaluation.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_answered_epochs, find_covered_epochs
 from bench.evaluation.verdict import add_verdict
 from bench.navigation.estimator import load
 from tests.builders import take
 from tests.campaigns.test_campaign import PROFILE
+from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 COLUMNS = ("lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd")
 
@@ -107,17 +108,17 @@ def test_epochs_without_an_answer_are_found_in_blocks_too(flown, monkeypatch):
 
 def test_what_else_is_wrong_is_said_first():
     lost = {"converged": False, "reason": "it diverged", "pos_rmse_h_m": 3.0}
-    found = add_verdict("mine", lost, Coverage(0.5, 30.0, (50.0, 90.0)))
+    found = add_verdict("mine", lost, Coverage({"pos": 0.5}, 30.0, 30.0, (50.0, 90.0)))
     assert found["verdict"] == "diverged"
     assert found["reason"].startswith("it diverged; it answers 50 % of the instants")
     assert found["verdict_text"].endswith(" Its first answer is at t = 30 s.")
     raised = {"converged": False, "reason": "raised", "failed": True}
-    failed = add_verdict("mine", raised, Coverage(0.0, None, (0.0, 9.0)))
+    failed = add_verdict("mine", raised, Coverage({}, 0.0, None, (0.0, 9.0)))
     assert failed["verdict_text"] == "mine raised"
 
 
 def test_a_filter_that_answers_a_part_has_its_verdict_and_status_1(flown, tmp_path, monkeypatch, capsys):
-    """NaN of a filter, rows that a table lacks; metrics are of what is answered."""
+    """NaN of a filter; a silence is charged the last answer, carried on by its own velocity."""
     _, whole, path = flown
     monkeypatch.chdir(tmp_path)
     use = "tests.evaluation.test_coverage:Silent"
@@ -130,8 +131,73 @@ def test_a_filter_that_answers_a_part_has_its_verdict_and_status_1(flown, tmp_pa
     result = bench.load("part")
     found = result.metrics["Silent"]
     assert (found["verdict"], found["converged"]) == ("incomplete", False)
-    late = (result.errors["loose-15"].t >= 5.0) & ~((whole.t > 10.0) & (whole.t < 15.0))
-    errors = result.errors["loose-15"].pos_n[late, :2]
-    assert found["pos_rmse_h_m"] == pytest.approx(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    silent = (whole.t > 10.0) & (whole.t < 15.0)
+    k = int(np.flatnonzero(silent)[0]) - 1
+    errors = result.errors["loose-15"].pos_n[:, :2].copy()
+    moved = earth.displace(whole.lla[k], whole.vel_n[k] * (whole.t[silent] - whole.t[k])[:, None])
+    truth = bench.fly(path)
+    there = np.array([truth.lla[np.argmin(np.abs(truth.t - t))] for t in whole.t[silent]])
+    errors[silent] = earth.difference_n(moved, there)[:, :2]
+    late = errors[whole.t >= 5.0]
+    assert found["pos_rmse_h_m"] == pytest.approx(np.sqrt(np.mean(np.sum(late**2, axis=1))), rel=1e-6)
+    assert found["pos_max_h_m"] == pytest.approx(np.hypot(*late.T).max(), rel=1e-6)
+    assert found["cep95_m"] is None
+    assert found["cep50_m"] is not None  # less than half is silent
+    assert found["nees_mean"] == pytest.approx(
+        np.mean(result.errors["loose-15"].nees[(whole.t >= 5.0) & ~silent])
+    )
+    assert found["answered_pos"] == pytest.approx(1 - np.mean(silent))
+    assert (found["first_answer_s"], result.metrics["loose-15"]["answered_phi"]) == (0.0, 1.0)
     assert result.metrics["loose-15"]["converged"]
     assert main(["run", str(path), "-e", "loose-15", "--no-rrd", "--no-report", "-o", "alone"]) == 0
+
+
+def test_an_answer_carried_on_in_a_turn_leaves_it_along_the_tangent():
+    """Closed form: after an angle a on a circle of radius R it is R (a - sin a, 1 - cos a) off."""
+    radius, speed = 300.0, 30.0
+    solution = wrong_solution(weaving_truth(10.0))  # ten a second
+    a = speed / radius * solution.t
+    place = radius * np.column_stack([np.sin(a), 1.0 - np.cos(a), np.zeros(len(a))])
+    lla = earth.displace(np.broadcast_to([0.8, 0.2, 500.0], place.shape), place)
+    vel_n = speed * np.column_stack([np.cos(a), np.sin(a), np.zeros(len(a))])
+    since = np.arange(len(a)) % 10 / 10.0
+    turned = speed / radius * since
+    expected = radius * np.hypot(turned - np.sin(turned), 1.0 - np.cos(turned))
+
+    def find_errors(velocity: np.ndarray) -> np.ndarray:
+        quiet = silence(replace(solution, lla=lla, vel_n=velocity), since > 0.0)
+        found = carry_on(quiet, find_silent_epochs(quiet))
+        assert np.isnan(found.cov[since > 0.0]).all()
+        return np.hypot(*earth.difference_n(found.lla, lla)[:, :2].T)
+
+    np.testing.assert_allclose(find_errors(vel_n), expected, atol=2e-3)
+    bare = find_errors(np.full_like(vel_n, np.nan))[10:]  # by the chord of the second before
+    assert bare.max() == pytest.approx(speed**2 / radius * 0.9 * (1.0 + 0.9) / 2.0, rel=0.01)
+    held = np.hypot(*earth.difference_n(lla[np.arange(len(a)) // 10 * 10], lla)[:, :2].T)
+    assert held.max() > 15 * expected.max()
+
+
+def test_silences_are_infinite_in_the_95_percent_error_but_those_that_the_data_excuse(flown):
+    """Six of 151 instants without an answer are among the twentieth that it may leave out, nine are not."""
+    data, whole, path = flown
+    profile, truth = bench.load_profile(path), bench.fly(path)
+    late = np.flatnonzero(whole.t >= 5.0)
+    for count, known in ((6, True), (9, False)):
+        quiet = silence(whole, np.isin(np.arange(len(whole)), late[40 : 40 + count]))
+        judged = bench.judge(profile, truth, quiet)[1]
+        assert (judged["cep95_m"] is not None, judged["pos_95_v_m"] is not None) == (known, known)
+    begin, end = whole.t[late[40]] - 0.1, whole.t[late[48]]
+    excusing = replace(bench.sense(profile, truth), data=without_imu(data, begin, end))
+    excused = bench.judge(profile, truth, quiet, excusing)[1]
+    assert excused["cep95_m"] is not None
+    assert excused["answered_pos"] == 1.0
+
+
+def test_each_block_that_a_filter_declares_counts(flown):
+    data, whole, _ = flown
+    part = measure_coverage(silence(whole, whole.t > 10.0, ("vel_n",)), data)
+    assert part.shares["pos"] == part.shares["phi"] == 1.0
+    assert part.share == part.shares["vel"] == pytest.approx(np.mean(whole.t <= 10.0))
+    assert part.text.startswith("answers position at 100 %, velocity at 50.2 %, attitude at 100 % of the")
+    bare = measure_coverage(silence(whole, whole.t >= 0.0, ("q_nb",)), data)
+    assert list(bare.shares) == ["pos", "vel"]

@@ -22,7 +22,7 @@ from bench.data import NavSolution
 from bench.errors import ConfigError
 from bench.evaluation import metrics
 from bench.evaluation.verdict import add_verdict
-from bench.exchange.solutions import FileEstimator, read_solution, resample
+from bench.exchange.solutions import FileEstimator, carry_rows, read_solution, resample
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
 from tests.exchange.exported import LOST
@@ -164,6 +164,32 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
     assert_allclose(found.cov[inside], np.tile(np.eye(9), (inside.sum(), 1, 1)))
 
 
+def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
+    """Between two rows the first counts, moved by its velocity; the later one may be anything."""
+    truth = turning(20.0, 100.0)
+    made = wrong_solution(truth, every=20)  # five a second
+    t = truth.t[::5]
+    found = carry_rows(as_read(made), t)
+    age = np.arange(len(t)) % 4 * 0.05
+    turned = 0.3 * age  # 25 m/s, 0.3 rad/s: the tangent leaves the circle
+    expected = 25 / 0.3 * np.hypot(turned - np.sin(turned), 1 - np.cos(turned))
+    off = np.linalg.norm(earth.difference_n(found.lla, truth.lla[::5]), axis=1)
+    assert_allclose(off, expected, atol=1e-4)
+    assert_array_equal(found.vel_n, made.vel_n[np.arange(len(t)) // 4])
+    assert_array_equal(found.cov, made.cov[np.arange(len(t)) // 4])
+    for k in (7, 30):
+        late = (np.arange(len(made)) >= k)[:, None]
+        ahead = replace(made, lla=made.lla + 1e-5 * late, q_nb=np.where(late, -made.q_nb, made.q_nb))
+        before = t < made.t[k] - 1e-9
+        for name in ("lla", "q_nb"):
+            moved = getattr(carry_rows(as_read(ahead), t), name)
+            assert_array_equal(moved[before], getattr(found, name)[before])
+    ((_, _, told),) = found.events.select("carried_on")
+    assert told == "300 of 401 instants lie between rows, up to 0.15 s after the one before"
+    ended = carry_rows(as_read(taken(made, made.t < 10.1)), t)
+    assert_array_equal(np.isfinite(ended.lla).all(axis=1), t < 10.4 + 1e-6)  # twice the usual interval
+
+
 def as_read(made: NavSolution):
     from bench.exchange.solutions import ForeignSolution
 
@@ -172,7 +198,9 @@ def as_read(made: NavSolution):
     return ForeignSolution("made.csv", rows, *columns_, ())
 
 
-def test_a_gap_is_not_bridged_unless_told_and_an_outage_half_covered_has_no_drift(run, tmp_path, capsys):
+def test_a_gap_is_not_bridged_unless_told_and_its_drift_is_that_of_the_last_answer_carried_on(
+    run, tmp_path, capsys
+):
     folder, truth, sensed = run
     made = wrong_solution(truth, pos_n=[1.0, 0.0, 0.0])
     keep = (made.t < 12.45) | (made.t > 15.75)
@@ -186,7 +214,10 @@ def test_a_gap_is_not_bridged_unless_told_and_an_outage_half_covered_has_no_drif
     assert measured["verdict"] == "incomplete"
     assert "answers 83.1 % of the instants asked for, with the longest silence" in " ".join(said.split())
     assert LOST == (12.0, 14.0)
-    assert "outage_1_drift_h_m" not in measured
+    first, last = (int(np.argmin(np.abs(truth.t - at))) for at in (12.4, 13.99))
+    passed = truth.t[last] - truth.t[first]  # the last answer goes on straight from 1 m north
+    ended = earth.difference_n(truth.lla[first], truth.lla[last]) + truth.vel_n[first] * passed
+    assert measured["outage_1_drift_h_m"] == pytest.approx(np.hypot(ended[0] + 1.0, ended[1]), rel=1e-3)
     assert f"covers {100 * (1 - lost / 202):.4g} % of the 202 instants" in said
     bridged, _ = judged(capsys, str(path), str(folder), "--max-gap", "4")
     assert bridged["output_coverage"] == 1.0
