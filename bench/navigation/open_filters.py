@@ -2,7 +2,7 @@
 
 A measurement arrives after the instant it is valid at. A filter that has gone past that instant cannot
 compare it with its state there. So it takes a piece up to ``look_back`` before its last sample and leaves
-the rest of the samples waiting. What it is asked between goes over these on a copy and leaves no trace.
+the rest of the samples waiting. An answer between pieces goes over these on a copy.
 """
 
 from __future__ import annotations
@@ -16,25 +16,22 @@ import numpy as np
 
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
-from bench.navigation.engine.kept_rows import columns
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
 from bench.navigation.engine.record_cuts import (
     aiding_records,
-    as_plain,
-    from_plain,
     join_pieces,
     newest_sample,
     nothing_known,
     take_head,
     without_orbits,
 )
-from bench.navigation.saved_state import check_parts, check_state
+from bench.navigation.engine.session import Kept, SessionState, rebuild
 from bench.navigation.start import alignment
 from bench.specs import AssumedSpecs
 from bench.wording import one_line
 
 
-class PieceFilter:
+class PieceFilter(SessionState):
     """A filter on its way through a record; `bench.open_filter` makes one.
 
     Parameters
@@ -56,6 +53,15 @@ class PieceFilter:
         If the estimator cannot run in pieces with these options.
     """
 
+    look_back: Kept[float]
+    finished: Kept[bool]
+    initial: Kept[InitialState]
+    head: Kept[SensorData | None]
+    waiting: Kept[SensorData | None]  # until the start is known
+    search: Kept[alignment.StartSearch]
+    start: Kept[InitialState | None]  # that was found
+    passage: Kept[InPieces | None]
+
     def __init__(
         self,
         use: str,
@@ -73,12 +79,8 @@ class PieceFilter:
             )
         self.use, self.options, self.estimator = use, options, estimator
         self.initial, self.look_back = initial, look_back
-        self.head: SensorData | None = None
-        self.waiting: SensorData | None = None  # until the start is known
-        self.search = alignment.StartSearch(initial)
-        self.start: InitialState | None = None  # that was found
-        self.passage: InPieces | None = None
-        self.finished = False
+        self.head, self.waiting, self.start, self.passage = None, None, None, None
+        self.search, self.finished = alignment.StartSearch(initial), False
         self.resumed_from = ""  # the file, if it goes on from a saved state
 
     @property
@@ -115,7 +117,7 @@ class PieceFilter:
         """
         if self.finished:
             raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
-        after = self._copy()
+        after = self.copy()
         with self._doubt_the_file():
             after._check(piece)
             solution = after._take(piece, last=False)
@@ -158,18 +160,10 @@ class PieceFilter:
         """
         if self.head is None:
             raise EstimatorError(f"{self.use!r} has been given nothing to save: feed a piece first")
-        return {
-            "look_back": self.look_back,
-            "finished": self.finished,
-            "initial": columns(self.initial),
-            "head": as_plain(self.head),
-            "waiting": None if self.waiting is None else as_plain(self.waiting),
-            "start": None if self.start is None else columns(self.start),
-            "passage": None if self.passage is None else self.passage.state(),
-        }
+        return super().state()
 
     @classmethod
-    def restore(
+    def resume(
         cls,
         use: str,
         options: Mapping[str, Any],
@@ -182,22 +176,18 @@ class PieceFilter:
 
         Whatever it raises: the state in the file ``path`` is none of this filter.
         """
-        check_state(state["finished"], False, "finished")
-        found = cls(use, options, estimator, InitialState(**state["initial"]), state["look_back"])
+        initial = rebuild(InitialState, state["initial"], place="initial")
+        found = cls(use, options, estimator, initial, rebuild(float, state["look_back"], place="look_back"))
         found.resumed_from = path
-        found.head, found.finished = from_plain(state["head"], specs), state["finished"]
-        if state["waiting"] is not None:
-            found.waiting = from_plain(state["waiting"], specs)
-        if state["passage"] is not None:
-            found.start = InitialState(**state["start"])
-            found.passage = found.estimator.in_pieces(found.head, found.start, [])
-            again = state["passage"].get("start")  # after a silence of the IMU, or the same
-            begun = found.start if again is None else InitialState(**again)
-            fresh = found.estimator.in_pieces(found.head, begun, []).state()
-            check_state(state["passage"], fresh, "passage")
-            found.passage.restore(state["passage"])
-            check_parts(found.passage)
+        found.restore(state, specs=specs)
         return found
+
+    def make_parts(self) -> None:
+        """Make the filter before its first piece, if it has begun."""
+        self.passage = None
+        if self.start is not None:
+            assert self.head is not None
+            self.passage = self.estimator.in_pieces(self.head, self.start, [])
 
     @contextmanager
     def _doubt_the_file(self) -> Iterator[None]:
@@ -236,15 +226,6 @@ class PieceFilter:
                     f"{self.use!r} cannot go over to another antenna before it has found its start"
                 )
             self.head = replace(head, antenna_b=piece.antenna_b)
-
-    def _copy(self) -> PieceFilter:
-        """Return a filter that goes on from here by itself."""
-        copy = PieceFilter(self.use, self.options, self.estimator, self.initial, self.look_back)
-        copy.head, copy.waiting, copy.finished = self.head, self.waiting, self.finished
-        copy.search.tried, copy.start = self.search.tried, self.start
-        copy.resumed_from = self.resumed_from
-        copy.passage = None if self.passage is None else self.passage.copy()
-        return copy
 
     def _take(self, piece: SensorData, *, last: bool) -> NavSolution:
         """Take a piece; of the ``last`` one all answers are final."""

@@ -24,7 +24,7 @@ from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
 from bench.wording import one_line
 
-FORMAT = 1
+FORMAT = 2
 _MOST_BYTES = 2_000_000_000
 _NOTES, _SUM = "notes", "sha256"
 
@@ -90,7 +90,12 @@ def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> 
         raise EstimatorError(f"{what}: {one_line(str(error))[:200]}") from error
     if total != _sum(arrays):
         raise EstimatorError(f"{what}: it has been changed or damaged; save it again")
-    if (known, made) != (FORMAT, bench.__version__):
+    if known != FORMAT:
+        raise EstimatorError(
+            f"{path} has format {known} of a saved filter, this bench reads format {FORMAT}: "
+            "run the record again"
+        )
+    if made != bench.__version__:
         raise EstimatorError(
             f"{path} was saved by bench {made}; its numbers may mean something else to {bench.__version__}: "
             "run the record again"
@@ -105,7 +110,7 @@ def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> 
         if arrays:
             raise ValueError(f"{next(iter(arrays))} belongs to nothing")
         built = load_estimators([EstimatorChoice(use, use, options)])[0]
-        return PieceFilter.restore(use, options, built, specs, state, str(path))
+        return PieceFilter.resume(use, options, built, specs, state, str(path))
     except Exception as error:  # what is restored is made of nothing but the file
         raise EstimatorError(
             f"{path}: its state is none of {use!r} with these options: {one_line(str(error))[:300]}"

@@ -95,12 +95,12 @@ ALTERED = {
         "loose-22",
         f"{SCHEDULE}/rows",
         put(10**6, -1),
-        "1000000 is out of bounds",
+        "rows must be whole numbers",
     ),
     "a place before them": ("loose-22", f"{SCHEDULE}/earlier", put(-1), "earlier must be whole numbers"),
     "a slot that is not there": (
         "loose-22",
-        f"{SCHEDULE}/kinds/0/slot",
+        f"{SCHEDULE}/waiting/0/slot",
         put(70),
         "slot must be whole numbers",
     ),
@@ -108,7 +108,7 @@ ALTERED = {
     "a slot of nothing": ("loose-22", f"{RUN}/pending/live", put(6, -1), r"tags \(length\) must be whole"),
     "rows of nothing that waits": (
         "loose-22",
-        f"{SCHEDULE}/kinds/0/slot",
+        f"{SCHEDULE}/waiting/0/slot",
         lambda a: a * 0,
         "of the measurements that wait",
     ),
@@ -163,6 +163,16 @@ def test_arrays_too_many_and_too_few_are_refused(tmp_path):
     fewer = {name: one for name, one in arrays.items() if name != f"{RUN}/now/dx"}
     with pytest.raises(EstimatorError, match=f"{RUN}/now/dx is missing"):
         bench.resume_filter(write(tmp_path / "filter.npz", fewer))
+
+
+def test_a_state_of_another_format_is_refused_in_a_line(tmp_path):
+    arrays, _ = saved("loose-15")
+    place = write(tmp_path / "filter.npz", arrays, notes_of(arrays) | {"format": 1})
+    with pytest.raises(EstimatorError) as refused:
+        bench.resume_filter(place)
+    assert str(refused.value) == (
+        f"{place} has format 1 of a saved filter, this bench reads format 2: run the record again"
+    )
 
 
 def test_what_is_packed_or_no_file_is_not_read(tmp_path):

@@ -5,9 +5,8 @@ Compiled filters call the kernels, filters in Python an :class:`InnovationGate` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from copy import copy
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +16,8 @@ from bench.compiled import inner, kernel
 from bench.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
 from bench.navigation.engine.kalman import nis_kernel
-from bench.navigation.engine.rejection_events import refusals
+from bench.navigation.engine.rejection_events import Refused, refusals
+from bench.navigation.engine.session import Growing, Kept, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 
 OUTAGE = 10.0
@@ -37,17 +37,11 @@ class Trust(NamedTuple):
     Channels 0 and 1 are position and velocity of a fix.
     """
 
-    misses: IntArray  # (channels,) refusals in a row
-    since: FloatArray  # (channels,) instant of the first of them [s]
-    used: FloatArray  # (channels,) instant of the last measurement used [s]
+    misses: Growing[IntArray]  # (channels,) refusals in a row
+    since: Growing[FloatArray]  # (channels,) instant of the first of them [s]
+    used: Growing[FloatArray]  # (channels,) instant of the last measurement used [s]
     way: FloatArray  # (3, 3) of refused fixes: first innovation of position, integral of velocity's, its last
     way_t: FloatArray  # (2,) instants of the first, since which they agree, and of the last of them [s]
-
-    def copy(self) -> Trust:
-        """Return a memory that goes on from here by itself."""
-        return Trust(
-            self.misses.copy(), self.since.copy(), self.used.copy(), self.way.copy(), self.way_t.copy()
-        )
 
     def with_channels(self, channels: int, start: float) -> Trust:
         """Return a memory of at least so many channels."""
@@ -264,7 +258,7 @@ def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: Boo
     return np.column_stack([x * (verdict != STEPPED), steps.T * (verdict != DRIFTED)])
 
 
-class InnovationGate:
+class InnovationGate(SessionState):
     """The gate of a filter in Python.
 
     Parameters
@@ -279,16 +273,21 @@ class InnovationGate:
         As :func:`decide_kernel` takes it.
     """
 
+    trust: Kept[Trust]
+    drifted: Kept[bool]  # the fix in use: by a drift of the filter
+    moves: Kept[bool]  # the fix in use: as it says itself
+    refused: Kept[Refused]
+    _numbers: Kept[list[tuple[float, float, float, float]]]  # the log
+    _marks: Kept[list[tuple[int, int, int, int]]]
+
     def __init__(
         self, sensors: tuple[str, ...], start: float, probability: float, readmit_after_s: float
     ) -> None:
         self.sensors, self.readmit_after_s = sensors, readmit_after_s
         self.limits = {m: nis_limit(m, probability) for m in (1, 2, 3)}
         self.trust = new_trust(len(sensors), start)
-        self.drifted, self.moves = False, True  # the fix in use: by a drift of the filter; as it says itself
-        self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
-        self._numbers: list[tuple[float, float, float, float]] = []
-        self._marks: list[tuple[int, int, int, int]] = []
+        self.drifted, self.moves = False, True
+        self.refused, self._numbers, self._marks = {}, [], []
 
     def decide(
         self,
@@ -338,28 +337,3 @@ class InnovationGate:
         self._numbers, self._marks = [], []
         events = refusals(numbers[:, 0], marks, list(self.sensors), self.refused, last=last)
         return innovations(self.sensors, numbers, marks), events
-
-    def copy(self) -> InnovationGate:
-        """Return a gate that goes on from here by itself."""
-        other = copy(self)
-        other.trust, other.refused = self.trust.copy(), dict(self.refused)
-        other._numbers, other._marks = list(self._numbers), list(self._marks)
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, as arrays and numbers by name."""
-        return {"trust": self.trust._asdict(), "refused": pack_refused(self.refused)}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.trust, self.refused = Trust(**state["trust"]), unpack_refused(state["refused"])
-
-
-def pack_refused(refused: Mapping[int, tuple[float, float, int]]) -> list[list[float]]:
-    """Return refusals that have not ended as rows of numbers."""
-    return [[channel, *so_far] for channel, so_far in refused.items()]
-
-
-def unpack_refused(rows: Iterable[Iterable[Any]]) -> dict[int, tuple[float, float, int]]:
-    """Return what :func:`pack_refused` was given."""
-    return {channel: (first, last, count) for channel, first, last, count in rows}

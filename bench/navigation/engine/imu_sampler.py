@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ImuData
-from bench.navigation.engine.kept_rows import columns, join_rows, take_rows
+from bench.navigation.engine.kept_rows import join_rows, take_rows
+from bench.navigation.engine.session import Kept, SessionState
 
 
-class ImuSampler(ABC):
+class ImuSampler(SessionState, ABC):
     """Makes measurements from an IMU; carries the samples that the next one may need.
 
     Parameters
@@ -23,6 +22,8 @@ class ImuSampler(ABC):
     interval : float
         Their length [s]. Each ends with the first sample at or behind its end.
     """
+
+    left: Kept[ImuData]
 
     def __init__(self, start: float, interval: float) -> None:
         self.start, self.interval = start, interval
@@ -59,14 +60,6 @@ class ImuSampler(ABC):
     @abstractmethod
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
         """Return the first sample that an interval after those that end with ``last`` needs."""
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, by name."""
-        return columns(self.left)
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.left = ImuData(**state)
 
 
 def sum_segments(values: FloatArray, first: IntArray, end: IntArray) -> FloatArray:

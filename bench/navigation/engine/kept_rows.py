@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssObservations
+from bench.navigation.engine.session import require
 
 _WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column
 
@@ -30,6 +31,19 @@ class Rows(NamedTuple):
     def joined(self, other: Rows) -> Rows:
         """Return these and others."""
         return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+def check_rows(place: str, rows: Rows) -> None:
+    """Check the shapes of measurements that come from a file.
+
+    Raises
+    ------
+    ValueError
+        With the name of what is wrong.
+    """
+    m = len(rows.t)
+    for name, column, shape in zip(Rows._fields, rows, ((m,), (m,), (m, 9), (m, 6), (m,), (m,)), strict=True):
+        require(column.shape == shape, f"{place}/{name}", f"must have shape {shape}")
 
 
 def give_slots(measure: IntArray, use: IntArray, slot: IntArray, go_to: int) -> IntArray:

@@ -61,7 +61,7 @@ class InPieces(Protocol):
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at :attr:`end`, were that the end of the record: one row.
 
-        It may use up what it goes over: it is asked of a copy. ``head`` is a piece without rows.
+        It may change the filter: callers ask a copy. ``head`` is a piece without rows.
         """
         ...
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, SensorData
-from bench.instruments import INSTRUMENTS
-from bench.navigation.engine.kept_rows import columns, join_rows, take_observations, take_rows
+from bench.data import GnssObservations, NavSolution, SensorData
+from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
 from bench.navigation.engine.timeline import TIME_TOLERANCE
-from bench.specs import AssumedSpecs
 
 
 def newest_sample(record: SensorData) -> float:
@@ -39,23 +36,6 @@ def aiding_records(sensors: SensorData) -> dict[str, Any]:
     """Return the aiding records, by name."""
     found = {"fixes": sensors.fixes, "observations": sensors.observations}
     return {name: record for name, record in found.items() if record is not None} | sensors.instruments
-
-
-def as_plain(sensors: SensorData) -> dict[str, Any]:
-    """Return a piece of a record by name, without the datasheets."""
-    whole = {name: getattr(sensors, name) for name in ("antenna_b", "output_t", "ground_alt", "date")}
-    records = {name: columns(record) for name, record in aiding_records(sensors).items()}
-    return whole | {"imu": columns(sensors.imu), "records": records}
-
-
-def from_plain(plain: Mapping[str, Any], specs: AssumedSpecs) -> SensorData:
-    """Return the piece that :func:`as_plain` was given."""
-    kinds = {"fixes": GnssFixes, "observations": GnssObservations}
-    kinds |= {name: instrument.record for name, instrument in INSTRUMENTS.items()}
-    records: dict[str, Any] = {"fixes": None}
-    records |= {name: kinds[name](**one) for name, one in plain["records"].items()}
-    whole = {name: plain[name] for name in ("antenna_b", "output_t", "ground_alt", "date")}
-    return SensorData(imu=ImuData(**plain["imu"]), specs=specs, **whole, **records)
 
 
 def without_orbits(specs: Any) -> Any:

@@ -7,18 +7,21 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow
 
+Refused = dict[int, tuple[float, float, int]]
+"""Channel -> instants of the first and the last [s] and number of the refusals that have not ended."""
+
 
 def refusals(
     t: FloatArray,
     marks: IntArray,
     names: list[str],
-    so_far: dict[int, tuple[float, float, int]],
+    so_far: Refused,
     *,
     last: bool,
 ) -> list[EventRow]:
     """Return an event for every row of refusals of one channel that has ended, from its first to its last.
 
-    ``so_far`` holds those of earlier pieces that have not, by channel; after the ``last`` piece all have.
+    ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
     """
     ended: list[tuple[int, tuple[float, float, int]]] = []
     first = marks[:, 1] == 0

@@ -18,6 +18,7 @@ from bench.compiled import kernel
 from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
 from bench.navigation.engine.imu_range import IN_RANGE, find_beyond, limits
+from bench.navigation.engine.session import Kept, SessionState
 from bench.specs import ImuSpec
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
@@ -219,7 +220,7 @@ def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, Float
     return rows, span, events
 
 
-class ImuIntake:
+class ImuIntake(SessionState):
     """What has been taken of an IMU record that comes in pieces.
 
     Parameters
@@ -228,10 +229,11 @@ class ImuIntake:
         As in :func:`imu_rows`.
     """
 
+    newest: Kept[float]  # of the rows in use [s]
+    before: Kept[float]  # of the sound rows after the start, the one before the next [s]
+
     def __init__(self, start: float) -> None:
-        self.start = start
-        self.newest = start  # of the rows in use [s]
-        self.before = start  # of the sound rows after the start, the one before the next [s]
+        self.start = self.newest = self.before = start
 
     def take(
         self, imu: ImuData, spec: ImuSpec, *, last: bool

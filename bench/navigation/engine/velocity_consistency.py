@@ -8,15 +8,13 @@ Over the first of the windows it is the median of all so far. What is told of a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.data import EventRow, GnssFixes
 from bench.earth import matrix_en, to_ecef
 from bench.navigation.engine.integrity import nis_limit
+from bench.navigation.engine.session import Kept, SessionState
 from bench.specs import GnssSpec
 
 WINDOWS = (10.0, 30.0, 100.0)
@@ -26,14 +24,13 @@ _FEWEST = 3  # fixes of which the median is not that of a bad one
 _STEPS = 9  # between fixes whose median is the usual one
 _GAP = 2.5  # usual steps, from which on the test begins anew
 _JERK = 10.0  # [m/s^3]: what the sum of velocities a step apart leaves out
-_CARRIED = ("begin", "C_en", "before", "vel_e", "change", "sum_e", "steps", "measures", "passed")
 
 # a fix by what is carried from the begin to it: [s], way left over [m] e, variance of an end [m^2] n, sum of
 # velocity variances [m^2] n, path [m]
 _T, _REST, _END, _SUMMED, _PATH = 0, slice(1, 4), slice(4, 7), slice(7, 10), 10
 
 
-class MovedFixes:
+class MovedFixes(SessionState):
     """Tells fixes whose position moved otherwise than their velocities say, one after another.
 
     Parameters
@@ -44,20 +41,27 @@ class MovedFixes:
         Chance that a sound fix is told.
     """
 
+    _begin: Kept[FloatArray]  # (3,) of the first fix [m], e; none before it
+    _C_en: Kept[FloatArray]  # (3, 3) there
+    _before: Kept[FloatArray]  # (11,) the fix before
+    _vel_e: Kept[FloatArray]  # (3,) of it [m/s], e
+    _change: Kept[FloatArray]  # (3,) of the velocity to it [m/s], e
+    _sum_e: Kept[FloatArray]  # (3,) of the velocities from the begin to it [m], e
+    _steps: Kept[FloatArray]  # the last of them [s]
+    _measures: Kept[FloatArray]  # (F, 11) fixes to compare with
+    _passed: Kept[bool]  # the first window; the measures are fixes that passed
+    _told: Kept[tuple[float, float, int] | None]  # first, last [s] and number of those in a row
+
     def __init__(self, gnss: GnssSpec, false_alarm: float) -> None:
         self._limit = nis_limit(3, false_alarm / (len(WINDOWS) + 1))
         self._slow, self._vel_var = gnss.vel_decay_time, gnss.vel_markov_sd**2
         self._decay, self._decay_by_way = gnss.pos_decay_time, gnss.pos_decay_distance
         self._markov = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
         self._jump = np.square([gnss.pos_h_jump_sd, gnss.pos_h_jump_sd, gnss.pos_v_jump_sd])
-        self._begin = self._C_en = np.zeros(0)  # none before the first fix
-        self._before = np.zeros(11)  # the fix before
-        self._vel_e = self._change = np.zeros(3)  # of it [m/s], e
-        self._sum_e = np.zeros(3)  # of the velocities from the begin to it [m], e
-        self._steps = np.empty(0)  # the last of them [s]
-        self._measures = np.empty((0, 11))  # fixes to compare with
-        self._passed = False  # the first window; the measures are fixes that passed
-        self._told: tuple[float, float, int] | None = None  # first, last [s] and number of those in a row
+        self._begin = self._C_en = self._steps = np.empty(0)
+        self._before, self._measures = np.zeros(11), np.empty((0, 11))
+        self._vel_e = self._change = self._sum_e = np.zeros(3)
+        self._passed, self._told = False, None
 
     def take(self, fixes: GnssFixes, variance: FloatArray, *, last: bool) -> tuple[BoolArray, list[EventRow]]:
         """Return which positions (M,) of the next fixes moved otherwise, and an event for each row of these.
@@ -149,13 +153,3 @@ class MovedFixes:
         var += np.abs(fix[_SUMMED] - one[_SUMMED]) + self._vel_var * wander
         apart = fix[_REST] - np.median(some[:, _REST], axis=0)
         return bool(np.sum(np.square(apart) / var) <= self._limit)
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, by name."""
-        return {name: getattr(self, f"_{name}") for name in _CARRIED} | {"told": list(self._told or ())}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        for name in _CARRIED:
-            setattr(self, f"_{name}", state[name])
-        self._told = tuple(state["told"]) or None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,15 +12,9 @@ from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
-from bench.navigation.engine.gate import (
-    Log,
-    Trust,
-    innovations,
-    new_log,
-    pack_refused,
-    unpack_refused,
-)
-from bench.navigation.engine.rejection_events import refusals
+from bench.navigation.engine.gate import Log, innovations, new_log
+from bench.navigation.engine.rejection_events import Refused, refusals
+from bench.navigation.engine.session import Kept, Scratch, SessionState, require, require_range
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
@@ -45,6 +37,9 @@ from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel
 from bench.wide_rows import widened
+
+LONGEST = 3
+"""Most components of a sub-vector."""
 
 
 class Stores(NamedTuple):
@@ -145,7 +140,7 @@ def _fusion_kernel(
         if asked or action == GO_ON:
             continue
         t = steps.t[k]  # the last one serves the start, index -1
-        before, f = step.Phi, e  # nobody looks there
+        before, f = step.Phi, e  # unused without a smoother
         while f < schedule.shape[0] and schedule[f, 0] == until and schedule[f, 1] < OUTPUT:
             if schedule[f, 2] == SATELLITE_ROWS and schedule[f, 1] != USE:
                 renew_kernel(schedule[f, 3], now, step.Phi, index, pending, sky)
@@ -209,7 +204,7 @@ def join_nodes(stretches: list[Nodes]) -> Nodes:
     return Nodes(stretches[0].layout, t, state, P, Phi, np.concatenate(output))
 
 
-class ForwardRun:
+class ForwardRun(SessionState):
     """A filter on its way through a record.
 
     Parameters
@@ -230,6 +225,14 @@ class ForwardRun:
         Store the nodes of a smoother, on disk if the record comes in pieces.
     """
 
+    now: Kept[FilterState]
+    gate: Kept[Gate]
+    pending: Kept[Pending]
+    antenna_b: Kept[FloatArray]
+    moved: Kept[bool]  # it has seen the rate of the first sample
+    refused: Kept[Refused]
+    work: Scratch[Work]
+
     def __init__(
         self,
         initial: InitialState,
@@ -248,47 +251,45 @@ class ForwardRun:
         if lever >= 0:
             state[lever + 1 : lever + 4] = antenna_b
         self.now = FilterState(state, widened(model.P), np.zeros(n))
-        self.work = work_for(n, model.process.drives)
+        self.make_scratch()
         self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
         self.pending = pending_for(n, 1, 6)
-        self.moved = False
-        self.refused: dict[int, tuple[float, float, int]] = {}  # channel -> first, last [s] and number so far
+        self.moved, self.refused = False, {}
 
-    def copy(self) -> ForwardRun:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        state, P, dx = self.now
-        other.now = FilterState(state.copy(), widened(P), dx.copy())
-        other.work = work_for(len(dx), self.model.process.drives)
-        other.work.carried.whole[:] = self.work.carried.whole
-        H, z, r, tags, live, width = self.pending
-        other.pending = Pending(H.copy(), z.copy(), r.copy(), tags.copy(), live.copy(), width)
-        gate = self.gate
-        other.gate = gate._replace(trust=gate.trust.copy(), level=gate.level.copy())
-        other.refused = dict(self.refused)
-        return other
+    def make_scratch(self) -> None:
+        """Make the memory of the kernels."""
+        self.work = work_for(self.model.layout.size, self.model.process.drives)
 
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays and numbers by name."""
-        gate = self.gate
-        return {
-            "now": self.now._asdict(),
-            "carried": self.work.carried.whole,
-            "pending": self.pending._asdict(),
-            "gate": {"trust": gate.trust._asdict(), "level": gate.level},
-            "moved": self.moved,
-            "refused": pack_refused(self.refused),
-        }
+    @property
+    def carried(self) -> Kept[FloatArray]:
+        """What the next step needs of the steps before."""
+        return self.work.carried.whole
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        now = state["now"]
-        self.now = FilterState(now["state"], widened(now["P"]), now["dx"])
-        self.work.carried.whole[:] = state["carried"]
-        self.pending, self.moved = Pending(**state["pending"]), state["moved"]
-        trust, level = Trust(**state["gate"]["trust"]), state["gate"]["level"]
-        self.gate = self.gate._replace(trust=trust, level=level)
-        self.refused = unpack_refused(state["refused"])
+    @carried.setter
+    def carried(self, whole: FloatArray) -> None:
+        self.work.carried.whole[:] = whole
+
+    def check(self) -> None:
+        """Check what the filter kernel takes from it."""
+        n, gate, pending = self.model.layout.size, self.gate, self.pending
+        channels, slots, width = len(gate.trust.misses), len(pending.live), pending.width
+        require(channels >= len(gate.opens), "misses", f"must have at least {len(gate.opens)} rows")
+        for name in ("since", "used"):
+            same = getattr(gate.trust, name).shape == (channels,)
+            require(same, f"gate/trust/{name}", f"must have {channels} rows")
+        require(width >= 2 * LONGEST and slots > 0, "pending/width", "must hold a fix")
+        rows = slots * width
+        shapes = {"H": (rows, n), "z": (rows,), "r": (rows,), "tags": (rows, 4)}
+        for name, shape in shapes.items():
+            column = getattr(pending, name)
+            require(column.shape == shape, f"pending/{name}", f"must have shape {shape}; got {column.shape}")
+        require_range("pending/live", pending.live, width + 1)
+        waiting = np.arange(width)[None, :] < pending.live[:, None]
+        code, channel, component, length = pending.tags.reshape(slots, width, 4)[waiting].T
+        require_range("pending/tags (sensor)", code + 1, len(gate.opens) + 1)  # one that is absent has -1
+        require_range("pending/tags (channel)", channel, channels)
+        require_range("pending/tags (component)", component, LONGEST)
+        require_range("pending/tags (length)", length - 1, LONGEST)
 
     def nothing(self) -> NavSolution:
         """Return a solution without instants."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
+from bench.navigation.engine.session import Growing
 from bench.navigation.error_state_filter.corrections import factor_kernel, increments_kernel
 from bench.navigation.error_state_filter.error_state import (
     PHI,
@@ -57,11 +58,13 @@ class ImuSteps(NamedTuple):
 class Pending(NamedTuple):
     """Measurements made and not yet used, a slot of ``width`` rows each: z = H dx + v, var v = r."""
 
-    H: FloatArray  # (S width, n)
-    z: FloatArray  # (S width,)
-    r: FloatArray  # (S width,)
-    tags: IntArray  # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
-    live: IntArray  # (S,) rows that wait in each slot
+    H: Growing[FloatArray]  # (S width, n)
+    z: Growing[FloatArray]  # (S width,)
+    r: Growing[FloatArray]  # (S width,)
+    tags: Growing[
+        IntArray
+    ]  # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
+    live: Growing[IntArray]  # (S,) rows that wait in each slot
     width: int
 
 

@@ -13,8 +13,6 @@ at this elevation, and is no part of R.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +21,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import find_address, inner, types_of
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.earth import WGS84, radii_kernel
+from bench.navigation.engine.session import Growing, Kept, SessionState, require
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
@@ -59,7 +58,7 @@ _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is n
 class Sky(NamedTuple):
     """Corrected observations, one row per satellite and epoch."""
 
-    epoch_start: IntArray  # (M + 1,)
+    epoch_start: Growing[IntArray]  # (M + 1,)
     values: FloatArray  # (K, 2) range [m] and rate [m/s], corrected for everything but the atmosphere
     variance: FloatArray  # (K, 2)
     sat: FloatArray  # (K, 6) position and velocity, e at transmission
@@ -77,6 +76,26 @@ def empty_sky() -> Sky:
     none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 5), np.int64)
     first = np.zeros(1, np.int64)
     return Sky(first, pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0, np.zeros(4))
+
+
+def check_sky(sky: Sky) -> None:
+    """Check the shapes of a sky that comes from a file, and its epochs.
+
+    Raises
+    ------
+    ValueError
+        With the name of what is wrong.
+    """
+    count, epochs = len(sky.t), len(sky.epoch_start) - 1
+    widths = {"values": 2, "variance": 2, "sat": 6, "which": 5}
+    shapes: dict[str, tuple[int, ...]] = {name: (count, width) for name, width in widths.items()}
+    shapes |= {"t": (count,), "ionosphere": (count,), "sizes": (4,)} | ({"klobuchar": (8,)} if count else {})
+    for name, shape in shapes.items():
+        require(getattr(sky, name).shape == shape, f"sky/{name}", f"must have shape {shape}")
+    start = sky.epoch_start
+    whole = epochs >= 0 and start[0] == 0 and start[-1] == count and bool((np.diff(start) >= 0).all())
+    require(whole, "sky/epoch_start", f"must rise from 0 to {count}")
+    require(not count or len(sky.zenith) > 1, "sky/zenith", "must be a table")
 
 
 def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +196,7 @@ def _number(o: GnssObservations) -> IntArray:
     return 1000 * o.system + o.sat
 
 
-class Channels:
+class Channels(SessionState):
     """What each satellite has: channels of the gate for range and rate, and a state of its own.
 
     The channels follow on those of the sensors, in the order in which satellites appear. The states of a
@@ -185,24 +204,14 @@ class Channels:
     `_GONE` at least; it is not used before.
     """
 
+    names: Kept[list[str]]
+    held: Kept[IntArray]  # (states,) number of the satellite that has each state
+    seen: Kept[FloatArray]  # (states,) when it was seen last [s]
+
     def __init__(self) -> None:
         self.names = list(SENSORS)
-        self.held = np.full(GPS_RANGES + GLONASS_RANGES, -1)  # number of the satellite that has each state
-        self.seen = np.full(len(self.held), -1e9)  # when it was seen last [s]
-
-    def copy(self) -> Channels:
-        """Return what goes on from here by itself."""
-        other = copy(self)
-        other.names, other.held, other.seen = list(self.names), self.held.copy(), self.seen.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays and words by name."""
-        return {"names": self.names, "held": self.held, "seen": self.seen}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.names, self.held, self.seen = list(state["names"]), state["held"], state["seen"]
+        self.held = np.full(GPS_RANGES + GLONASS_RANGES, -1)
+        self.seen = np.full(len(self.held), -1e9)
 
     def of_satellites(self, o: GnssObservations) -> IntArray:
         """Return the channel (K,) of the range of each row of a record; new satellites get one."""

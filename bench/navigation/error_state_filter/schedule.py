@@ -6,8 +6,6 @@ nothing can come any more that is valid before; the rest waits for the next piec
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +14,9 @@ from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import Rows, columns, give_slots, join_rows, take_rows
+from bench.navigation.engine.kept_rows import Rows, check_rows, give_slots, join_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
+from bench.navigation.engine.session import Kept, SessionState, require, require_range
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
 from bench.navigation.engine.velocity_consistency import MovedFixes
 from bench.navigation.error_state_filter import ranging
@@ -48,7 +47,7 @@ class Plan(NamedTuple):
     go_to: int  # last step taken
 
 
-class Schedule:
+class Schedule(SessionState):
     """Collects the measurements of a run and puts them in order.
 
     Parameters
@@ -69,6 +68,22 @@ class Schedule:
         End no step at what arrives in a gap either, and answer at the first step's end from the instant on.
     """
 
+    t: Kept[float]  # end of the last step taken [s]
+    last: Kept[bool]  # nothing comes after the last piece
+    imu: Kept[ImuData]
+    rows: Kept[IntArray]  # (N,) of the samples, those to go over
+    span: Kept[FloatArray]  # (N,) of each, from the one before [s]
+    output_t: Kept[FloatArray]  # (M,) answers wanted [s]
+    events: Kept[list[EventRow]]
+    waiting: Kept[dict[int, Rows]]  # measurements, by their kind
+    sky: Kept[ranging.Sky]
+    _intake: Kept[ImuIntake]
+    _again: Kept[ImuData | None]  # samples to give again with the next piece
+    _earlier: Kept[IntArray]  # of the samples, those before that a bridge over a gap needs
+    _newest: Kept[dict[int, tuple[float, float]]]  # validity and arrival of the last row of each kind
+    _names: Kept[dict[int, str]]
+    _watch: Kept[MovedFixes | None]
+
     def __init__(
         self,
         start: float,
@@ -85,59 +100,34 @@ class Schedule:
         self._as_sampled = as_sampled
         self._accuracy, self._watch = accuracy, watch
         self._intake = ImuIntake(start)
-        self.events: list[EventRow] = []
+        self.events = []
         nothing = np.empty(0)
         self.imu = ImuData(nothing, nothing, nothing > 0, np.empty((0, 3)), np.empty((0, 3)))
-        self._again: ImuData | None = None
+        self._again = None
         self._earlier = self.rows = np.empty(0, np.int64)
-        self.span = self.imu_t = self.output_t = np.empty(0)
-        self._kinds: dict[int, Rows] = {}
-        self._newest: dict[int, tuple[float, float]] = {}  # validity and arrival of the last row of each kind
-        self._names: dict[int, str] = {}
+        self.span = self.output_t = np.empty(0)
+        self.waiting, self._newest, self._names = {}, {}, {}
         self.sky = ranging.empty_sky()
         self.last = False
 
-    def copy(self) -> Schedule:
-        """Return a schedule that goes on from here by itself."""
-        other = copy(self)
-        other._intake, other.events = copy(self._intake), list(self.events)
-        other._kinds, other._newest, other._names = dict(self._kinds), dict(self._newest), dict(self._names)
-        other._watch = copy(self._watch)
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {
-            "t": self.t,
-            "taken": [self._intake.newest, self._intake.before],
-            "imu": columns(self.imu),
-            "again": None if self._again is None else columns(self._again),
-            "earlier": self._earlier,
-            "rows": self.rows,
-            "span": self.span,
-            "output_t": self.output_t,
-            "kinds": {str(kind): rows._asdict() for kind, rows in self._kinds.items()},
-            "newest": {str(kind): list(times) for kind, times in self._newest.items()},
-            "names": {str(kind): name for kind, name in self._names.items()},
-            "sky": self.sky._asdict(),
-            "watch": None if self._watch is None else self._watch.state(),
-            "events": [list(row) for row in self.events],
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.t, (self._intake.newest, self._intake.before) = state["t"], state["taken"]
-        self.imu = ImuData(**state["imu"])
-        self._again = None if state["again"] is None else ImuData(**state["again"])
-        self._earlier, self.rows, self.span = state["earlier"], state["rows"], state["span"]
-        self.imu_t, self.output_t = self.imu.t[self.rows], state["output_t"]
-        self._kinds = {int(kind): Rows(**rows) for kind, rows in state["kinds"].items()}
-        self._newest = {int(kind): (t, arrival) for kind, (t, arrival) in state["newest"].items()}
-        self._names = {int(kind): name for kind, name in state["names"].items()}
-        self.sky = ranging.Sky(**state["sky"])
-        if self._watch is not None:
-            self._watch.restore(state["watch"])
-        self.events = [(t, t_end, *texts) for t, t_end, *texts in state["events"]]
+    def check(self) -> None:
+        """Check what the step kernels take from it."""
+        imu, sky = self.imu, self.sky
+        for name, rows in (("earlier", self._earlier), ("rows", self.rows)):
+            require_range(name, rows, len(imu))
+            require(bool((np.diff(rows) > 0).all()), name, "must increase")
+        used = (imu.t[self.rows], imu.dtheta_b[self.rows], imu.dvel_b[self.rows], self.span)
+        require(all(np.isfinite(column).all() for column in used), "imu", "must be finite where it is used")
+        require(len(self.span) == len(self.rows), "span", "must have one row for each sample")
+        require(bool((self.span > 0).all()), "span", "must be positive")
+        reached = np.concatenate([[self.t], used[0]])
+        require(bool((np.diff(reached) >= 0).all()), "imu/t", "must increase, and begin where the filter is")
+        require(self.end == reached[-1], "intake/newest", "must be the last sample")
+        ranging.check_sky(sky)
+        for kind, one in self.waiting.items():
+            check_rows(f"waiting/{kind}", one)
+            epochs = len(sky.epoch_start) - 1
+            require_range(f"waiting/{kind}/number", one.number, epochs if kind == SATELLITE_ROWS else 1)
 
     @property
     def end(self) -> float:
@@ -148,6 +138,11 @@ class Schedule:
     def _last_sample(self) -> float:
         """The same, -inf without a sample."""
         return self.end if self.end > self.start else -np.inf
+
+    @property
+    def imu_t(self) -> FloatArray:
+        """Instants (N,) of the samples to go over [s]."""
+        return take_increasing(self.imu.t, self.rows)
 
     def take(self, sensors: SensorData, *, last: bool) -> ImuData:
         """Take the IMU samples of the next piece and the instants at which it asks for answers.
@@ -174,7 +169,6 @@ class Schedule:
             rows = np.append(self.rows, rows + len(self.imu))
             imu, span = join_rows(self.imu, imu), np.append(self.span, span)
         self.imu, self.rows, self.span, self.last = imu, rows, span, last
-        self.imu_t = take_increasing(imu.t, rows)
         self.output_t = np.append(self.output_t, sensors.output_t)
         return taken
 
@@ -307,8 +301,8 @@ class Schedule:
         wide[:, : values.shape[1]], spread[:, : variance.shape[1]] = values, variance
         none = np.zeros(len(t), np.int64)
         rows = Rows(t, arrival, wide, spread, none, none if number is None else number)
-        before = self._kinds.get(kind)
-        self._kinds[kind] = rows if before is None else before.joined(rows)
+        before = self.waiting.get(kind)
+        self.waiting[kind] = rows if before is None else before.joined(rows)
 
     def plan(self, look_back: float = 0.0) -> Plan:
         """Return what a filter does up to where nothing can come any more that is valid before.
@@ -317,7 +311,7 @@ class Schedule:
         """
         if self.last:
             self._forget_late()
-        nothing, every = np.empty(0), list(self._kinds.items())
+        nothing, every = np.empty(0), list(self.waiting.items())
         fresh = [rows.slot == 0 for _, rows in every]
         valid = np.concatenate([nothing, *(rows.t[new] for (_, rows), new in zip(every, fresh, strict=True))])
         arrivals = np.concatenate([nothing, *(rows.arrival for _, rows in every)])
@@ -336,8 +330,8 @@ class Schedule:
         )
         go_to = len(steps.t) - 1
         if not self.last:
-            known = self.imu_t <= self.end - look_back - 2.0 * TIME_TOLERANCE
-            go_to = int(np.searchsorted(steps.t, self.imu_t[known][-1])) if known.any() else -1
+            known = (imu_t := self.imu_t) <= self.end - look_back - 2.0 * TIME_TOLERANCE
+            go_to = int(np.searchsorted(steps.t, imu_t[known][-1])) if known.any() else -1
         parts: list[tuple[Any, ...]] = []
         left: dict[int, Rows] = {}
         base, tables = 0, [(np.zeros((0, 9)), np.zeros((0, 6)))]
@@ -379,11 +373,11 @@ class Schedule:
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""
-        for kind, rows in self._kinds.items():
+        for kind, rows in self.waiting.items():
             outside = rows.arrival - TIME_TOLERANCE > self._last_sample
             if outside.any():
                 self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
-                self._kinds[kind] = rows.take(~outside)
+                self.waiting[kind] = rows.take(~outside)
 
     def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:
         """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
@@ -413,7 +407,7 @@ class Schedule:
         final = self.last | (self.output_t < self.start - TIME_TOLERANCE)
         final[plan.outputs] = True
         answered, self.output_t = self.output_t[final], self.output_t[~final]
-        self._kinds = plan.left
+        self.waiting = plan.left
         if self.last:
             return answered
         if plan.go_to >= 0:
@@ -424,11 +418,11 @@ class Schedule:
             past = timeline.needed_rows(self.imu, past)
         self.imu = take_rows(self.imu, np.concatenate([past, self.rows[done:]]))
         self._earlier, self.rows = np.split(np.arange(len(self.imu)), [len(past)])
-        self.span, self.imu_t = self.span[done:], self.imu_t[done:]
-        if SATELLITE_ROWS in self._kinds:
-            waiting = self._kinds[SATELLITE_ROWS]
-            self.sky = ranging.take_epochs(self.sky, waiting.number)
-            self._kinds[SATELLITE_ROWS] = waiting._replace(number=np.arange(len(waiting.t)))
+        self.span = self.span[done:]
+        if SATELLITE_ROWS in self.waiting:
+            rows = self.waiting[SATELLITE_ROWS]
+            self.sky = ranging.take_epochs(self.sky, rows.number)
+            self.waiting[SATELLITE_ROWS] = rows._replace(number=np.arange(len(rows.t)))
         return answered
 
     def _step_at(self, steps_t: FloatArray, t: FloatArray) -> IntArray:

@@ -7,8 +7,6 @@ the prediction to the output.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -25,8 +23,9 @@ from bench.data import (
     no_innovations,
 )
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import columns, join_rows
+from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.piecewise import answer_now, refuse
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter.aiding_sensors import (
     LATENCY,
     fix_errors,
@@ -72,7 +71,7 @@ class GnssOnly:
         return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
 
 
-class FixPassage:
+class FixPassage(SessionState):
     """The filter on its way through a record that comes in pieces (`piecewise.InPieces`).
 
     Parameters
@@ -85,16 +84,21 @@ class FixPassage:
         What went before.
     """
 
+    events: Kept[list[EventRow]]
+    track: Kept[FixTrack | None]
+    sampled: Kept[float]  # last IMU sample [s]
+    passed: Kept[float]  # up to here all is done [s]
+    newest: Kept[float]  # validity of the fixes taken [s]
+    wanted: Kept[FloatArray]  # answers beyond [s]
+    waiting: Kept[GnssFixes | None]  # fixes that no answer has come after
+
     def __init__(self, options: GnssOnlyOptions, initial: InitialState, events: list[EventRow]) -> None:
         self.options, self.initial, self.events = options, initial, events
-        self.track: FixTrack | None = None
+        self.track = None
         if initial.alignment == "given":
             self.track = FixTrack(options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
-        self.sampled = initial.t  # last IMU sample [s]
-        self.passed = -np.inf  # up to here all is done [s]
-        self.newest = -np.inf  # validity of the fixes taken [s]
-        self.wanted = np.empty(0)  # answers beyond [s]
-        self.waiting: GnssFixes | None = None  # fixes that no answer has come after
+        self.sampled, self.passed, self.newest = initial.t, -np.inf, -np.inf
+        self.wanted, self.waiting = np.empty(0), None
 
     @property
     def end(self) -> float:
@@ -201,35 +205,6 @@ class FixPassage:
         self.wanted = self.wanted[self.wanted < self.end - timeline.TIME_TOLERANCE]
         self.passed = -np.inf
         return answer_now(self, head)
-
-    def copy(self) -> FixPassage:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.events = list(self.events)
-        other.track = None if self.track is None else self.track.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays and numbers by name."""
-        return {
-            "track": None if self.track is None else self.track.state(),
-            "sampled": self.sampled,
-            "passed": self.passed,
-            "newest": self.newest,
-            "wanted": self.wanted,
-            "waiting": None if self.waiting is None else columns(self.waiting),
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.sampled, self.passed, self.newest = state["sampled"], state["passed"], state["newest"]
-        self.wanted = state["wanted"]
-        self.waiting = None if state["waiting"] is None else GnssFixes(**state["waiting"])
-        self.track = None
-        if state["track"] is not None:
-            nowhere = np.zeros(3)
-            self.track = FixTrack(self.options, 0.0, nowhere, nowhere, np.zeros((6, 6)))
-            self.track.restore(state["track"])
 
 
 def _unknown(count: int) -> tuple[FloatArray, FloatArray]:

@@ -14,8 +14,6 @@ section 10).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from functools import partial
 from typing import Any
 
@@ -23,13 +21,14 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import EventRow, InitialState, NavSolution, SensorData
+from bench.data import GLONASS, EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import long_records
 from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.piecewise import InPieces, answer_now
+from bench.navigation.engine.session import Kept, SessionState, require, require_range
 from bench.navigation.engine.timeline import empty_epochs
 from bench.navigation.engine.velocity_consistency import MovedFixes
 from bench.navigation.error_state_filter import measurement_rows, ranging
@@ -45,12 +44,14 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     unmodelled,
 )
 from bench.navigation.error_state_filter.error_state import CORE, GYRO
-from bench.navigation.error_state_filter.filter_run import ForwardRun, Nodes
+from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (
+    GLONASS_RANGES,
+    GPS_RANGES,
     StateModel,
     assumed,
     chosen_blocks,
@@ -116,7 +117,7 @@ class Fusion:
         solution = search.feed(sensors, 0.0, last=True)
         if not search.complete:
             return solution, []
-        return solution, self._forward(sensors, search.starts[0], [], None)[1]
+        return solution, self._forward(sensors, search.starts[search.best], [], None)[1]
 
     def _forward(
         self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
@@ -199,7 +200,7 @@ class Fusion:
         return type(self), tuple(options.items()), states, tuple(float(np.sum(one)) for one in more)
 
     def more(self, sensor: AidingSensor, specs: AssumedSpecs) -> FloatArray:
-        """Return the variance of what else errs in a row of a sensor, where every error is asked for."""
+        """Return the variance of the errors of a sensor that have no state, if every error is asked for."""
         spec = getattr(specs, sensor.spec)
         if not self.options.every_error or sensor.short is None or spec is None:
             return np.zeros(1)
@@ -259,7 +260,7 @@ class Fusion:
         return found
 
 
-class Passage:
+class Passage(SessionState):
     """A filter on its way through a record that comes in pieces, from a complete start.
 
     Parameters
@@ -277,6 +278,12 @@ class Passage:
     gyro_sd : float or None
         As in :meth:`Fusion.forward`.
     """
+
+    schedule: Kept[Schedule]
+    run: Kept[ForwardRun]
+    channels: Kept[ranging.Channels]
+    samplers: Kept[dict[int, ImuSampler]]
+    antenna_b: Kept[FloatArray]
 
     def __init__(
         self,
@@ -391,30 +398,25 @@ class Passage:
             )
         self.antenna_b = self.run.antenna_b = antenna_b
 
-    def copy(self) -> Passage:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.schedule, other.run = self.schedule.copy(), self.run.copy()
-        other.channels = self.channels.copy()
-        other.samplers = {kind: copy(sampler) for kind, sampler in self.samplers.items()}
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {
-            "schedule": self.schedule.state(),
-            "run": self.run.state(),
-            "channels": self.channels.state(),
-            "samplers": {str(kind): sampler.state() for kind, sampler in self.samplers.items()},
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.schedule.restore(state["schedule"])
-        self.run.restore(state["run"])
-        self.channels.restore(state["channels"])
-        for kind, sampler in self.samplers.items():
-            sampler.restore(state["samplers"][str(kind)])
+    def check(self) -> None:
+        """Check that schedule and filter belong together."""
+        schedule, run = self.schedule, self.run
+        sky, live = schedule.sky, run.pending.live
+        kinds = {sensor.kind for sensor in self.used} | self.samplers.keys()
+        require(schedule.waiting.keys() <= kinds, "waiting", "must be those of the sensors of the filter")
+        most = np.zeros(len(live), np.int64)
+        for kind, rows in schedule.waiting.items():
+            require_range(f"waiting/{kind}/slot", rows.slot, len(live))
+            held = np.full(len(rows.t), 2 * LONGEST)
+            if kind == SATELLITES.kind and len(held):
+                held = 2 * np.diff(sky.epoch_start)[rows.number]
+            np.maximum.at(most, rows.slot, held)
+        most[0] = 2 * LONGEST
+        require(bool((live <= most).all()), "pending/live", "must be of the measurements that wait")
+        require_range("sky/which (channel)", sky.which[:, 1:3], len(run.gate.trust.misses))
+        glonass = sky.which[:, 0] == GLONASS
+        for rows, states in ((~glonass, GPS_RANGES), (glonass, GLONASS_RANGES)):
+            require_range("sky/which (state)", sky.which[rows, 3] + 1, states + 1)  # one that has none has -1
 
     def _absent(self, piece: SensorData) -> list[EventRow]:
         """Return an event for each sensor that is asked for and not there."""

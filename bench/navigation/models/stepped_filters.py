@@ -6,9 +6,9 @@ sample, and nothing waits for what may come.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from copy import copy
-from typing import Any, NamedTuple, Protocol, Self
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.piecewise import answer_now
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -32,56 +33,44 @@ class Measured(NamedTuple):
     variance: FloatArray  # (6,)
 
 
-class Flight(Protocol):
+class Flight(SessionState, ABC):
     """What a filter knows, and how it goes on."""
 
     shapes: tuple[tuple[int, ...], ...]  # of what it answers
     one_antenna: bool  # for all of a record
 
+    @abstractmethod
     def increments(self, increments_b: FloatArray) -> Sequence[Any] | FloatArray:
         """Return increments (K, 3), b, as :meth:`step` takes them, one by one."""
-        ...
 
+    @abstractmethod
     def begin(self, dt: float, dtheta: Any) -> None:
         """Take the rate of the first step, which is not taken yet, for what is measured at the start."""
-        ...
 
+    @abstractmethod
     def step(self, now: float, dt: float, dtheta: Any, dvel: Any, unknown: FloatArray, due: bool) -> None:
         """Go a step on.
 
         ``unknown`` (2,) is the variance of velocity and attitude that a gap adds. After a step that is
         ``due`` something is measured or answered.
         """
-        ...
 
+    @abstractmethod
     def measure(self, now: float, arrived: list[Measured]) -> None:
         """Use what has arrived."""
-        ...
 
+    @abstractmethod
     def answer(self, now: float) -> tuple[FloatArray, ...]:
         """Return arrays of the :attr:`shapes`; they are kept."""
-        ...
 
+    @abstractmethod
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers (M, ...) at instants t (M,) [s], with the innovations since this was called last."""
-        ...
-
-    def copy(self) -> Self:
-        """Return a filter that goes on from here by itself."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, as arrays, numbers and words by name."""
-        ...
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        ...
 
 
-class SteppedPassage:
+class SteppedPassage(SessionState):
     """A filter on its way through a record that comes in pieces (`piecewise.InPieces`).
 
     Parameters
@@ -97,6 +86,11 @@ class SteppedPassage:
     layout : StateLayout
         Of the filter, as the sensors are read for it.
     """
+
+    flight: Kept[Flight]
+    schedule: Kept[Schedule]
+    antenna_b: Kept[FloatArray]
+    begun: Kept[bool]  # it has seen the rate of the first step
 
     def __init__(
         self,
@@ -132,22 +126,6 @@ class SteppedPassage:
         wanted = self.schedule.output_t
         self.schedule.output_t = wanted[wanted < self.end - TIME_TOLERANCE]
         return answer_now(self, head)
-
-    def copy(self) -> SteppedPassage:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.schedule, other.flight = self.schedule.copy(), self.flight.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {"schedule": self.schedule.state(), "flight": self.flight.state(), "begun": self.begun}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.schedule.restore(state["schedule"])
-        self.flight.restore(state["flight"])
-        self.begun = state["begun"]
 
     def _take(self, piece: SensorData, *, last: bool) -> None:
         self.schedule.take(piece, last=last)

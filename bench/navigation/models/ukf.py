@@ -12,8 +12,7 @@ measurement is predicted from each of the truths the points stand for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from copy import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +25,7 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
+from bench.navigation.engine.session import Kept, Scratch
 from bench.navigation.error_state_filter.aiding_sensors import (
     AIDING,
     MAGNETOMETER,
@@ -55,6 +55,7 @@ from bench.navigation.error_state_filter.propagation import (
     FilterState,
     MeasureWork,
     Pending,
+    Work,
     pending_for,
     work_for,
 )
@@ -69,13 +70,11 @@ from bench.navigation.error_state_filter.state_blocks import (
 )
 from bench.navigation.error_state_filter.state_processes import Block
 from bench.navigation.mechanization import body_step_kernel, step_kernel
-from bench.navigation.models.stepped_filters import Measured, SteppedPassage
+from bench.navigation.models.stepped_filters import Flight, Measured, SteppedPassage
 from bench.navigation.options import AidingOptions, FusionOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
 from bench.specs import AssumedSpecs
-
-_STEP = ("dt", "dtheta", "dvel", "unknown")  # what a step is made of
 
 
 @kernel
@@ -197,8 +196,21 @@ class _Points:
     cov: FloatArray  # (S,)
 
 
-class SigmaPointFlight:
+class SigmaPointFlight(Flight):
     """The estimate and its covariance over one record (`stepped_filters.Flight`)."""
+
+    estimate: Kept[FloatArray]  # (n + 1,) as `propagation.FilterState.state`
+    P: Kept[FloatArray]  # (n, n)
+    before: Kept[FloatArray]  # (7,) the step before, for coning and sculling
+    gate: Kept[InnovationGate]
+    covered: Kept[float]  # until when P is carried [s]
+    since: Kept[list[tuple[float, FloatArray, FloatArray, FloatArray]]]  # steps since then
+    w_ib_b: Kept[FloatArray]  # (3,) of the last step [rad/s]
+    data: Scratch[Measurements]
+    pending: Scratch[Pending]
+    work: Scratch[Work]
+    fillers: Scratch[dict[int, int]]  # where the rows of a kind of record are filled
+    families: Scratch[dict[int, Any]]  # of sigma points, by the number of states that vary
 
     one_antenna = False
 
@@ -207,7 +219,7 @@ class SigmaPointFlight:
     ) -> None:
         self.options, self.model = options, model
         n = model.layout.size
-        self.shapes: tuple[tuple[int, ...], ...] = ((n + 1,), (n, n))
+        self.shapes = ((n + 1,), (n, n))
         self.interval = (1.0 - 1e-6) / options.covariance_hz
         self.estimate = np.concatenate([initial.lla, initial.vel_n, initial.q_nb, model.values[9:]])
         self.P = model.P.copy()
@@ -217,11 +229,8 @@ class SigmaPointFlight:
         self.data = Measurements(np.zeros((1, 9)), np.zeros((1, 6)), np.zeros(3), field, initial.lla.copy())
         self.pending = pending_for(n, 1, 6)
         self.work = work_for(n, model.process.drives)
-        self.fillers: dict[int, int] = {}  # where the rows of a kind of record are filled
-        self.families: dict[int, Any] = {}  # of sigma points, by the number of states that vary
-        self.covered = initial.t  # until when P is carried [s]
-        self.since: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []  # steps since
-        self.w_ib_b = np.zeros(3)  # of the last step [rad/s]
+        self.fillers, self.families = {}, {}
+        self.covered, self.since, self.w_ib_b = initial.t, [], np.zeros(3)
 
     def increments(self, increments_b: FloatArray) -> FloatArray:
         """Return increments as they are."""
@@ -257,32 +266,6 @@ class SigmaPointFlight:
         table, refused = self.gate.take(last=last)
         estimates, P = answers
         return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events + refused))
-
-    def copy(self) -> SigmaPointFlight:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.estimate, other.P, other.since = self.estimate.copy(), self.P.copy(), list(self.since)
-        other.gate = self.gate.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, as arrays and numbers by name."""
-        return {
-            "estimate": self.estimate,
-            "P": self.P,
-            "before": self.before,
-            "gate": self.gate.state(),
-            "covered": self.covered,
-            "since": {str(k): dict(zip(_STEP, step, strict=True)) for k, step in enumerate(self.since)},
-            "w_ib_b": self.w_ib_b,
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.estimate, self.P, self.before = state["estimate"], state["P"], state["before"]
-        self.covered, self.w_ib_b = state["covered"], state["w_ib_b"]
-        self.gate.restore(state["gate"])
-        self.since = [(one["dt"], *(one[name] for name in _STEP[1:])) for one in state["since"].values()]
 
     def points(self) -> _Points:
         """Draw the sigma points; a state without variance does not move."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import InitialState, SensorData
+from bench.navigation.engine.session import Kept, Scratch
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.classic.covariance_forms import Form
 from bench.navigation.models.classic.filter_loop import FilterLoop
@@ -82,11 +82,12 @@ _STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)
 class _Errors(Form):
     """x and P of an :class:`ErrorEkf` on what a loop was given."""
 
-    carried = ("x", "_P")
+    _P: Kept[FloatArray]
+    loop: Scratch[_Loop]  # that gives what has arrived
 
-    def __init__(self, P: FloatArray, loop: _Loop) -> None:
+    def __init__(self, P: FloatArray) -> None:
         super().__init__(P, np.float64)
-        self.loop, self.ekf, self._P = loop, ErrorEkf(_M1, _M2, _STEPS), P
+        self.ekf, self._P = ErrorEkf(_M1, _M2, _STEPS), P
 
     @property
     def covariance(self) -> FloatArray:
@@ -112,17 +113,13 @@ class _Errors(Form):
 class _Loop(FilterLoop):
     """Navigator and measurements; positions are reduced metres from where the navigator is."""
 
+    given: Scratch[tuple[Fix | None, float | None]]  # what has arrived
+
     def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
         """Use what has arrived."""
-        self.given = (fix, alt_baro)
+        assert isinstance(self.form, _Errors)
+        self.given, self.form.loop = (fix, alt_baro), self
         super().update(now, fix, alt_baro)
-
-    def copy(self) -> Self:
-        """Return a loop that goes on from here by itself, and its form with it."""
-        other = super().copy()
-        assert isinstance(other.form, _Errors)
-        other.form.loop = other
-        return other
 
     def measured(self) -> FloatArray:
         """Return z2 (7,): height by the barometer, position and velocity of the fix, NaN without one."""
@@ -155,5 +152,5 @@ class ErrorEkfEstimator(Classic22):
     def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
         """Return the loop with the generic filter."""
         loop = _Loop(self.options, sensors, initial)
-        loop.form = _Errors(loop.form.covariance, loop)
+        loop.form = _Errors(loop.form.covariance)
         return loop

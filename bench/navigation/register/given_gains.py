@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import InitialState, SensorData
+from bench.navigation.engine.session import Kept
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.classic.covariance_forms import Form
 from bench.navigation.models.classic.filter_loop import FilterLoop
@@ -33,7 +34,7 @@ _BARO, _FIX = [0], [1, 2, 3, 4, 5, 6]  # rows of A-5.4.3
 class GivenGain(Form):
     """x and P of a filter with a gain of its own; ``x`` may have a column for each of many flights."""
 
-    carried: tuple[str, ...] = ("x", "_P")
+    _P: Kept[FloatArray]
 
     def __init__(self, P: FloatArray) -> None:
         super().__init__(P, np.float64)
@@ -172,13 +173,14 @@ class FadingFit(GivenGain):
     measurement to measurement.
     """
 
-    carried = ("x", "_P", "normal", "age")
+    normal: Kept[FloatArray]  # inverse of the normal matrix
+    age: Kept[float]  # since it was faded [s]
 
     def __init__(self, P: FloatArray, sig: Sigmas, memory: float) -> None:
         super().__init__(P)
         self.sig, self.memory, self.age = sig, memory, 0.0
         self.live = np.flatnonzero(np.diag(P)[:_FITTED] > 0)
-        self.normal: FloatArray = P[np.ix_(self.live, self.live)].copy()  # inverse of the normal matrix
+        self.normal = P[np.ix_(self.live, self.live)].copy()
         self.normal[np.diag_indices(len(self.live))] *= (
             1.0 + 1e-9
         )  # a course is a velocity: P may be singular

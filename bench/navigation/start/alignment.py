@@ -25,6 +25,7 @@ import numpy as np
 from bench.data import InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.record_cuts import newest_sample
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.start.course import align_on_the_move
 from bench.navigation.start.leveling import Rows, align_at_rest
 
@@ -64,7 +65,7 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
     raise EstimatorError(f"alignment = {initial.alignment!r} must be 'given', 'level' or 'course'")
 
 
-class StartSearch:
+class StartSearch(SessionState):
     """Looks for the start in a record that goes on.
 
     Parameters
@@ -73,9 +74,11 @@ class StartSearch:
         As for :func:`complete`.
     """
 
+    initial: Kept[InitialState]
+    tried: Kept[float]  # last sample when it was looked for last [s]
+
     def __init__(self, initial: InitialState) -> None:
-        self.initial = initial
-        self.tried = -np.inf  # last sample when it was looked for last [s]
+        self.initial, self.tried = initial, -np.inf
 
     def find(self, record: SensorData, look_back: float, *, last: bool) -> tuple[InitialState, Rows] | None:
         """Return what :func:`complete` finds in the record so far, None while more may change that.

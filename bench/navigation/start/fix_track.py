@@ -5,21 +5,18 @@ The model, and the filter as a kernel: `singer`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.data import GnssFixes, Innovations
-from bench.navigation.engine.gate import Trust, innovations, new_log, new_trust
+from bench.navigation.engine.gate import innovations, new_log, new_trust
 from bench.navigation.engine.integrity import nis_limit
+from bench.navigation.engine.session import Kept, Scratch, SessionState
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.options import GnssOnlyOptions
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
-from bench.navigation.start.singer import Fixes, Manoeuvres, Track, track_kernel, track_work
+from bench.navigation.start.singer import Fixes, Manoeuvres, Track, TrackWork, track_kernel, track_work
 
 SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
 
@@ -30,7 +27,7 @@ def unknown_arm(antenna_b: FloatArray, swing: float = SWING) -> FloatArray:
     return np.array([arm2] * 3 + [swing**2 * arm2] * 3)
 
 
-class FixTrack:
+class FixTrack(SessionState):
     """The filter at the instant of its last fix.
 
     Parameters
@@ -45,6 +42,11 @@ class FixTrack:
         Their covariance [m, m/s], n.
     """
 
+    _now: Kept[Track]
+    _model: Kept[Manoeuvres]
+    _rows: Kept[list[tuple[FloatArray, IntArray]]]  # of the log, since it was taken
+    _work: Scratch[TrackWork]
+
     def __init__(
         self, options: GnssOnlyOptions, t: float, lla: FloatArray, vel_n: FloatArray, cov: FloatArray
     ) -> None:
@@ -57,7 +59,7 @@ class FixTrack:
             nis_limit(3, options.gate_probability),
             float(options.readmit_after_s),
         )
-        self._work = track_work()
+        self.make_scratch()
         self._rows = [(np.empty((0, 4)), np.empty((0, 4), np.int64))]
 
     def expect(self, options: GnssOnlyOptions) -> None:
@@ -116,20 +118,14 @@ class FixTrack:
         """Instant of the last fix, or of the start [s]."""
         return float(self._now.t[0])
 
-    def copy(self) -> FixTrack:
-        """Return a track that goes on from here by itself."""
-        other, now = copy(self), self._now
-        other._now = Track(now.t.copy(), now.x.copy(), now.P.copy(), now.trust.copy())
-        other._rows = list(self._rows)
-        return other
+    @classmethod
+    def blank(cls) -> FixTrack:
+        """Return a track anywhere."""
+        return cls(GnssOnlyOptions(), 0.0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
 
-    def state(self) -> dict[str, Any]:
-        """Return the filter as arrays by name; innovations not taken are left out."""
-        return {**self._now._asdict(), "trust": self._now.trust._asdict()}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self._now = Track(**{**state, "trust": Trust(**state["trust"])})
+    def make_scratch(self) -> None:
+        """Make the memory of the kernel."""
+        self._work = track_work()
 
     def take_innovations(self) -> Innovations:
         """Return the innovations of the fixes since this was called last."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +10,8 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import columns, join_rows, take_rows
+from bench.navigation.engine.kept_rows import join_rows, take_rows
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_blocks import assumed
@@ -42,7 +41,7 @@ class End(NamedTuple):
     extra_sd: FloatArray  # (n,)
 
 
-class Coast:
+class Coast(SessionState):
     """Goes on from the end of a filter by fixes, in order of time.
 
     Parameters
@@ -57,25 +56,41 @@ class Coast:
         How the filter weighs fixes.
     """
 
+    end: Kept[End]
+    offset: Kept[FloatArray]  # (6,) variance of what all fixes have in common
+    _names: Kept[tuple[str, ...]]
+    _accuracy: Kept[FixAccuracy]
+    _total: Kept[FloatArray]  # (6,) variance of a fix
+    _white: Kept[FloatArray]  # (6,) its white part
+    _antenna_b: Kept[FloatArray]  # (3,) it follows the antenna
+    _arm: Kept[FloatArray]  # (6,) variance of that about the IMU
+    _beyond: Kept[bool]  # it moves beyond the range of the IMU
+    _used: Kept[bool]  # a fix
+    _fixes: Kept[GnssFixes | None]  # not yet used
+    _track: Kept[FixTrack | None]
+
     def __init__(self, head: SensorData, end: End, names: tuple[str, ...], accuracy: FixAccuracy) -> None:
         self.end, self._names, self._accuracy = end, names, accuracy
         gnss = assumed(head.specs, "gnss")
         self._total = fix_variance(gnss, gnss_markov=False)
         self._white = np.where(_lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
-        self.offset = self._total - self._white  # variance of what all fixes have in common
-        self._used = False  # a fix
-        self._options = GnssOnlyOptions()  # how it manoeuvres
-        self._antenna_b, self._arm = head.antenna_b, unknown_arm(head.antenna_b)  # it follows the antenna
-        self._fixes: GnssFixes | None = None  # not yet used
-        self._track: FixTrack | None = None
+        self.offset = self._total - self._white
+        self._antenna_b, self._arm = head.antenna_b, unknown_arm(head.antenna_b)
+        self._beyond, self._used = False, False
+        self._fixes, self._track = None, None
         if np.isfinite(np.concatenate([end.lla, end.vel_n, end.q_nb, end.cov[:6, :6].ravel()])).all():
             antenna = earth.displace(end.lla, rotation.rotate(end.q_nb, head.antenna_b))
             cov = end.cov[:6, :6] + np.diag(self.offset)  # as the fixes will see it
             self._track = FixTrack(self._options, end.t, antenna, end.vel_n, cov)
 
+    @property
+    def _options(self) -> GnssOnlyOptions:
+        """How it manoeuvres."""
+        return _VIOLENT if self._beyond else GnssOnlyOptions()
+
     def go_beyond(self) -> None:
         """Say that the motion is beyond the range of the IMU: a roll, a spin, a steep turn."""
-        self._options = _VIOLENT
+        self._beyond = True
         self._arm = unknown_arm(self._antenna_b, _VIOLENT_SWING)
         if self._track is not None:
             self._track.expect(_VIOLENT)
@@ -97,7 +112,7 @@ class Coast:
         elapsed = np.array([t - self.end.t])
         turned = timeline.bridge_variance(elapsed, np.zeros((1, 2)))[0, 1]
         most = np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD])
-        if self._options is _VIOLENT:  # upside down as well
+        if self._beyond:  # upside down as well
             turned, most = turned + (_VIOLENT_RATE * elapsed[0]) ** 2, np.full(3, UNKNOWN_HEADING_SD**2)
         held = np.diag(self.end.cov)[6:]
         cov[6:, 6:] = np.diag(np.maximum(held, np.minimum(held + turned, most)))
@@ -133,37 +148,6 @@ class Coast:
             events=Events.from_rows([]),
             **{name: np.tile(getattr(end, name), (m, 1)) for name in _HELD},
         )
-
-    def copy(self) -> Coast:
-        """Return one that goes on from here by itself."""
-        other = copy(self)
-        other._track = None if self._track is None else self._track.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, by name."""
-        return {
-            "end": self.end._asdict(),
-            "names": list(self._names),
-            "fixes": None if self._fixes is None else columns(self._fixes),
-            "track": None if self._track is None else self._track.state(),
-            "used": self._used,
-            "beyond": self._options is _VIOLENT,
-        }
-
-    @classmethod
-    def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> Coast:
-        """Return the one of :meth:`state`."""
-        found = cls(head, End(**state["end"]), tuple(state["names"]), accuracy)
-        found._used = state["used"]
-        found._fixes = None if state["fixes"] is None else GnssFixes(**state["fixes"])
-        if state["track"] is not None:
-            nowhere = np.zeros(3)
-            found._track = FixTrack(found._options, 0.0, nowhere, nowhere, np.zeros((6, 6)))
-            found._track.restore(state["track"])
-        if state["beyond"]:
-            found.go_beyond()
-        return found
 
 
 def _lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:

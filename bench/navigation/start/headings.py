@@ -15,8 +15,7 @@ Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics, 2018, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from copy import copy
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any, cast
 
@@ -34,7 +33,6 @@ from bench.data import (
     no_innovations,
 )
 from bench.earth import EARTH_RATE, difference_n
-from bench.navigation.engine.kept_rows import columns
 from bench.navigation.engine.long_records import longest_wait
 from bench.navigation.engine.piecewise import (
     InPieces,
@@ -45,6 +43,7 @@ from bench.navigation.engine.piecewise import (
     take_answers,
 )
 from bench.navigation.engine.record_cuts import cut_piece, first_sample, newest_sample
+from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.error_state import PHI, POS, VEL, less_errors
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
@@ -70,7 +69,7 @@ def heading_is_unknown(initial: InitialState) -> bool:
     return bool(initial.cov[8, 8] > LINEAR**2)
 
 
-class ManyHeadings:
+class ManyHeadings(SessionState):
     """A filter from headings around the circle, until one of them stands for all (`InPieces`).
 
     Innovations are those of the hypothesis that is the estimate, events those of the one that is left.
@@ -87,6 +86,16 @@ class ManyHeadings:
         What went before.
     """
 
+    log: Kept[FloatArray]  # (COUNT,) logarithms of the weights
+    span: Kept[float]  # after which the hypotheses are told apart next [s]
+    best: Kept[int]  # the estimate at the last answer
+    complete: Kept[bool]  # one stands for all
+    apart: Kept[tuple[float, float]]  # spread of the hypotheses, and the sd of the best, then [rad]
+    events: Kept[list[list[EventRow]]]
+    tables: Kept[list[Innovations]]  # since the last answer
+    later: Kept[FloatArray]  # answers wanted after the last sample [s]
+    members: Kept[list[InPieces]]
+
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
@@ -99,12 +108,9 @@ class ManyHeadings:
         can_gyrocompass = bias_sd(first.specs.imu.gyro, 0.0) < UNKNOWN_HEADING_SD * e_rate
         self.by_rest = list(SENSORS) if can_gyrocompass else ["magnetometer"]
         self.start, self.span = initial.t, FIRST
-        self.best = COUNT // 2  # the estimate at the last answer; the heading that was given before
-        self.complete = False  # one stands for all
-        self.apart = np.inf, SD  # spread of the hypotheses, and the sd of the best, at the last answer [rad]
-        self.events: list[list[EventRow]] = [list(events) for _ in turns]
-        self.tables = [no_innovations() for _ in turns]  # since the last answer
-        self.later = np.empty(0)  # answers wanted after the last sample [s]
+        self.best, self.complete = COUNT // 2, False  # the heading that was given, before the first answer
+        self.apart, self.later = (np.inf, SD), np.empty(0)
+        self.events, self.tables = [list(events) for _ in turns], [no_innovations() for _ in turns]
 
     @property
     def end(self) -> float:
@@ -157,7 +163,7 @@ class ManyHeadings:
             if spread < _APART * own:
                 text = f"settled by {until:.0f} s, sd {np.rad2deg(own):.2g} deg"
                 found.append(self._end(take_answers(solutions[self.best], slice(done, None)), until, text))
-                self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
+                self.members = [self.members[self.best]]
                 self.complete = True
                 return found
             self.span *= 2.0
@@ -208,40 +214,16 @@ class ManyHeadings:
         self.later = np.empty(0)
         return self.members[0].answer(head) if self.complete else answer_now(self, head)
 
-    def copy(self) -> ManyHeadings:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.log, other.tables = self.log.copy(), list(self.tables)
-        other.members = [member.copy() for member in self.members]
-        other.events = [list(rows) for rows in self.events]
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {
-            "members": [member.state() for member in self.members],
-            "log": self.log,
-            "span": self.span,
-            "best": self.best,
-            "complete": self.complete,
-            "apart": list(self.apart),
-            "events": [[list(row) for row in rows] for rows in self.events],
-            "tables": [columns(table) for table in self.tables],
-            "later": self.later,
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.log, self.span, self.best = state["log"], state["span"], state["best"]
-        self.complete, self.later = state["complete"], state["later"]
-        spread, own = state["apart"]
-        self.apart = spread, own
-        self.events = [[(t, t_end, *texts) for t, t_end, *texts in rows] for rows in state["events"]]
-        self.tables = [Innovations(**one | {"sensor": tuple(one["sensor"])}) for one in state["tables"]]
+    def make_parts(self) -> None:
+        """Leave one hypothesis if it stands for all."""
         if self.complete:
-            self.members, self.starts = [self.members[self.best]], [self.starts[self.best]]
-        for member, own_state in zip(self.members, state["members"], strict=True):
-            member.restore(own_state)
+            require(0 <= self.best < len(self.members), "best", "must be one of the hypotheses")
+            self.members = [self.members[self.best]]
+
+    def check(self) -> None:
+        """Check what tells the hypotheses apart."""
+        require(0 <= self.best < len(self.log), "best", "must be one of the hypotheses")
+        require(self.span > 0, "span", "must be positive")
 
 
 def turn_heading(initial: InitialState, turn: float) -> InitialState:

@@ -10,10 +10,9 @@ all other states begin as at the first start.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from copy import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from bench.data import EventRow, Events, ImuData, InitialState, NavSolution, Sen
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import find_beyond
-from bench.navigation.engine.kept_rows import columns, take_rows
+from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
@@ -32,14 +31,13 @@ from bench.navigation.engine.piecewise import (
     take_answers,
 )
 from bench.navigation.engine.record_cuts import (
-    as_plain,
     cut_piece,
-    from_plain,
     goes_beyond,
     join_pieces,
     nothing_known,
     take_head,
 )
+from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.error_state_filter.state_blocks import WIND_SD
 from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
@@ -57,45 +55,17 @@ _ALL = "all"
 Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 
-@dataclass(slots=True)
-class _Pause:
+@dataclass
+class _Pause(SessionState):
     """From the last sample before a gap to where the filter starts again."""
 
-    coast: Coast
-    silent: tuple[float, float]  # [s]
-    because: str  # what it comes from, where that is known
-    wanted: FloatArray  # answers [s]
-    record: SensorData | None  # since the gap, None before its first sample
-    ways: list[StartSearch]  # that have not failed
-    why: list[str]  # the others did
-
-    def copy(self) -> _Pause:
-        """Return one that goes on from here by itself."""
-        ways = [copy(way) for way in self.ways]
-        return replace(self, coast=self.coast.copy(), ways=ways, why=list(self.why))
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, by name."""
-        return {
-            "coast": self.coast.state(),
-            "silent": list(self.silent),
-            "because": self.because,
-            "wanted": self.wanted,
-            "record": None if self.record is None else as_plain(self.record),
-            "ways": [columns(way.initial) | {"tried": way.tried} for way in self.ways],
-            "why": self.why,
-        }
-
-    @classmethod
-    def restore(cls, head: SensorData, accuracy: FixAccuracy, state: Mapping[str, Any]) -> _Pause:
-        """Return the one of :meth:`state`."""
-        coast, (a, b) = Coast.restore(head, accuracy, state["coast"]), state["silent"]
-        record = None if state["record"] is None else from_plain(state["record"], head.specs)
-        ways = []
-        for one in state["ways"]:
-            ways.append(StartSearch(InitialState(**{k: v for k, v in one.items() if k != "tried"})))
-            ways[-1].tried = one["tried"]
-        return cls(coast, (a, b), state["because"], state["wanted"], record, ways, list(state["why"]))
+    coast: Kept[Coast]
+    silent: Kept[tuple[float, float]]  # [s]
+    because: Kept[str]  # what it comes from, where that is known
+    wanted: Kept[FloatArray]  # answers [s]
+    record: Kept[SensorData | None]  # since the gap, None before its first sample
+    ways: Kept[list[StartSearch]]  # that have not failed
+    why: Kept[list[str]]  # the others did
 
     def due(self, until: float) -> FloatArray:
         """Return the answers wanted until an instant [s], which are wanted no more."""
@@ -104,7 +74,7 @@ class _Pause:
         return found
 
 
-class BetweenGaps:
+class BetweenGaps(SessionState):
     """A filter that starts again after each long gap of the IMU (`piecewise.InPieces`).
 
     Parameters
@@ -124,6 +94,19 @@ class BetweenGaps:
         The filter knows what adds to its biases (``steady_errors``), and ``begin`` takes ``gyro_sd``.
     """
 
+    head: Kept[SensorData]
+    start: Kept[InitialState]
+    biases: Kept[LearntBiases]
+    again: Kept[bool]  # it has started again
+    intake: Kept[timeline.ImuIntake]
+    lost: Kept[dict[str, int]]  # samples without use since the last, by what was wrong
+    held: Kept[SensorData | None]  # what came after the last sample
+    newest: Kept[float]  # validity of the fixes taken [s]
+    stopped: Kept[End | None]  # before the last gap
+    names: Kept[tuple[str, ...]]  # of the further states
+    pause: Kept[_Pause | None]
+    filter: Kept[InPieces | None]
+
     def __init__(
         self,
         begin: Begin,
@@ -135,16 +118,10 @@ class BetweenGaps:
         whole: bool = False,
     ) -> None:
         self._begin, self.head, self.accuracy, self.whole = begin, take_head(first), accuracy, whole
-        self.filter: InPieces | None = begin(first, start, events)
+        self.filter, self.intake = begin(first, start, events), timeline.ImuIntake(start.t)
         self.start, self.biases = start, LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
-        self.again = False  # it has started again
-        self.intake = timeline.ImuIntake(start.t)
-        self.lost: dict[str, int] = {}  # samples without use since the last, by what was wrong
-        self.held: SensorData | None = None  # what came after the last sample
-        self.newest = -np.inf  # validity of the fixes taken [s]
-        self.pause: _Pause | None = None
-        self.stopped: End | None = None  # before the last gap
-        self.names: tuple[str, ...] = ()  # of the further states
+        self.again, self.lost, self.held, self.newest = False, {}, None, -np.inf
+        self.pause, self.stopped, self.names = None, None, ()
 
     @property
     def end(self) -> float:
@@ -312,42 +289,14 @@ class BetweenGaps:
             self.held = replace(self.held, output_t=np.empty(0))
         return answer_now(self, head)
 
-    def copy(self) -> BetweenGaps:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.intake = copy(self.intake)
-        other.filter = None if self.filter is None else self.filter.copy()
-        other.pause = None if self.pause is None else self.pause.copy()
-        return other
+    def make_parts(self) -> None:
+        """Make the filter of the present start."""
+        self.filter = self._begin_again()
 
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {
-            "start": columns(self.start),
-            "filter": None if self.filter is None else self.filter.state(),
-            "biases": columns(self.biases),
-            "again": self.again,
-            "taken": [self.intake.newest, self.intake.before],
-            "held": None if self.held is None else as_plain(self.held),
-            "lost": self.lost,
-            "newest": self.newest,
-            "pause": None if self.pause is None else self.pause.state(),
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.start, self.biases = InitialState(**state["start"]), LearntBiases(**state["biases"])
-        self.again, self.newest = state["again"], state["newest"]
-        self.intake.newest, self.intake.before = state["taken"]
-        self.lost = dict(state["lost"])
-        self.held = None if state["held"] is None else from_plain(state["held"], self.head.specs)
-        self.filter = None
-        if state["filter"] is not None:
-            self.filter = self._begin_again()
-            self.filter.restore(state["filter"])
-        self.pause = None
-        if state["pause"] is not None:
-            self.pause = _Pause.restore(self.head, self.accuracy, state["pause"])
+    def check(self) -> None:
+        """Check that filter and samples go together."""
+        same = self.filter is None or self.intake.newest == self.filter.end
+        require(same, "intake/newest", "must be the last sample of the filter")
 
 
 def between_gaps(

@@ -11,10 +11,9 @@ with what is left of the bias; the answers until then are those without this kno
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from copy import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -29,13 +28,12 @@ from bench.navigation.engine.piecewise import (
     join_solutions,
 )
 from bench.navigation.engine.record_cuts import (
-    as_plain,
     cut_piece,
-    from_plain,
     join_pieces,
     newest_sample,
     take_head,
 )
+from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.imu_states import thermal_figures
@@ -66,7 +64,7 @@ class TurnOn:
     until: float  # end of the stretch that it comes from [s]
 
 
-class FromTurnOn:
+class FromTurnOn(SessionState):
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
     At the end of each stage it takes the record so far once more, from the start.
@@ -84,14 +82,17 @@ class FromTurnOn:
         What went before.
     """
 
+    pieces: Kept[list[SensorData]]  # the record until there are no more stages, each longer than the next
+    stage: Kept[int]
+    found: Kept[TurnOn | None]
+    told: Kept[float]  # until then the filter before has told its innovations [s]
+    filter: Kept[InPieces]
+
     def __init__(
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
         self._begin, self.head, self.initial = begin, take_head(first), initial
-        self.pieces: list[SensorData] = [self.head]  # until there are no more stages
-        self.stage = 0
-        self.found: TurnOn | None = None
-        self.told = -np.inf  # until then the filter before has told its innovations [s]
+        self.pieces, self.stage, self.found, self.told = [self.head], 0, None, -np.inf
         self.filter = begin(self.head, initial, events, None)
 
     @property
@@ -110,7 +111,7 @@ class FromTurnOn:
             self.stage = len(STAGES)  # the record from the start is of another antenna
         parts: list[NavSolution] = []
         if self.stage < len(STAGES):
-            self.pieces.append(piece)
+            _append(self.pieces, piece)
         while self.stage < len(STAGES):
             due = self.initial.t + STAGES[self.stage] + SETTLED
             if max(newest_sample(one) for one in self.pieces) < due:
@@ -130,7 +131,10 @@ class FromTurnOn:
 
     def _learn(self, due: float) -> TurnOn | None:
         """Return the bias by the stretch of this stage, None if it tells little more than the one before."""
-        (record,) = self.pieces = [_join_all(self.pieces)]
+        record = self.pieces[-1]
+        for piece in self.pieces[-2::-1]:
+            record = join_pieces(piece, record)
+        self.pieces = [record]
         found = _find_in(record, self.initial, STAGES[self.stage])
         much = self.found is None or (found is not None and found.sd <= _LESS * self.found.sd)
         return found if much else None
@@ -152,29 +156,9 @@ class FromTurnOn:
         """Return state and covariance at the end, were that the end of the record."""
         return self._own(self.filter.answer(self._less(head)))
 
-    def copy(self) -> FromTurnOn:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.pieces, other.filter = [*self.pieces], self.filter.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {
-            "record": as_plain(_join_all(self.pieces)) if self.pieces else None,
-            "stage": self.stage,
-            "found": None if self.found is None else columns(self.found),
-            "told": self.told,
-            "filter": self.filter.state(),
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.found = None if state["found"] is None else TurnOn(**state["found"])
-        self.stage, self.told, record = int(state["stage"]), state["told"], state["record"]
-        self.pieces = [] if record is None else [from_plain(record, self.head.specs)]
+    def make_parts(self) -> None:
+        """Make the filter of this stage."""
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
-        self.filter.restore(state["filter"])
 
 
 def _after(t: float, solution: NavSolution) -> NavSolution:
@@ -188,12 +172,11 @@ def _after(t: float, solution: NavSolution) -> NavSolution:
     return replace(solution, events=Events.from_rows(events))
 
 
-def _join_all(pieces: list[SensorData]) -> SensorData:
-    """Return pieces that follow on each other as one, by halves."""
-    while len(pieces) > 1:
-        pairs = zip(pieces[::2], pieces[1::2], strict=False)
-        pieces = [join_pieces(one, other) for one, other in pairs] + pieces[len(pieces) & ~1 :]
-    return pieces[0]
+def _append(pieces: list[SensorData], piece: SensorData) -> None:
+    """Append a piece; pieces that are not twice as long as what follows are joined, so that few are left."""
+    while pieces and len(pieces[-1].imu) < 2 * len(piece.imu):
+        piece = join_pieces(pieces.pop(), piece)
+    pieces.append(piece)
 
 
 def may_be_learnt(first: SensorData, initial: InitialState) -> bool:

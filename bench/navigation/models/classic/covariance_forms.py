@@ -8,14 +8,14 @@ to rounding. R is diagonal, so that roots take a row at a time (A-5.4.8R).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from copy import copy, deepcopy
-from typing import Any, Self
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 from bench.arrays import FloatArray
+from bench.navigation.engine.session import Kept, Scratch, SessionState
 from bench.navigation.models.classic import square_root
 from bench.navigation.models.classic.navigator import Nav
 from bench.navigation.models.classic.observation_model import pseudo_inverse
@@ -23,28 +23,13 @@ from bench.navigation.models.classic.square_root import Floats
 from bench.navigation.options import ClassicOptions
 
 
-class Form(ABC):
+class Form(SessionState, ABC):
     """What every form does; ``x`` is the estimate (n,), in the form's own precision."""
 
-    carried: tuple[str, ...] = ("x",)  # from one step to the next
+    x: Kept[Floats]
 
     def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
-        self.x: Floats = np.zeros(len(P), dtype)
-
-    def copy(self) -> Self:
-        """Return a form that goes on from here by itself."""
-        other = copy(self)
-        other.restore(deepcopy(self.state()))
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, by name."""
-        return {name: getattr(self, name) for name in self.carried}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        for name in self.carried:
-            setattr(self, name, state[name])
+        self.x = np.zeros(len(P), dtype)
 
     @property
     @abstractmethod
@@ -70,45 +55,39 @@ class Form(ABC):
 class Joseph(Form):
     """P as it is, with the step and the update of `filterpy`."""
 
+    kf: Scratch[Any]  # a `filterpy.kalman.KalmanFilter`
+    P: Kept[Floats]  # (n, n)
+
     def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
         from filterpy.kalman import KalmanFilter
 
         super().__init__(P, dtype)
-        self.kf: Any = KalmanFilter(dim_x=len(P), dim_z=7)
+        self.kf = KalmanFilter(dim_x=len(P), dim_z=7)
         self.kf._I = np.eye(len(P), dtype=dtype)  # the rest keeps the type of what it is given
-        self.kf.P = P.astype(dtype)
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, by name."""
-        return {"x": self.x, "P": self.kf.P}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.x, self.kf = state["x"], copy(self.kf)
-        self.kf.P = state["P"]
+        self.P = P.astype(dtype)
 
     @property
     def covariance(self) -> FloatArray:
         """The covariance (n, n)."""
-        return np.asarray(self.kf.P, float)
+        return np.asarray(self.P, float)
 
     def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
         """Step x and P."""
-        self.kf.x = self.x[:, None]
+        self.kf.x, self.kf.P = self.x[:, None], self.P
         self.kf.predict(F=Phi.astype(self.x.dtype), Q=Q.astype(self.x.dtype))
-        self.x = self.kf.x[:, 0]
+        self.x, self.P = self.kf.x[:, 0], self.kf.P
 
     def add(self, E: FloatArray) -> None:
         """Add E E' to P."""
-        self.kf.P = (self.kf.P + E @ E.T).astype(self.x.dtype)
+        self.P = (self.P + E @ E.T).astype(self.x.dtype)
 
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
         """Use all rows at once; eight are singular and take a pseudo-inverse (A-5.4.8R)."""
         self.kf.inv = pseudo_inverse if len(rows) == 8 else np.linalg.inv
         dtype = self.x.dtype
-        self.kf.x = self.x[:, None]
+        self.kf.x, self.kf.P = self.x[:, None], self.P
         self._use(Y[:, None].astype(dtype), H.astype(dtype), R.astype(dtype))
-        self.x = self.kf.x[:, 0]
+        self.x, self.P = self.kf.x[:, 0], self.kf.P
 
     def _use(self, Y: Floats, H: Floats, R: Floats) -> None:
         self.kf.update(Y, R=R, H=H)
@@ -126,12 +105,12 @@ class Conventional(Joseph):
 class Root(Form):
     """A square root S of P, stepped as a triangle; Potter's update or Carlson's."""
 
-    carried = ("x", "S")
+    S: Kept[Floats]  # (n, n)
 
     def __init__(self, P: FloatArray, dtype: DTypeLike, step: Callable[..., tuple[Floats, Floats]]) -> None:
         super().__init__(P, dtype)
         self.step = step
-        self.S: Floats = square_root.triangular_root(square_root.root_columns(P)).astype(dtype)
+        self.S = square_root.triangular_root(square_root.root_columns(P)).astype(dtype)
 
     @property
     def covariance(self) -> FloatArray:
@@ -158,12 +137,13 @@ class Root(Form):
 class Factors(Form):
     """U and D of P = U D U': Thornton's step, Bierman's update."""
 
-    carried = ("x", "U", "D")
+    U: Kept[Floats]  # (n, n)
+    D: Kept[Floats]  # (n,)
 
     def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
         super().__init__(P, dtype)
-        self.U: Floats = np.eye(len(P), dtype=dtype)
-        self.D: Floats = np.zeros(len(P), dtype)
+        self.U = np.eye(len(P), dtype=dtype)
+        self.D = np.zeros(len(P), dtype)
         self.add(square_root.root_columns(P))
 
     @property

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from copy import copy, deepcopy
-from dataclasses import asdict, replace
-from typing import Any, Self
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +16,7 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import correction_period, nis, tolerance, trace_ratio
+from bench.navigation.engine.session import Kept
 from bench.navigation.error_state_filter.corrections import RATE_NOISE
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
@@ -47,23 +46,38 @@ from bench.navigation.models.classic.observation_model import (
     ned_matrix,
     pair_measurements,
 )
-from bench.navigation.models.stepped_filters import Measured
+from bench.navigation.models.stepped_filters import Flight, Measured
 from bench.navigation.options import ClassicOptions
 
 _CURVE = 8  # estimates that a curve needs
 _ROWS = {"baro": [0], "gnss_position": [1, 2, 3], "gnss_velocity": [4, 5, 6]}
 _LAYOUT = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
-_CARRIED = (
-    "eps", "da", "scale", "elapsed", "lost", "B_sum", "dv_sum", "w_b", "before", "next_correction",
-    "satellites",
-)  # fmt: skip
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
 
-class FilterLoop:
+class FilterLoop(Flight):
     """The navigator, its filter and their book-keeping (`stepped_filters.Flight`)."""
 
-    shapes: tuple[tuple[int, ...], ...] = (3,), (3,), (4,), (13,), (13,), (9, 9)
+    form: Kept[Form]
+    gate: Kept[InnovationGate]
+    nav: Kept[Nav]
+    start: Kept[Nav]  # at the last prediction
+    eps: Kept[FloatArray]  # (3,) accumulated calibration, A-5.4.11
+    da: Kept[FloatArray]  # (3,)
+    scale: Kept[tuple[float, float]]  # of the reduced Markov states
+    elapsed: Kept[float]  # since the last prediction [s]
+    lost: Kept[FloatArray]  # (2,) what a gap adds since then
+    B_sum: Kept[FloatArray]  # (3, 3) since then
+    dv_sum: Kept[FloatArray]  # (3,) since then
+    w_b: Kept[FloatArray]  # (3,) of the last step [rad/s]
+    before: Kept[tuple[float, Vector, Vector] | None]  # the step before, for coning and sculling
+    next_correction: Kept[float]  # [s]
+    satellites: Kept[int | None]  # of the last fix
+    accepted: Kept[dict[str, tuple[float, FloatArray]]]  # last fix used: instant, INS less GNSS
+    known: Kept[deque[tuple[float, FloatArray]]]  # errors of the navigator after each fix
+    events: Kept[list[EventRow]]
+
+    shapes = (3,), (3,), (4,), (13,), (13,), (9, 9)
     one_antenna = True
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
@@ -79,7 +93,7 @@ class FilterLoop:
         lat, lon, h = initial.lla.tolist()
         B = NED_OF_ENU @ rotation.matrix(initial.q_nb) @ FRD_OF_FUR
         self.nav = Nav(lat, lon, h, NED_OF_ENU @ initial.vel_n, B)
-        self.eps, self.da = np.zeros(3), np.zeros(3)  # accumulated calibration, A-5.4.11
+        self.eps, self.da = np.zeros(3), np.zeros(3)
 
         sig, earth = self.sig, ellipsoid(lat, h)
         east, north = reduced(self.nav, earth)
@@ -92,20 +106,12 @@ class FilterLoop:
         P[:9, 9:15] = -of_ned @ initial.bias_cov @ np.kron(np.eye(2), FRD_OF_FUR)  # true less estimate
         P[9:15, :9] = P[:9, 9:15].T
         self.floor = options.floor**2 * np.diag(P)
-        self.form: Form = make_form(options, P)
-        self.scale = (east, north)  # of the reduced Markov states
-
-        self.elapsed, self.lost = 0.0, np.zeros(2)  # time and what a gap adds since the last prediction
+        self.form, self.scale = make_form(options, P), (east, north)
+        self.elapsed, self.lost = 0.0, np.zeros(2)
         self.B_sum, self.dv_sum = np.zeros((3, 3)), np.zeros(3)
-        self.start = self.nav
-        self.w_b = np.zeros(3)
-        self.before: tuple[float, Vector, Vector] | None = None
-
-        self.next_correction = -np.inf
-        self.satellites: int | None = None
-        self.accepted: dict[str, tuple[float, FloatArray]] = {}  # last fix used: instant, INS less GNSS
-        self.known: deque[tuple[float, FloatArray]] = deque()  # errors of the navigator after each fix
-        self.events: list[EventRow] = []
+        self.start, self.w_b, self.before = self.nav, np.zeros(3), None
+        self.next_correction, self.satellites = -np.inf, None
+        self.accepted, self.known, self.events = {}, deque(), []
 
     def increments(self, increments_b: FloatArray) -> list[list[float]]:
         """Return increments in the axes of the source."""
@@ -396,35 +402,3 @@ class FilterLoop:
             innovations=table,
             events=Events.from_rows(events),
         )
-
-    # -- from one piece of a record to the next
-
-    def copy(self) -> Self:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other.form, other.gate, other.events = self.form.copy(), self.gate.copy(), list(self.events)
-        other.restore(deepcopy(self.state()))
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, as arrays, numbers and words by name."""
-        known_t, errors = zip(*self.known, strict=True) if self.known else ((), np.empty((0, 9)))
-        return {
-            "form": self.form.state(),
-            "gate": self.gate.state(),
-            "nav": asdict(self.nav),
-            "start": asdict(self.start),
-            **{name: getattr(self, name) for name in _CARRIED},
-            "known": {"t": np.array(known_t), "errors": np.array(errors)},
-            "accepted": {name: {"t": t, "offset": offset} for name, (t, offset) in self.accepted.items()},
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        self.form.restore(state["form"])
-        self.gate.restore(state["gate"])
-        self.nav, self.start = Nav(**state["nav"]), Nav(**state["start"])
-        for name in _CARRIED:
-            setattr(self, name, state[name])
-        self.known = deque(zip(state["known"]["t"].tolist(), state["known"]["errors"], strict=True))
-        self.accepted = {name: (one["t"], one["offset"]) for name, one in state["accepted"].items()}

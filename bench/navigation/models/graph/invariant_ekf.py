@@ -8,9 +8,8 @@ last for ``bias_time``. Fixes only, their errors taken as white, compared with t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from copy import copy
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +19,13 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
+from bench.navigation.engine.session import Kept, Scratch
 from bench.navigation.error_state_filter.aiding_sensors import FIXES
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.models.classic.process_model import bias_and_walk
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, schedule_fixes
-from bench.navigation.models.stepped_filters import Measured, SteppedPassage
+from bench.navigation.models.stepped_filters import Flight, Measured, SteppedPassage
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
@@ -53,7 +53,7 @@ class InvariantEkf:
         return between_gaps(self._passage, first, initial, events, "datasheet")
 
     def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
-        flight = _Flight(load_gtsam(), self.options, first.specs.imu, initial)
+        flight = InvariantFlight(load_gtsam(), self.options, first.specs.imu, initial)
         schedule = schedule_fixes(first, initial, events)
         used = [] if first.fixes is None else [FIXES]
         return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
@@ -68,10 +68,24 @@ def _triads(imu: ImuSpec) -> tuple[tuple[str, Any], ...]:
     return ("gyro", imu.gyro), ("accelerometer", imu.accel)
 
 
-class _Flight:
+class _Navigated(NamedTuple):
+    """State and covariance of the filter, in the frame t of `flat_frame`."""
+
+    C_tb: FloatArray  # (3, 3)
+    p_t: FloatArray  # (3,) [m]
+    v_t: FloatArray  # (3,) [m/s]
+    P: FloatArray  # (9, 9) attitude, position, velocity
+
+
+class InvariantFlight(Flight):
     """The filter over one record (`stepped_filters.Flight`)."""
 
-    shapes: tuple[tuple[int, ...], ...] = (10,), (9, 9)
+    gravity: Kept[FloatArray]  # (3,) at the last fix [m/s^2]
+    gate: Kept[InnovationGate]
+    w_ib_b: Kept[FloatArray]  # (3,) of the last step after which something is measured [rad/s]
+    ekf: Scratch[Any]  # a `gtsam.NavStateImuEKF`; what it holds is :attr:`navigated`
+
+    shapes = (10,), (9, 9)
     one_antenna = False
 
     def __init__(self, gtsam: Any, options: InvariantOptions, imu: ImuSpec, initial: InitialState) -> None:
@@ -90,7 +104,7 @@ class _Flight:
         self.gravity = self.frame.gravity(p_t)
         self.coriolis = 2.0 * rotation.skew(self.frame.w_t)
         self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
-        self.w_ib_b = np.zeros(3)  # of the last step after which something is measured [rad/s]
+        self.w_ib_b = np.zeros(3)
 
     def _begin(self, state: Any, P: FloatArray) -> None:
         self.ekf = self.gtsam.NavStateImuEKF(state, P, self.params)
@@ -157,32 +171,17 @@ class _Flight:
             events=Events.from_rows(events + refused),
         )
 
-    def copy(self) -> _Flight:
-        """Return a filter that goes on from here by itself."""
-        other = copy(self)
-        other._begin(self.ekf.state(), self.ekf.covariance())
-        other.gate = self.gate.copy()
-        return other
-
-    def state(self) -> dict[str, Any]:
-        """Return what is carried from one step to the next, as arrays and numbers by name."""
+    @property
+    def navigated(self) -> Kept[_Navigated]:
+        """State and covariance of the filter of gtsam."""
         state = self.ekf.state()
-        return {
-            "C_tb": state.attitude().matrix(),
-            "p_t": state.position(),
-            "v_t": state.velocity(),
-            "P": self.ekf.covariance(),
-            "gravity": self.gravity,
-            "gate": self.gate.state(),
-            "w_ib_b": self.w_ib_b,
-        }
+        return _Navigated(
+            state.attitude().matrix(), state.position(), state.velocity(), self.ekf.covariance()
+        )
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over what :meth:`state` returned."""
-        attitude = self.gtsam.Rot3(state["C_tb"])
-        self._begin(self.gtsam.NavState(attitude, state["p_t"], state["v_t"]), state["P"])
-        self.gate.restore(state["gate"])
-        self.gravity, self.w_ib_b = state["gravity"], state["w_ib_b"]
+    @navigated.setter
+    def navigated(self, one: _Navigated) -> None:
+        self._begin(self.gtsam.NavState(self.gtsam.Rot3(one.C_tb), one.p_t, one.v_t), one.P)
 
     def use_fix(
         self, t: float, fix: FloatArray, r: FloatArray, antenna_b: FloatArray, w_b: FloatArray
