@@ -19,6 +19,7 @@ from bench.instruments import AirspeedData, AirspeedSpec, MagSpec, OdometerSpec,
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Passage
+from bench.navigation.start.steady_course import Gyros
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec
 from tests.builders import put, take
 from tests.navigation.test_tight import UNITS as WITH_SKY
@@ -117,7 +118,7 @@ class Probe:
         self.state[10:][own] = (share * self.size[9:] * rng.choice([-1.0, 1.0], len(own)))[own]
 
     def passage(self):
-        return Passage(self.filter, self.data, self.initial, [], keep=True)
+        return Passage(self.filter, self.data, self.initial, [], keep=True, gyros=Gyros(steady=True))
 
     def go(self, error, P):
         """Errors of the state before the last measurements, their innovations and variances, Phi."""
@@ -151,7 +152,8 @@ class Probe:
 
         def used(off):
             read = put(data.baro, 0, alt_baro=data.baro.alt_baro[0] + off)
-            passage = Passage(self.filter, replace(data, baro=read), self.initial, [], keep=True)
+            more = Gyros(steady=True)
+            passage = Passage(self.filter, replace(data, baro=read), self.initial, [], keep=True, gyros=more)
             run = passage.run
             run.now.state[:], run.now.P[:, :n] = self.state, P
             run.gate = run.gate._replace(nis=np.full(4, np.inf))
@@ -170,7 +172,8 @@ class Probe:
         state, z, R, rows, Phi = self.go(none, np.zeros((n, n)))
         moved, seen, claimed = np.zeros((n, n)), np.zeros((len(rows), n)), np.zeros((len(rows), n))
         step = 1e-3
-        reference = self.size * np.linspace(1.0, 2.0, n) * np.where(np.arange(n) < 15, 1e3, 30.0)
+        weights = np.random.default_rng(5).uniform(1.0, 2.0, n)
+        reference = self.size * weights * np.where(np.arange(n) < 15, 1e3, 30.0)
         _, z_r, _, _, _ = self.go(1e-6 * reference, np.zeros((n, n)))
         H_r = np.sign(z - z_r) * np.sqrt(self.go(none, np.outer(reference, reference))[2] - R)
         for k in range(n):
@@ -209,6 +212,7 @@ def test_f_and_every_row_of_h_are_the_differences_of_the_filter(case, attitude):
     name, options, more = CASES[case]
     probe = Probe(name, options, attitude, **more)
     rows, (moved, Phi), (seen, claimed) = probe.compare()
+    assert "course[0]" in rows
     assert_alike(moved, Phi, probe.names, probe.names)
     assert_alike(seen, claimed, rows, probe.names)
 

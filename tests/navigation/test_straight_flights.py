@@ -20,7 +20,7 @@ from bench.navigation.estimator import load
 from bench.specs import Fault
 from tests.navigation import honesty
 
-TOUR = str(Path(__file__).parent / "tour.toml")
+TOUR, CLIMB = (str(Path(__file__).parent / f"{name}.toml") for name in ("tour", "climb"))
 DRAWS, SEED = 8, 4711
 FASTER = {"covariance_hz": 20.0}
 
@@ -46,8 +46,23 @@ def assert_honest(averages, draws=DRAWS):
         ("climb-cruise-descend", {"sensors.imu": "mpu-9250"}, "loose-full", SEED),
         ("date-line", {"sensors.imu": "bmi088"}, "loose-full", 5077),  # one has a bias of three sd
         ("long-cruise", {"sensors.imu": "icm-20948"}, "loose-full", 5077),
+        ("date-line", {"sensors.imu": "icm-42688-p"}, "loose-full", 773311),  # 0.17 deg/s for two minutes
+        (CLIMB, {}, "loose-full", SEED),
+        (CLIMB, {"sensors.gnss": "rtk-fixed"}, "loose-full", SEED),
+        (CLIMB, {"sensors.gnss": "rtk-fixed", "sensors.imu": "mpu-6050"}, "smoother", SEED),
     ],
-    ids=["calm", "calm-smoothed", "light", "transport", "three-sigma", "cruise"],
+    ids=[
+        "calm",
+        "calm-smoothed",
+        "light",
+        "transport",
+        "three-sigma",
+        "cruise",
+        "small",
+        "climb",
+        "fixed",
+        "fixed-smoothed",
+    ],
 )
 def test_honest_straight_out_with_a_consumer_imu(profile, changes, use, seed):
     flown = bench.load_profile(profile, {**changes, "evaluation.output_hz": 1.0})

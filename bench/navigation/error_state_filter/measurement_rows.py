@@ -11,6 +11,7 @@ Every z is predicted minus measured, z = H dx + noise:
     odometer   (1 + s) c . u - V = (1 + s) du + (c . u) ds, u of `vehicle_motion`
     wheels     c . u - 0 = du, with c to the right and down; in coordinated flight alike
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
+    course     yaw(C) - o - course = dpsi - do, o the offset of a `steady_course`
 
 with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
 estimated, u the direction of the airspeed and w in its row the wind, M and d the matrix and the offset that
@@ -36,7 +37,9 @@ from bench.navigation.error_state_filter.corrections import (
     newest_kernel,
 )
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
+from bench.navigation.error_state_filter.magnetometer_errors import calibration_kernel
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
+from bench.navigation.error_state_filter.rough_heading import yaw_kernel
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.navigation.error_state_filter.vehicle_motion import along_kernel
 from bench.navigation.mechanization import matrix_kernel
@@ -55,13 +58,14 @@ SENSORS = (
     "odometer",
     "nonholonomic",
     "coordinated",
+    "course",
 )
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
-RADAR, ODOMETER, NONHOLONOMIC, COORDINATED = 9, 10, 11, 12
+RADAR, ODOMETER, NONHOLONOMIC, COORDINATED, COURSE = 9, 10, 11, 12, 13
 ABSENT = -1
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
-RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS = 6, 7, 8
+RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS, COURSE_ROWS = 6, 7, 8, 9
 """Kinds of records; at one instant they are used in this order."""
 
 _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
@@ -241,36 +245,8 @@ def _magnetic_kernel(
         H[j, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
         H[j, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
         H[j, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
-    _calibration_kernel(state, p, index, H, z, work.vectors[2:5])
+    calibration_kernel(state, p, index, H, z, work.vectors[2:5])
     return 3
-
-
-@inner
-def _calibration_kernel(
-    state: FloatArray, p: FloatArray, index: Index, H: FloatArray, z: FloatArray, M: FloatArray
-) -> None:
-    """Add to z (3,) and H (3, n) of a true field p (3,) in b what calibration left in a magnetometer."""
-    M[:] = 0.0
-    for i in range(3):
-        if index.mag_iron_b >= 0:
-            z[i] += state[index.mag_iron_b + 1 + i]
-            H[i, index.mag_iron_b + i] = 1.0
-        j, k = (i + 1) % 3, (i + 2) % 3
-        for at, a, b, back in (
-            (index.mag_scale, i, i, 0.0),
-            (index.mag_soft_iron, j, k, 1.0),
-            (index.mag_turn, j, k, -1.0),
-        ):
-            if at >= 0:
-                M[a, b] += state[at + 1 + i]
-                M[b, a] += back * state[at + 1 + i]
-                H[a, at + i] = p[b]
-                H[b, at + i] += back * p[a]
-    for i in range(3):
-        z[i] += M[i, 0] * p[0] + M[i, 1] * p[1] + M[i, 2] * p[2]
-        a, b, c = H[0, PHI + i], H[1, PHI + i], H[2, PHI + i]
-        for j in range(3):
-            H[j, PHI + i] += M[j, 0] * a + M[j, 1] * b + M[j, 2] * c
 
 
 @inner
@@ -422,6 +398,25 @@ def _standstill_kernel(
     return 6
 
 
+@inner
+def _course_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    matrix_kernel(now.state, work.C)
+    _row_kernel(pending, first, COURSE, COURSE, 0, 1, data.variance[row, 0])
+    yaw = yaw_kernel(work.C, pending.H[first])
+    apart = yaw - now.state[index.course_offset + 1] - data.values[row, 0]
+    pending.H[first, index.course_offset] = -1.0
+    pending.z[first] = apart - 2.0 * np.pi * np.rint(apart / (2.0 * np.pi))
+    return 1
+
+
 ROWS: dict[int, Callable[..., int]] = {
     FIX_ROWS: _fix_kernel,
     BARO_ROWS: _baro_kernel,
@@ -431,6 +426,7 @@ ROWS: dict[int, Callable[..., int]] = {
     RADAR_ROWS: _radar_kernel,
     ODOMETER_ROWS: _odometer_kernel,
     VEHICLE_ROWS: _vehicle_kernel,
+    COURSE_ROWS: _course_kernel,
 }
 """What fills the rows of each kind of record from row ``first`` of ``pending`` on and returns their number.
 

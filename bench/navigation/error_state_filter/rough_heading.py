@@ -85,6 +85,15 @@ def blind_kernel(state: FloatArray, P: FloatArray, H: FloatArray) -> None:
             H[a, 8] = 0.0
 
 
+@inner
+def yaw_kernel(C: FloatArray, H: FloatArray) -> float:
+    """Return the yaw [rad] of C_nb and fill its row H (n,): a tilt of a nose that is up or down turns it."""
+    level = max(C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0], 1e-6)
+    H[6], H[7], H[8] = -C[0, 0] * C[2, 0] / level, -C[1, 0] * C[2, 0] / level, 1.0
+    yaw: float = np.arctan2(C[1, 0], C[0, 0])
+    return yaw
+
+
 def add_arm(P: FloatArray, antenna_b: FloatArray) -> None:
     """Add to P (M, n, n) what an antenna (3,) off the IMU does to its position where the heading is any."""
     lost = np.abs(P[:, 8, 8] / UNKNOWN_HEADING_SD**2 - 1.0) < 0.01

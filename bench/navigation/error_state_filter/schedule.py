@@ -376,7 +376,8 @@ class Schedule(SessionState):
         for kind, rows in self.waiting.items():
             outside = rows.arrival - TIME_TOLERANCE > self._last_sample
             if outside.any():
-                self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
+                if kind in self._names:
+                    self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
                 self.waiting[kind] = rows.take(~outside)
 
     def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:

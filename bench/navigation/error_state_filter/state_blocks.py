@@ -61,6 +61,7 @@ class Index(NamedTuple):
     gps_range_1: int  # GPS_RANGES of them
     glonass_range_1: int  # GLONASS_RANGES of them
     troposphere: int
+    course_offset: int
 
 
 class Process(NamedTuple):

@@ -66,6 +66,12 @@ from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.start import alignment, headings, turn_on
 from bench.navigation.start.headings import ManyHeadings
 from bench.navigation.start.restart import between_gaps
+from bench.navigation.start.steady_course import (
+    AS_SPECIFIED,
+    Gyros,
+    SteadyCourse,
+    has_large_bias,
+)
 from bench.navigation.start.turn_on import FromTurnOn
 from bench.specs import AssumedSpecs, ImuSpec
 
@@ -102,28 +108,27 @@ class Fusion:
         return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
 
     def forward(
-        self, sensors: SensorData, initial: InitialState, *, gyro_sd: float | None = None
+        self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED
     ) -> tuple[NavSolution, list[Nodes]]:
         """Return a solution and the nodes a smoother goes back over.
 
         They come in stretches, in their order; a record that is not long is one. There are none where the
-        heading was unknown and stayed so. ``gyro_sd`` [rad/s] is how well the gyro biases are known at the
-        start; None: as the datasheet says.
+        heading was unknown and stayed so.
         """
         initial, events = alignment.complete(sensors, initial)
         if not headings.heading_is_unknown(initial):
-            return self._forward(sensors, initial, events, gyro_sd)
-        search = ManyHeadings(self._passage, sensors, initial, events)
+            return self._forward(sensors, initial, events, gyros)
+        search = ManyHeadings(partial(self._passage, gyros=gyros), sensors, initial, events)
         solution = search.feed(sensors, 0.0, last=True)
         if not search.complete:
             return solution, []
-        return solution, self._forward(sensors, search.starts[search.best], [], None)[1]
+        return solution, self._forward(sensors, search.starts[search.best], [], gyros)[1]
 
     def _forward(
-        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
+        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros
     ) -> tuple[NavSolution, list[Nodes]]:
         """Return what :meth:`forward` does, from a complete initial state with a known heading."""
-        passage = Passage(self, sensors, initial, events, keep=True, gyro_sd=gyro_sd)
+        passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
         if not long_records.is_long(sensors):
             passage.take(sensors, last=True)
             solution, nodes = passage.go()
@@ -149,7 +154,8 @@ class Fusion:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
         options = self.options
         whole = options.every_error or options.mems
-        return between_gaps(self._from_start, first, initial, events, options.accuracy, whole=whole)
+        begin = partial(self._from_start, steady=options.every_error and has_large_bias(first))
+        return between_gaps(begin, first, initial, events, options.accuracy, whole=whole)
 
     def _from_start(
         self,
@@ -157,33 +163,29 @@ class Fusion:
         initial: InitialState,
         events: list[EventRow],
         gyro_sd: float | None = None,
+        steady: bool = False,
     ) -> InPieces:
         """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU.
 
         ``gyro_sd`` [rad/s] is how well a filter before has learnt the error of the gyros as a whole.
         """
-        if gyro_sd is not None:
-            return self._known(first, initial, events, gyro_sd)
-        if self.options.every_error and turn_on.may_be_learnt(first, initial):
-            return FromTurnOn(self._known, first, initial, events)
-        return self._known(first, initial, events, None)
 
-    def _known(
-        self, first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
-    ) -> InPieces:
-        """Return what :meth:`_from_start` does, for gyro biases known to a sd; None: by the datasheet."""
-        if headings.heading_is_unknown(initial):
-            return ManyHeadings(partial(self._passage, gyro_sd=gyro_sd), first, initial, events)
-        return self._passage(first, initial, events, gyro_sd)
+        def known(
+            first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
+        ) -> InPieces:
+            begin = partial(self._passage, gyros=Gyros(gyro_sd, steady))
+            if headings.heading_is_unknown(initial):
+                return ManyHeadings(begin, first, initial, events)
+            return begin(first, initial, events)
+
+        if gyro_sd is None and steady and turn_on.may_be_learnt(first, initial):
+            return FromTurnOn(known, first, initial, events)
+        return known(first, initial, events, gyro_sd)
 
     def _passage(
-        self,
-        first: SensorData,
-        initial: InitialState,
-        events: list[EventRow],
-        gyro_sd: float | None = None,
+        self, first: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros
     ) -> Passage:
-        return Passage(self, first, initial, events, gyro_sd=gyro_sd)
+        return Passage(self, first, initial, events, gyros=gyros)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -275,14 +277,15 @@ class Passage(SessionState):
         What went before.
     keep : bool
         Store the nodes of a smoother.
-    gyro_sd : float or None
-        As in :meth:`Fusion.forward`.
+    gyros : Gyros
+        What else is known of them.
     """
 
     schedule: Kept[Schedule]
     run: Kept[ForwardRun]
     channels: Kept[ranging.Channels]
     samplers: Kept[dict[int, ImuSampler]]
+    course: Kept[SteadyCourse]
     antenna_b: Kept[FloatArray]
 
     def __init__(
@@ -293,7 +296,7 @@ class Passage(SessionState):
         events: list[EventRow],
         *,
         keep: bool = False,
-        gyro_sd: float | None = None,
+        gyros: Gyros = AS_SPECIFIED,
     ) -> None:
         self.filter, self.initial, self.antenna_b = filter_, initial, first.antenna_b
         options, specs = filter_.options, first.specs
@@ -302,7 +305,8 @@ class Passage(SessionState):
             raise ValueError(
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
-        model = state_model(initial, specs, filter_.blocks_for(first), gyro_sd)
+        self.course = SteadyCourse(initial, steady=gyros.steady)
+        model = state_model(initial, specs, filter_.blocks_for(first) + self.course.blocks(), gyros.sd)
         watch = None
         if "velocity" in options.integrity and specs.gnss is not None:
             watch = MovedFixes(specs.gnss, options.gate_probability)
@@ -372,6 +376,7 @@ class Passage(SessionState):
                 schedule.add(sensor, piece, self.initial, self.run.model.layout, more)
         for kind, sampler in self.samplers.items():
             schedule.add_samples(kind, *sampler.take(samples))
+        schedule.add_samples(measurement_rows.COURSE_ROWS, *self.course.take(piece))
         if last:
             schedule.events += self._absent(piece)
 
@@ -402,7 +407,7 @@ class Passage(SessionState):
         """Check that schedule and filter belong together."""
         schedule, run = self.schedule, self.run
         sky, live = schedule.sky, run.pending.live
-        kinds = {sensor.kind for sensor in self.used} | self.samplers.keys()
+        kinds = {sensor.kind for sensor in self.used} | self.samplers.keys() | {measurement_rows.COURSE_ROWS}
         require(schedule.waiting.keys() <= kinds, "waiting", "must be those of the sensors of the filter")
         most = np.zeros(len(live), np.int64)
         for kind, rows in schedule.waiting.items():

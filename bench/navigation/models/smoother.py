@@ -16,6 +16,7 @@ and P_j^s to those of x_j^s.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ from bench.navigation.error_state_filter.filter_run import Nodes, answers, sprea
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
+from bench.navigation.start.steady_course import Gyros, has_large_bias
 from bench.navigation.start.turn_on import smooth_from_turn_on
 from bench.navigation.start.whole_records import run_between_gaps
 from bench.specs import AssumedSpecs
@@ -60,13 +62,17 @@ class Smoother:
         """Estimate each instant from all measurements of the record, earlier and later."""
 
         def between(piece: SensorData, start: InitialState) -> NavSolution:
-            large = self.options.every_error
-            return smooth_from_turn_on(self._run, piece, start) if large else self._run(piece, start, None)
+            run = partial(self._run, steady=steady)
+            return smooth_from_turn_on(run, piece, start) if steady else run(piece, start, None)
+
+        steady = self.options.every_error and has_large_bias(sensors)
 
         return run_between_gaps(between, sensors, initial, self.options.accuracy)
 
-    def _run(self, sensors: SensorData, initial: InitialState, gyro_sd: float | None) -> NavSolution:
-        forward, stretches = self.filter.forward(sensors, initial, gyro_sd=gyro_sd)
+    def _run(
+        self, sensors: SensorData, initial: InitialState, gyro_sd: float | None, *, steady: bool
+    ) -> NavSolution:
+        forward, stretches = self.filter.forward(sensors, initial, Gyros(gyro_sd, steady))
         if not any(len(nodes.t) for nodes in stretches):
             return forward
         smooth(stretches)

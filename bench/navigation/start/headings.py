@@ -56,7 +56,7 @@ SD = np.pi / COUNT  # of the heading of each: half the distance to the next, so 
 FIRST = 60.0  # length of the first trial [s]; each further one is twice as long
 AHEAD = 2.0  # a hypothesis becomes the estimate when it is this much more likely than the present one
 MOST_NIS = 30.0  # that a measurement counts with: an outlier decides nothing
-ASSUMED = ("zero_velocity", "zero_rate")  # no measurements; wrong in steady flight
+ASSUMED = ("zero_velocity", "zero_rate", "course")  # no measurements; wrong in steady flight, or in wind
 _APART = 0.5  # spread of the hypotheses, over the sd of the best, from which on it stands for all
 
 _PASSED = 2.0  # that a filter is at most behind what may still come late [s]

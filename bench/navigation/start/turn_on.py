@@ -3,9 +3,9 @@
 In straight flight no measurement shows the heading. A bias of degrees per second turns it by tens of degrees
 until the first turn, and a linear filter is then lost. So the mean rate over a stretch in which the course
 stays is taken for the bias: the attitude of a vehicle that flies or drives straight changes little. At rest
-it does not change at all. What is left of the bias turns the heading, too, only later: while the course
-stays, it is learnt again by a stretch three times as long. Each time the filter begins again at the start
-with what is left of the bias; the answers until then are those without this knowledge.
+it does not change at all. The filter then begins again at the start with what is left of the bias; the
+answers until then are those without this knowledge. What is left is learnt while the course stays
+(`steady_course`).
 """
 
 from __future__ import annotations
@@ -40,16 +40,17 @@ from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.start.alignment import SETTLED
 from bench.navigation.start.course import LEAST_SPEED
+from bench.navigation.start.steady_course import (
+    FIRST,
+    STILL,
+    STILL_SD,
+    STRAIGHT,
+    TURNED_SD,
+)
 from bench.specs import ImuSpec
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
-STAGES = 20.0, 60.0, 180.0, 540.0  # longest stretch of each [s]; one turns the heading by 15 deg in the next
 SHORTEST = 5.0  # stretch [s]
-_LESS = 0.5  # of the sd of the stage before: no more is worth to begin again for
-STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course in it [rad]
-TURNED_SD = float(np.deg2rad(5.0))  # of the change of each angle that the course does not show [rad]
-STILL = 0.5  # largest speed over ground at rest, by fixes [m/s]
-STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
 
 Run = Callable[[SensorData, InitialState, float | None], NavSolution]
 Begin = Callable[[SensorData, InitialState, list[EventRow], float | None], InPieces]
@@ -67,7 +68,7 @@ class TurnOn:
 class FromTurnOn(SessionState):
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
-    At the end of each stage it takes the record so far once more, from the start.
+    At the end of the stretch it takes the record so far once more, from the start.
 
     Parameters
     ----------
@@ -82,8 +83,8 @@ class FromTurnOn(SessionState):
         What went before.
     """
 
-    pieces: Kept[list[SensorData]]  # the record until there are no more stages, each longer than the next
-    stage: Kept[int]
+    pieces: Kept[list[SensorData]]  # the record until the stretch has ended, each longer than the next
+    waits: Kept[bool]  # for that
     found: Kept[TurnOn | None]
     told: Kept[float]  # until then the filter before has told its innovations [s]
     filter: Kept[InPieces]
@@ -92,7 +93,7 @@ class FromTurnOn(SessionState):
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
         self._begin, self.head, self.initial = begin, take_head(first), initial
-        self.pieces, self.stage, self.found, self.told = [self.head], 0, None, -np.inf
+        self.pieces, self.waits, self.found, self.told = [self.head], True, None, -np.inf
         self.filter = begin(self.head, initial, events, None)
 
     @property
@@ -108,36 +109,32 @@ class FromTurnOn(SessionState):
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if not np.array_equal(self.head.antenna_b, piece.antenna_b):
-            self.stage = len(STAGES)  # the record from the start is of another antenna
+            self.waits = False  # the record from the start is of another antenna
         parts: list[NavSolution] = []
-        if self.stage < len(STAGES):
+        if self.waits:
             _append(self.pieces, piece)
-        while self.stage < len(STAGES):
-            due = self.initial.t + STAGES[self.stage] + SETTLED
-            if max(newest_sample(one) for one in self.pieces) < due:
-                break
-            found = self._learn(due)
-            self.stage = self.stage + 1 if found else len(STAGES)
-            if found:
-                before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
-                piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
-                parts.append(self._own(self.filter.feed(self._less(before), 0.0, last=True)))
-                events = [*parts[-1].events.rows(), _event(self.initial, found)]
-                parts[-1] = replace(parts[-1], events=Events.from_rows(events))
-                self._begin_again(found, due, look_back)
-        if self.stage == len(STAGES):
+            due = self.initial.t + FIRST + SETTLED
+            if max(newest_sample(one) for one in self.pieces) >= due:
+                self.waits = False
+                found = find_turn_on(self._join_pieces(), self.initial)
+                if found is not None:
+                    before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
+                    piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
+                    solution = self.filter.feed(before, 0.0, last=True)
+                    events = [*solution.events.rows(), _event(self.initial, found)]
+                    parts.append(replace(solution, events=Events.from_rows(events)))
+                    self._begin_again(found, due, look_back)
+        if not self.waits:
             self.pieces = []
         return join_solutions([*parts, self._own(self.filter.feed(self._less(piece), look_back, last=last))])
 
-    def _learn(self, due: float) -> TurnOn | None:
-        """Return the bias by the stretch of this stage, None if it tells little more than the one before."""
+    def _join_pieces(self) -> SensorData:
+        """Return the record so far."""
         record = self.pieces[-1]
         for piece in self.pieces[-2::-1]:
             record = join_pieces(piece, record)
         self.pieces = [record]
-        found = _find_in(record, self.initial, STAGES[self.stage])
-        much = self.found is None or (found is not None and found.sd <= _LESS * self.found.sd)
-        return found if much else None
+        return record
 
     def _begin_again(self, found: TurnOn, due: float, look_back: float) -> None:
         """Let a filter without this bias take the record until an instant [s] once more."""
@@ -157,7 +154,7 @@ class FromTurnOn(SessionState):
         return self._own(self.filter.answer(self._less(head)))
 
     def make_parts(self) -> None:
-        """Make the filter of this stage."""
+        """Make the filter before or after the stretch."""
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
 
 
@@ -215,26 +212,15 @@ def _give_back(found: TurnOn, solution: NavSolution) -> NavSolution:
 
 
 def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
-    """Return the bias of the gyros by the longest stretch at the start; None if it is small or there is none.
+    """Return the bias of the gyros by the first straight or standstill; None if it is small or there is none.
 
     The attitude at the start has to be given.
     """
-    best: TurnOn | None = None
-    for longest in STAGES:
-        found = _find_in(sensors, initial, longest)
-        if found is None or (best is not None and found.sd > _LESS * best.sd):
-            break
-        best = found
-    return best
-
-
-def _find_in(sensors: SensorData, initial: InitialState, longest: float) -> TurnOn | None:
-    """Return the bias by a stretch that is no longer than so many seconds, None without one."""
     fixes, spec = sensors.fixes, sensors.specs.imu
     if fixes is None or not may_be_learnt(sensors, initial):
         return None
     used, _, _ = timeline.fix_rows(fixes, sensors.imu.t, initial.t)
-    used = used[(fixes.t_arrival[used] <= initial.t + longest) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
+    used = used[(fixes.t_arrival[used] <= initial.t + FIRST) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
     t, vel_n = fixes.t[used], fixes.vel_n[used]
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
@@ -242,7 +228,7 @@ def _find_in(sensors: SensorData, initial: InitialState, longest: float) -> Turn
         return None
     height = fixes.lla[used, 2]
     if (speed < STILL).all():
-        inside = rows[sensors.imu.t[rows] <= initial.t + longest]
+        inside = rows[sensors.imu.t[rows] <= initial.t + FIRST]
         ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
         span = len(ends) * standstill.WINDOW
         if span < SHORTEST:

@@ -1,0 +1,126 @@
+"""A heading by the course, while the course stays: what a gyro with a large bias cannot keep.
+
+In straight flight no measurement shows the heading, and where the gyros are known to a tenth of a degree per
+second it is lost within minutes. But what flies or drives straight keeps its nose where it was: between
+heading and course is an angle that the wind makes, and that changes as the wind does. It is a state,
+
+    yaw(C) - course - offset = 0
+
+from the first fix on until the course leaves it for the first time; at rest the course is that of the start.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import GnssFixes, InitialState, SensorData
+from bench.navigation.engine.session import Kept, SessionState, require
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.error_state_filter.state_blocks import WIND_WALK
+from bench.navigation.error_state_filter.state_processes import Block, States
+from bench.navigation.start.course import LEAST_SPEED
+
+LARGE = float(np.deg2rad(15.0)) / 600.0  # sd of a bias that turns the heading out of what is linear [rad/s]
+FIRST = 20.0  # stretch at the start that tells the bias alone (`turn_on`) [s]
+INTERVAL = 10.0  # after it, in which what moves nose and course apart is another [s]
+STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course [rad]
+TURNED_SD = float(np.deg2rad(5.0))  # of the change of an angle that the course does not show [rad]
+STILL = 0.5  # largest speed over ground at rest, by fixes [m/s]
+STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
+
+
+class Gyros(NamedTuple):
+    """What a filter is told of its gyros beside their datasheet."""
+
+    sd: float | None = None  # how well their errors are known at the start as a whole [rad/s]
+    steady: bool = False  # they lose the heading, and a steady course keeps it
+
+
+AS_SPECIFIED = Gyros()
+
+
+def has_large_bias(sensors: SensorData) -> bool:
+    """Tell whether gyros lose the heading within ten minutes, and fixes show the course."""
+    return bool(sensors.specs.imu.gyro.turn_on_bias_sd >= LARGE and sensors.fixes is not None)
+
+
+class SteadyCourse(SessionState):
+    """Measures the course by fixes, once an interval, until it has changed.
+
+    Parameters
+    ----------
+    initial : InitialState
+        Start.
+    steady : bool
+        The gyros lose the heading; else there is nothing to measure.
+    """
+
+    newest: Kept[float]  # arrival of the newest fix taken [s]
+    first: Kept[float]  # course of the first fix, 0 at rest [rad]
+    moving: Kept[bool]
+    over: Kept[bool]  # the course has left
+
+    def __init__(self, initial: InitialState, *, steady: bool) -> None:
+        self.start, self.newest, self.first = initial.t, -math.inf, math.nan
+        self.speed = float(np.nan_to_num(np.hypot(*initial.vel_n[:2])))
+        self.moving, self.over, self.steady = False, not steady, steady
+
+    def blocks(self) -> list[Block]:
+        """Return the state of the angle from course to heading: unknown at the start, changed by the wind."""
+        walk = WIND_WALK / self.speed if self.speed > LEAST_SPEED else 0.0
+        states = (States("course_offset", "rad", 1, UNKNOWN_HEADING_SD**2, walk**2),)
+        return [Block("every_error", lambda _: states)] if self.steady else []
+
+    def take(self, record: SensorData) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Take the fixes of the next piece.
+
+        Returns
+        -------
+        t : (M,) array
+            When they arrived [s].
+        course : (M, 1) array
+            [rad]
+        variance : (6,) array
+            [rad^2]
+        """
+        fixes, nothing = record.fixes, (np.empty(0), np.empty((0, 1)), np.zeros(6))
+        if self.over or fixes is None:
+            return nothing
+        t, course, speed = _courses(fixes)
+        fresh = t > max(self.newest, self.start)
+        t, course, speed = t[fresh], course[fresh], speed[fresh]
+        if not len(t):
+            return nothing
+        if math.isnan(self.first):
+            self.moving = bool(speed[0] >= STILL)
+            self.first = float(course[0]) if self.moving else 0.0
+        if self.moving:
+            apart = np.mod(course - self.first + np.pi, 2.0 * np.pi) - np.pi
+            stays = (np.abs(apart) < STRAIGHT) & (speed > LEAST_SPEED)
+        else:
+            course, stays = np.zeros(len(t)), speed < STILL
+        if not stays.all():
+            count, self.over = int(np.argmin(stays)), True
+            t, course = t[:count], course[:count]
+        began = np.append(self.newest, t)
+        number = np.floor((np.maximum(began, self.start) - self.start) / INTERVAL)
+        used = (np.diff(number) > 0) & (number[1:] > FIRST / INTERVAL) | np.isinf(began[:-1])
+        if len(t):
+            self.newest = float(t[-1])
+        sd = TURNED_SD if self.moving else STILL_SD
+        return t[used], course[used, None], np.full(6, sd**2)
+
+    def check(self) -> None:
+        """Check that there is a state for what is measured."""
+        require(self.over or self.steady, "over", "must be true of gyros that keep the heading")
+
+
+def _courses(fixes: GnssFixes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return arrival [s], course [rad] and speed over ground [m/s] of the fixes with a velocity."""
+    used = fixes.valid & np.isfinite(fixes.t_arrival) & np.isfinite(fixes.vel_n).all(axis=1)
+    north, east = fixes.vel_n[used, 0], fixes.vel_n[used, 1]
+    return fixes.t_arrival[used], np.arctan2(east, north), np.hypot(north, east)
