@@ -121,10 +121,10 @@ ALTERED = {
     "a channel that is not there": (
         "tight",
         f"{RUN}/gate/trust/misses",
-        lambda a: a[:13],
-        "since must have 13 rows",
+        lambda a: a[:14],
+        "since must have 14 rows",
     ),
-    "fewer sensors": ("loose-22", f"{RUN}/gate/level", lambda a: a[:-1], r"level must have shape \(13,\)"),
+    "fewer sensors": ("loose-22", f"{RUN}/gate/level", lambda a: a[:-1], r"level must have shape \(14,\)"),
     "a smaller covariance": (
         "loose-22",
         f"{RUN}/now/P",
