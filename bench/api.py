@@ -25,7 +25,6 @@ from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorDat
 from bench.errors import ConfigError
 from bench.run_result import RunResult
 from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
-from bench.wording import suggest
 
 if TYPE_CHECKING:
     from bench.evaluation.noise_curves import AllanResult
@@ -313,7 +312,7 @@ def list_exports() -> list[CatalogEntry]:
     """Return every format that `export_run` writes."""
     from bench.exchange import exports
 
-    return [CatalogEntry(name, found.title, "export") for name, found in exports.FORMATS.items()]
+    return [CatalogEntry(name, title, "export") for name, title in exports.list_formats().items()]
 
 
 def export_run(
@@ -341,8 +340,7 @@ def export_run(
     """
     from bench.exchange import exports
 
-    if kind not in exports.FORMATS:
-        raise ConfigError(f"export format {kind!r} is unknown{suggest(kind, exports.FORMATS, 'formats')}")
+    exports.find_format(kind)  # that it is there is known before the run is read
     folder = Path(folder)
     # "." and ".." are not usable as a name
     beside = folder.resolve() if folder.name in ("", "..") else folder

@@ -11,7 +11,7 @@ from typing import Any
 from bench.config.profile_tables import ExperimentTable, RequirementTable
 from bench.evaluation.required_metrics import is_metric
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.estimator import BUILT_IN, list_installed
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
 from bench.wording import quantity, suggest
@@ -148,13 +148,13 @@ def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
         place = f"[[estimator]] {number}: "
         if choice.use in ("file:", "command:"):
             wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
-        if ":" not in choice.use and choice.use not in BUILT_IN:
-            hint = suggest(choice.use, BUILT_IN, "estimators")
+        if not is_known(choice.use):
+            hint = suggest(choice.use, list_names(), "estimators")
             wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
         what = f"{place}label = {choice.label!r}"
         if not LABEL.fullmatch(choice.label):
             wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.', 100 at most")
-        if choice.guard.timeout is not None and not is_code(choice.use):
+        if choice.guard.timeout is not None and not is_guarded(choice.use):
             wrong.append(f"{place}timeout_s has no effect: it is for a class of yours or a program")
         if choice.label in labels:
             wrong.append(f"{what} is taken by an entry above; give each its own label")
@@ -177,14 +177,30 @@ def check_options(document: Mapping[str, Any]) -> list[str]:
 
 
 def is_code(use: str) -> bool:
-    """Return whether an estimator is a program or a Python class that is not built in."""
+    """Return whether a text names a program or a Python class, code that a file runs with permission only."""
     return ":" in use and not use.startswith("file:") and use not in BUILT_IN
+
+
+def is_guarded(use: str) -> bool:
+    """Return whether an estimator runs in a process of its own: a program, or a class that is not ours."""
+    return is_code(use) or (use not in BUILT_IN and use in list_installed())
+
+
+def is_known(use: str) -> bool:
+    """Return whether an estimator is built in, installed, or has one of the forms with a colon."""
+    return ":" in use or use in BUILT_IN or use in list_installed()
+
+
+def list_names() -> list[str]:
+    """Return the names of the estimators that are built in or installed."""
+    return [*BUILT_IN, *list_installed()]
 
 
 def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
     """Refuse the code that a file would run, so that a foreign file runs none unnoticed.
 
-    ``own`` are the estimators of the file, ``run`` those to run: with -e the user names code himself.
+    ``own`` are the estimators of the file, ``run`` those to run: with -e the user names code himself. What
+    an installed package adds was installed by the user.
     """
     return [
         f"[[estimator]] {number}: {choice.use[:60]!r} is code that would run on this machine; "
@@ -198,9 +214,10 @@ def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) ->
     """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
     if objects := [one for one in names if not isinstance(one, str)]:
         return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
-    known = {choice.label for choice in choices} | set(BUILT_IN)
+    labels = {choice.label for choice in choices}
+    unknown = [name for name in names if name not in labels and not is_known(name)]
+    known = labels.union(list_names()) if unknown else labels
     return [
         f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"
-        for name in names
-        if name not in known and ":" not in name
+        for name in unknown
     ]

@@ -9,12 +9,21 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from bench.config import external_truth
-from bench.config.listing import CATALOG, JSBSIM, NAME, PROFILES, list_aircraft, list_aircraft_folders
+from bench.config.listing import (
+    CATALOG,
+    JSBSIM,
+    NAME,
+    PROFILES,
+    find_sheets,
+    list_aircraft,
+    list_aircraft_folders,
+)
 from bench.config.profile_tables import Altitude, Category, Speed
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
+from bench.installed import find_folders
 from bench.specs import AircraftSpec, ForeignSpec, Profile, RunwaySpec
 from bench.wording import one_line, quantity, suggest, tell_where
 
@@ -118,6 +127,9 @@ def find_aircraft(name: str, beside: Path) -> Path:
         raise ConfigError(f"aircraft = {name!r} must be a name of letters, digits, '-' and '_', 100 at most")
     places = list_aircraft_folders(beside)
     folder = next((place / name for place in places if (place / name).is_dir()), None)
+    if folder is None:
+        places += find_folders("aircraft").values()
+        folder = next((place / name for place in places if (place / name).is_dir()), None)
     if folder is None:
         searched = ", ".join(str(place) for place in places)
         known = [row.name for row in list_aircraft(beside)]
@@ -248,7 +260,10 @@ def find_datasheet(kind: str, name: str, beside: Path) -> tuple[Path, str]:
         if not os.path.isfile(beside / name):  # unlike Path.is_file, false for a name that is too long
             raise ConfigError(f"{kind} = {name!r}: no such file{tell_where(name)}")
         return beside / name, name
-    known = [path.stem for path in (CATALOG / kind).glob("*.toml")]
+    shipped = CATALOG / kind / f"{name}.toml"
+    if NAME.fullmatch(name) and shipped.is_file():
+        return shipped, shipped.name
+    known = find_sheets(kind)
     if name not in known:
         raise ConfigError(f"{kind} = {name!r} is not in the catalog{suggest(name, known, kind)}")
-    return CATALOG / kind / f"{name}.toml", f"{name}.toml"
+    return known[name][0], f"{name}.toml"

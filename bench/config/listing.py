@@ -13,8 +13,9 @@ from bench.config.toml_file import read_toml
 from bench.fields import figures_of, triad_figures_of
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
+from bench.installed import find_folders, list_problems
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.estimator import BUILT_IN, list_installed
 from bench.places import PACKAGE
 from bench.specs import GnssSpec, TriadSpec
 from bench.units import split_unit
@@ -74,7 +75,7 @@ def list_profiles() -> list[CatalogEntry]:
 def list_aircraft(beside: Path | None = None) -> list[CatalogEntry]:
     """Return every aircraft that a profile can name, sorted by name."""
     sheets = {}
-    for place in reversed(list_aircraft_folders(beside)):
+    for place in (*find_folders("aircraft").values(), *reversed(list_aircraft_folders(beside))):
         for path in place.glob("*/aircraft.toml"):
             sheets[path.parent.name] = read_toml(path, f"{path.parent.name}/aircraft.toml")
         for path in place.glob("jsbsim/*.toml"):
@@ -99,22 +100,29 @@ def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
 
 
 def list_sensors() -> list[CatalogEntry]:
-    """Return every sensor of the catalog."""
-    return [
-        CatalogEntry(path.stem, str(sheet.get("title", "")), kind, _describe_datasheet(kind, sheet))
-        for kind in KINDS
-        for path in sorted((CATALOG / kind).glob("*.toml"))
-        for sheet in [read_toml(path, path.name)]
-    ]
+    """Return every sensor of the catalog, then those that installed packages add."""
+    return [_make_unit(kind, path, package) for kind in KINDS for path, package in find_sheets(kind).values()]
+
+
+def find_sheets(kind: str) -> dict[str, tuple[Path, str]]:
+    """Return file and package of each datasheet of a kind by name; the package of bench itself is empty."""
+    found = {path.stem: (path, "") for path in sorted((CATALOG / kind).glob("*.toml"))}
+    for package, folder in find_folders("catalog").items():
+        for path in sorted((folder / kind).glob("*.toml")):
+            found.setdefault(path.stem, (path, package))
+    return found
+
+
+def _make_unit(kind: str, path: Path, package: str) -> CatalogEntry:
+    sheet = read_toml(path, path.name)
+    note = _describe_datasheet(kind, sheet) + (f"; from {package}" if package else "")
+    return CatalogEntry(path.stem, str(sheet.get("title", "")), kind, note)
 
 
 def find_unit(kind: str, name: str) -> CatalogEntry | None:
     """Return a sensor of the catalog; None if it is not in there."""
-    path = CATALOG / kind / f"{name}.toml"
-    if not NAME.fullmatch(name) or not path.is_file():
-        return None
-    sheet = read_toml(path, path.name)
-    return CatalogEntry(name, str(sheet.get("title", "")), kind, _describe_datasheet(kind, sheet))
+    found = find_sheets(kind).get(name)
+    return None if found is None else _make_unit(kind, *found)
 
 
 def list_legs() -> list[CatalogEntry]:
@@ -136,12 +144,30 @@ def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return every built-in estimator, with the options that its name implies."""
+    """Return every built-in estimator, with the options that its name implies, and those of packages."""
     return [
         CatalogEntry(
             name, row.title, "estimator", ", ".join(quantity(key, value) for key, value in row.fixed.items())
         )
         for name, row in BUILT_IN.items()
+    ] + [
+        CatalogEntry(name, f"{one.place} of {one.package}", "estimator")
+        for name, one in list_installed().items()
+    ]
+
+
+def list_plugin_problems() -> list[str]:
+    """Return a line for each entry of an installed package that cannot be used."""
+    return [
+        line
+        for group, taken in (("estimators", BUILT_IN), ("catalog", ()), ("aircraft", ()))
+        for line in list_problems(group, taken)
+    ] + [
+        f"{package}: {kind} {path.stem!r} is a name of bench itself; it keeps its own"
+        for package, folder in find_folders("catalog").items()
+        for kind in KINDS
+        for path in sorted((folder / kind).glob("*.toml"))
+        if (CATALOG / kind / path.name).is_file()
     ]
 
 

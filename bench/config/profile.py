@@ -226,7 +226,7 @@ def choose_estimators(
             raise ConfigError(f"{shown}: no estimator is requested; {hint}")
     if not allow_code and (wrong := checks.check_code(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
-    return tuple(_set_guard(choice, guard) if checks.is_code(choice.use) else choice for choice in choices)
+    return tuple(_set_guard(choice, guard) if checks.is_guarded(choice.use) else choice for choice in choices)
 
 
 def _set_guard(choice: EstimatorChoice, guard: Guard) -> EstimatorChoice:

@@ -18,7 +18,6 @@ from bench import durable
 from bench.errors import EstimatorError
 from bench.exchange.loading import load_estimators
 from bench.files import check_file
-from bench.navigation import estimator
 from bench.navigation.open_filters import PieceFilter
 from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
@@ -100,7 +99,7 @@ def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> 
             f"{path} was saved by bench {made}; its numbers may mean something else to {bench.__version__}: "
             "run the record again"
         )
-    if use not in estimator.BUILT_IN and not allow_code:
+    if ":" in str(use) and not allow_code:
         raise EstimatorError(
             f"{path}: names {str(use)[:60]!r}, which runs code on this machine; allow_code=True permits it"
         )

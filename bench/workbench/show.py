@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import config
-from bench.config.listing import KINDS, CatalogEntry, KeyEntry
+from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
 from bench.studies import STUDIES
@@ -73,9 +73,9 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def list_exports() -> list[CatalogEntry]:
     """Return every format of `bench.api.list_exports`."""
-    from bench.exchange.exports import FORMATS
+    from bench.exchange.exports import list_formats
 
-    return [CatalogEntry(name, found.title, "export") for name, found in FORMATS.items()]
+    return [CatalogEntry(name, title, "export") for name, title in list_formats().items()]
 
 
 def list_studies() -> list[CatalogEntry]:
@@ -123,6 +123,8 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
         _print_grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
     if kind == "estimators":
         _print_options(console)
+    for line in list_plugin_problems():
+        console.print(one_line(line), style="yellow")
 
 
 def _print_grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:

@@ -15,8 +15,11 @@ from textwrap import fill
 from typing import NamedTuple
 
 from bench import durable
+from bench.errors import ConfigError
 from bench.exchange.exports.gather import gather
 from bench.exchange.exports.outgoing import FRAMES, ExportData
+from bench.installed import find_installed
+from bench.wording import one_line, suggest
 
 
 class Format(NamedTuple):
@@ -35,14 +38,47 @@ def _find_formats() -> Iterator[tuple[str, Format]]:
 
 
 FORMATS: Mapping[str, Format] = dict(_find_formats())
-"""Name of a format -> the format."""
+"""Name of a format of bench -> the format."""
+
+
+def list_formats() -> dict[str, str]:
+    """Return the title of each format by name, those of installed packages last; these are not imported."""
+    added = find_installed("exports", FORMATS)
+    return {name: one.title for name, one in FORMATS.items()} | {
+        name: f"{one.place} of {one.package}" for name, one in added.items()
+    }
+
+
+def find_format(kind: str) -> Format:
+    """Return a format by name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or that of an installed package has no function ``write``.
+    """
+    if kind in FORMATS:
+        return FORMATS[kind]
+    added = find_installed("exports", FORMATS)
+    if kind not in added:
+        raise ConfigError(f"export format {kind!r} is unknown{suggest(kind, list_formats(), 'formats')}")
+    one = added[kind]
+    try:
+        module = import_module(one.place)
+    except ImportError as error:
+        raise ConfigError(f"export format {kind!r} of {one.package}: {one_line(str(error))}") from error
+    if not callable(getattr(module, "write", None)):
+        raise ConfigError(f"export format {kind!r} of {one.package}: {one.place} has no function write")
+    title = getattr(module, "FORMATS", {}).get(kind, one.place)
+    return Format(title, module.write, bool(getattr(module, "NEEDS_START", False)))
+
 
 README = "README.md"
 _WIDTH = 110
 
 
 def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
-    """Write a run in one of `FORMATS` into an existing, empty folder, with a README that describes the files.
+    """Write a run in a format of `list_formats` into an empty folder, with a README that describes the files.
 
     Raises
     ------
@@ -51,10 +87,10 @@ def write(folder: Path, kind: str, outgoing: ExportData, name: str) -> None:
     OSError
         If the file cannot be written.
     """
-    begun = ""
-    if FORMATS[kind].needs_start:
+    begun, form = "", find_format(kind)
+    if form.needs_start:
         outgoing, begun = outgoing.align()
-    description = f"{FORMATS[kind].write(folder, outgoing, kind).strip()}\n\n{begun}"
+    description = f"{form.write(folder, outgoing, kind).strip()}\n\n{begun}"
     clock = f"Time t is in seconds since the start of the run; where a date is needed, {outgoing.calendar}."
     text = _fill_paragraphs(f"# Export of {name} to {kind}\n\n{description.strip()}\n\n{clock} {FRAMES}\n")
     durable.write(folder / README, text)
@@ -88,6 +124,8 @@ __all__ = [
     "README",
     "ExportData",
     "Format",
+    "find_format",
     "gather",
+    "list_formats",
     "write",
 ]

@@ -1,0 +1,98 @@
+"""What other installed packages add to bench, by their entry points; nothing of theirs is imported here.
+
+A package names in its ``pyproject.toml`` under ``[project.entry-points."bench.GROUP"]``:
+
+- ``estimators``: NAME = "module:Class", a filter that ``-e NAME`` and ``use = "NAME"`` run;
+- ``catalog``: any name = "package.folder", a folder with ``imu/NAME.toml``, ``gnss/NAME.toml`` ...;
+- ``aircraft``: any name = "package.folder", a folder with ``NAME/aircraft.toml`` and ``NAME/NAME.xml``;
+- ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.exchange.exports`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+GROUPS = ("estimators", "catalog", "aircraft", "exports")
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """What one entry point adds."""
+
+    name: str
+    place: str  # "module:Class", "module" or "package.folder"
+    package: str  # that brings it, with its version
+
+
+def find_installed(group: str, taken: Collection[str] = ()) -> dict[str, Installed]:
+    """Return what installed packages add to a group, by name; the sound entries only.
+
+    Parameters
+    ----------
+    group : str
+        One of `GROUPS`.
+    taken : collection of str
+        Names of bench itself, which no package can take.
+    """
+    return {one.name: one for one, wrong in _examine(group, taken) if not wrong}
+
+
+def list_problems(group: str, taken: Collection[str] = ()) -> list[str]:
+    """Return a line for each entry of a group that cannot be used."""
+    return [f"{one.package}: {group} {one.name!r} {wrong}" for one, wrong in _examine(group, taken) if wrong]
+
+
+def find_folders(group: str) -> dict[str, Path]:
+    """Return the folders that installed packages add to "catalog" or "aircraft", by package."""
+    found = {one.package: _locate(one.place) for one in find_installed(group).values()}
+    return {package: folder for package, folder in found.items() if folder is not None}
+
+
+def _examine(group: str, taken: Collection[str]) -> Iterator[tuple[Installed, str]]:
+    """Yield each entry and what is wrong with it; an empty text if nothing is."""
+    seen: dict[str, str] = {}
+    entries = sorted(entry_points(group=f"bench.{group}"), key=lambda one: (one.name, _name_package(one)))
+    for entry in entries:
+        one = Installed(entry.name[:100], entry.value[:200], _name_package(entry))
+        module, colon, attribute = entry.value.partition(":")
+        shape = "module:Class" if group == "estimators" else "module" if group == "exports" else "folder"
+        fits = bool(_MODULE.fullmatch(module)) and (
+            attribute.isidentifier() if shape == "module:Class" else not colon
+        )
+        wrong = ""
+        if not _NAME.fullmatch(entry.name):
+            wrong = "is no name of letters, digits, '-', '_' and '.', 100 at most"
+        elif entry.name in taken:
+            wrong = "is a name of bench itself; it keeps its own"
+        elif entry.name in seen and seen[entry.name] != one.package:
+            wrong = f"is a name of {seen[entry.name]}, too, which comes first"
+        elif not fits:
+            wrong = f"= {one.place!r} does not have the form {shape!r}"
+        elif shape == "folder" and _locate(one.place) is None:
+            wrong = f"= {one.place!r}: there is no such folder"
+        else:
+            seen[entry.name] = one.package
+        yield one, wrong
+
+
+def _name_package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "an unknown package"
+
+
+def _locate(place: str) -> Path | None:
+    """Return the folder "package.folder" without importing the package; None if there is none."""
+    top, *rest = place.split(".")
+    try:
+        spec = find_spec(top)  # finds, but does not import, a package that is in no other
+    except (ImportError, ValueError):
+        return None
+    roots = spec.submodule_search_locations if spec is not None else None
+    folders = (Path(root).joinpath(*rest) for root in roots or ())
+    return next((folder for folder in folders if folder.is_dir()), None)
