@@ -44,6 +44,12 @@ def find_installed(group: str, taken: Collection[str] = ()) -> dict[str, Install
     return {one.name: one for one, wrong in _examine(group, taken) if not wrong}
 
 
+def find_class(use: str, taken: Collection[str]) -> str:
+    """Return the ``module:Class`` of an estimator that a package adds; any other text as it is."""
+    own = None if ":" in use or use in taken else find_installed("estimators", taken).get(use)
+    return use if own is None else own.place
+
+
 def list_problems(group: str, taken: Collection[str] = ()) -> list[str]:
     """Return a line for each entry of a group that cannot be used."""
     return [f"{one.package}: {group} {one.name!r} {wrong}" for one, wrong in _examine(group, taken) if wrong]

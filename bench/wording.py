@@ -47,9 +47,37 @@ def _strip_index(key: str) -> str:
 def suggest(wrong: str, known: Iterable[str], what: str) -> str:
     """Return the end of a message: the nearest known name, if any is near, and the list of all."""
     names = sorted(known)
-    near = difflib.get_close_matches(wrong, names, n=1)
-    hint = f". Did you mean {near[0]!r}?" if near else ""
+    lower = {name.lower(): name for name in names}
+    meant = _translate(wrong.lower())
+    near = difflib.get_close_matches(meant, lower, n=1) or [
+        one for one in lower if one.startswith(f"{meant}_")
+    ]
+    hint = f". Did you mean {lower[near[0]]!r}?" if near else ""
     return f"{hint}\n  known {what}: {', '.join(names) if names else '(none)'}"
+
+
+_ALSO_CALLED = {
+    "angular_random_walk": "noise",
+    "arw": "noise",
+    "velocity_random_walk": "noise",
+    "vrw": "noise",
+    "bias_stability": "bias_instability",
+    "in_run_bias": "bias_instability",
+    "lat": "lat_deg",
+    "lon": "lon_deg",
+    "altitude": "alt_m",
+    "latitude": "lat_deg",
+    "longitude": "lon_deg",
+}
+"""What datasheets and users call a key -> how its name begins here."""
+
+
+def _translate(wrong: str) -> str:
+    """Return a key by the name that it has here; anything else as it is."""
+    for other in sorted(_ALSO_CALLED, key=len, reverse=True):
+        if wrong == other or wrong.startswith(f"{other}_"):
+            return _ALSO_CALLED[other] + wrong.removeprefix(other)
+    return wrong
 
 
 def tell_where(path: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from bench.cli import completion
 from bench.cli.group import (
     FILE,
     STATUS,
@@ -30,7 +31,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile", metavar="PROFILE|CAMPAIGN.toml")
+@click.argument("profile", metavar="PROFILE|CAMPAIGN.toml", shell_complete=completion.profile)
 @click.option(
     "--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each flight  [default: 200]"
 )
@@ -89,7 +90,7 @@ def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) ->
 
 
 @commands.command(epilog=STATUS)
-@click.argument("source", metavar="PROFILE|LOG.toml")
+@click.argument("source", metavar="PROFILE|LOG.toml", shell_complete=completion.profile)
 @click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to tune")
 @click.option("--log", is_flag=True, help="it is a log: withheld fixes of its two halves tune and judge")
 @click.option(

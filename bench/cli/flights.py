@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from bench.cli import completion
 from bench.cli.group import (
     FILE,
     STATUS,
@@ -35,7 +36,7 @@ from bench.errors import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile")
+@click.argument("profile", shell_complete=completion.profile)
 @out_option("folder for the results  [default: runs/<profile>-<seed>]")
 @estimator_option("evaluate only this one, of the profile")
 @set_option
@@ -93,7 +94,7 @@ def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **opti
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile")
+@click.argument("profile", shell_complete=completion.profile)
 @set_option
 @seed_option
 def fly(profile: str, **options: Any) -> int:
@@ -137,7 +138,7 @@ def list_all(kind: str | None, as_json: bool) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("topic", required=False, metavar="[TOPIC]")
+@click.argument("topic", required=False, metavar="[TOPIC]", shell_complete=completion.topic)
 def guide(topic: str | None) -> int:
     """Read the guide: profiles, sensors, filters, logs, results.
 
@@ -159,7 +160,7 @@ def guide(topic: str | None) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("kind", type=click.Choice(["estimator", "check", "log"]), metavar="KIND")
+@click.argument("kind", type=click.Choice(["estimator", "check", "log", "schemas"]), metavar="KIND")
 @click.argument("name", required=False)
 def new(kind: str, name: str | None) -> int:
     """Write a working example as a starting point for your own.
@@ -180,14 +181,22 @@ def new(kind: str, name: str | None) -> int:
       FILE.toml                        a log for bench navigate; it asks what FILE cannot say
 
     \b
+    schemas writes what editors need to complete keys and mark mistakes while you type:
+      schemas/profile.json ...         name one in the first line: #:schema ./schemas/profile.json
+
+    \b
     Examples:
       bench new estimator mine && bench run figure-eight -e mine:Mine
       bench new check mine:Mine && bench check --allow-code
       bench new log drive.csv && bench navigate drive.toml
     """
-    from bench.workbench.new import new_check, new_estimator
+    from bench.workbench.new import new_check, new_estimator, new_schemas
 
-    if kind == "check":
+    if kind == "schemas":
+        if name is not None:
+            raise click.UsageError("bench new schemas takes no NAME")
+        new_schemas(console=new_console())
+    elif kind == "check":
         new_check(name or "loose-15", console=new_console())
     elif name is None:
         raise click.UsageError(f"bench new {kind} needs a {'FILE' if kind == 'log' else 'NAME'}")
@@ -299,7 +308,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: b
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profiles", nargs=-1, metavar="[PROFILE]...")
+@click.argument("profiles", nargs=-1, metavar="[PROFILE]...", shell_complete=completion.profile)
 @estimator_option("check or record only this one, of the profile, built in")
 @click.option(
     "--baselines",
@@ -391,7 +400,7 @@ def cache(empty: bool, limit: float | None) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile", required=False, metavar="[PROFILE]")
+@click.argument("profile", required=False, metavar="[PROFILE]", shell_complete=completion.profile)
 @estimator_option("compile only this one, built in")
 def warm(profile: str | None, estimators: tuple[str, ...] | None) -> int:
     """Compile the kernels before the first run, for install scripts and cluster nodes.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench import __version__
+from bench.cli import completion
 from bench.errors import BUG, DONE, NEGATIVE, STATUSES
 from bench.moved import OPTIONS
 from bench.wording import replace_control
@@ -74,6 +75,7 @@ set_option = click.option(
     callback=_parse_overrides,
     multiple=True,
     metavar="KEY=VALUE",
+    shell_complete=completion.setting,
     help="override one value of the file, or one figure of a datasheet it names",
 )
 seed_option = click.option(
@@ -185,6 +187,7 @@ def estimator_option(which: str) -> Decorator:
         "estimators",
         multiple=True,
         callback=lambda ctx, param, given: given or None,
+        shell_complete=completion.estimator,
         metavar="NAME",
         help=f"{which}, 'module:Class', 'file:solution.csv' or 'command:./program {{sensors}} {{solution}}'; "
         "repeat for more",

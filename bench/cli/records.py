@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from bench.cli import completion
 from bench.cli.group import (
     FILE,
     STATUS,
@@ -147,7 +148,7 @@ def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **opt
 
 
 @commands.command(epilog=STATUS)
-@click.argument("unit", required=False, metavar="[UNIT]")
+@click.argument("unit", required=False, metavar="[UNIT]", shell_complete=completion.imu)
 @click.option("--log", type=FILE, metavar="FILE", help="measure this log of an IMU at rest")
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
 @click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")

@@ -10,8 +10,9 @@ from typing import Any
 
 from bench.config.profile_tables import ExperimentTable, RequirementTable
 from bench.evaluation.required_metrics import is_metric
+from bench.installed import find_installed
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN, list_installed
+from bench.navigation.estimator import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import EstimatorChoice
 from bench.wording import quantity, suggest
@@ -183,17 +184,17 @@ def is_code(use: str) -> bool:
 
 def is_guarded(use: str) -> bool:
     """Return whether an estimator runs in a process of its own: a program, or a class that is not ours."""
-    return is_code(use) or (use not in BUILT_IN and use in list_installed())
+    return is_code(use) or (use not in BUILT_IN and use in find_installed("estimators", BUILT_IN))
 
 
 def is_known(use: str) -> bool:
     """Return whether an estimator is built in, installed, or has one of the forms with a colon."""
-    return ":" in use or use in BUILT_IN or use in list_installed()
+    return ":" in use or use in BUILT_IN or use in find_installed("estimators", BUILT_IN)
 
 
 def list_names() -> list[str]:
     """Return the names of the estimators that are built in or installed."""
-    return [*BUILT_IN, *list_installed()]
+    return [*BUILT_IN, *find_installed("estimators", BUILT_IN)]
 
 
 def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:

@@ -191,7 +191,7 @@ def read_gnss(path: Path, shown: str, changes: Mapping[str, Any] | None = None) 
 def read_instrument(kind: str, path: Path, shown: str, changes: Mapping[str, Any] | None = None) -> Any:
     """Read the datasheet of an instrument; return it in SI. Parameters and errors as for `read_imu`."""
     row, document = INSTRUMENTS[kind], _read_document(path, shown, changes)
-    sheet = check_table(_make_sheet_type(kind), document, shown)
+    sheet = check_table(make_sheet_type(kind), document, shown)
     table = getattr(sheet, kind)
     parts = {
         name: part(**convert_figures(part, getattr(sheet, name)))
@@ -258,7 +258,7 @@ def _list_same_figures(table: str, name: str) -> list[str]:
 
 
 @cache
-def _make_sheet_type(kind: str) -> type[Sheet]:
+def make_sheet_type(kind: str) -> type[Sheet]:
     """Return the type of the datasheet of an instrument: its table, and those of its parts."""
     row = INSTRUMENTS[kind]
     parts: dict[str, Any] = {name: (make_table_type(spec) | None, None) for name, spec in row.parts.items()}

@@ -13,9 +13,9 @@ from bench.config.toml_file import read_toml
 from bench.fields import figures_of, triad_figures_of
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
-from bench.installed import find_folders, list_problems
+from bench.installed import find_folders, find_installed, list_problems
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN, list_installed
+from bench.navigation.estimator import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import GnssSpec, TriadSpec
 from bench.units import split_unit
@@ -152,7 +152,7 @@ def list_estimators() -> list[CatalogEntry]:
         for name, row in BUILT_IN.items()
     ] + [
         CatalogEntry(name, f"{one.place} of {one.package}", "estimator")
-        for name, one in list_installed().items()
+        for name, one in find_installed("estimators", BUILT_IN).items()
     ]
 
 

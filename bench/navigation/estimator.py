@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
-from bench.installed import Installed, find_installed
+from bench.installed import find_class
 from bench.instruments import INSTRUMENTS
 from bench.navigation.forward_filters import FORWARD
 from bench.specs import AssumedSpecs
@@ -206,7 +206,7 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
         if wrong := BUILT_IN[use].wrong(options):
             raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
     elif is_class(use):
-        place, fixed = find_place(use), {}
+        place, fixed = find_class(use, BUILT_IN), {}
     else:
         raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
     module_name, _, class_name = place.partition(":")
@@ -227,19 +227,8 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
 
 def is_class(use: str) -> bool:
     """Return whether an estimator is a class that is not built in: ``module:Class`` or an installed one."""
-    use = find_place(use)
+    use = find_class(use, BUILT_IN)
     return ":" in use and all(part.isidentifier() for part in use.replace(":", ".", 1).split("."))
-
-
-def find_place(use: str) -> str:
-    """Return the ``module:Class`` of an estimator that an installed package adds; else the text itself."""
-    own = None if ":" in use or use in BUILT_IN else list_installed().get(use)
-    return use if own is None else own.place
-
-
-def list_installed() -> dict[str, Installed]:
-    """Return the estimators that installed packages add, by name."""
-    return find_installed("estimators", BUILT_IN)
 
 
 def takes_option(use: str, name: str) -> bool:

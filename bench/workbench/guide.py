@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import pydoc
 import re
+from collections.abc import Iterable
 
 from rich.console import Console
 from rich.markdown import Markdown
@@ -19,6 +21,7 @@ FOLDER = PACKAGE / "guide"
 """One Markdown file per topic; its ``README.md`` lists them."""
 
 _WIDEST = 100  # columns of a rendered page
+_PAGES = 3  # that are named where a word is no topic
 _ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
 _LINK = re.compile(r"\[([^]\n]+)\]\([^)\s]+\.md\)")  # to another page, which a terminal cannot follow
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
@@ -50,7 +53,9 @@ def show_topic(topic: str, console: Console) -> None:
     """
     known = read_topics()
     if topic not in known:
-        raise ConfigError(f"no topic {topic!r}{suggest(topic, known, 'topics')}")
+        is_near = difflib.get_close_matches(topic.lower(), known, n=1)
+        pages = "" if is_near else _tell_pages(topic, known)
+        raise ConfigError(f"no topic {topic!r}{pages}{suggest(topic, known, 'topics')}")
     text = (FOLDER / f"{topic}.md").read_text(encoding="utf-8")
     if not console.is_terminal:
         console.print(text, soft_wrap=True, end="")
@@ -58,6 +63,16 @@ def show_topic(topic: str, console: Console) -> None:
     page = Markdown(_COMMENT.sub("", _LINK.sub(r"\1", text)), code_theme="ansi_dark")
     with console.pager(_ColourPager(), styles=True):
         console.print(page, width=min(console.width, _WIDEST))
+
+
+def _tell_pages(word: str, topics: Iterable[str]) -> str:
+    """Return the end of a message: the pages that have most to say of a word; empty if none has it."""
+    sought = re.compile(rf"\b{re.escape(word)}", re.IGNORECASE)
+    counts = {
+        name: len(sought.findall((FOLDER / f"{name}.md").read_text(encoding="utf-8"))) for name in topics
+    }
+    most = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])[:_PAGES]
+    return f". It is written of in: {', '.join(most)}" if most else ""
 
 
 class _ColourPager(Pager):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import keyword
 import re
 from collections.abc import Callable, Mapping
@@ -13,7 +14,9 @@ from rich.console import Console
 
 from bench import durable
 from bench.baselines.checking import DIRECTORY
+from bench.campaigns.campaign_file import CampaignTable
 from bench.config.checks import is_code
+from bench.config.schemas import DIALECT, SCHEMAS, make_schema
 from bench.errors import ConfigError
 from bench.workbench import check_verb
 
@@ -164,6 +167,33 @@ def new_estimator(name: str, *, console: Console) -> None:
     _write_all(texts)
     console.print(f"Wrote {' and '.join(str(path) for path in texts)}.")
     console.print(f"Next: bench run figure-eight -e {name}:{cls}")
+
+
+def new_schemas(*, console: Console) -> None:
+    """Write the JSON schema of each kind of TOML file into the folder ``schemas``.
+
+    Schemas of an older bench are replaced; a file that is none is refused.
+
+    Raises
+    ------
+    ConfigError
+        If a file of another kind is there.
+    """
+    made = {kind: make() for kind, make in SCHEMAS.items()}
+    made["campaign"] = make_schema(CampaignTable, "A campaign of bench")
+    texts = {
+        Path("schemas") / f"{kind}.json": json.dumps(schema, indent=1) + "\n" for kind, schema in made.items()
+    }
+    for path in texts:
+        if path.exists() and DIALECT not in path.read_text(encoding="utf-8", errors="replace"):
+            raise ConfigError(f"{path}: exists already, is no schema, and is not replaced")
+    Path("schemas").mkdir(exist_ok=True)
+    for path, text in texts.items():
+        durable.write(path, text)
+    console.print(f"Wrote schemas/ with {', '.join(sorted(made))}.")
+    console.print(
+        "Next: the first line of a profile, for an editor that knows TOML: #:schema ./schemas/profile.json"
+    )
 
 
 def _write_all(texts: Mapping[Path, str], finish: Callable[[], object] = lambda: None) -> None:

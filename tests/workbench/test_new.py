@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench import durable
+from bench.cli import main
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
@@ -195,3 +196,18 @@ def test_new_check_of_an_unknown_estimator_leaves_no_file(here, capsys):  # noqa
     assert say(capsys, "new", "check", "loose-99")[0] == 2
     assert [path for path in here.rglob("*") if path.is_file()] == [here / "short.toml"]
     assert say(capsys, "new", "estimator")[0] == 2
+
+
+def test_schemas_are_written_again_over_schemas_and_over_nothing_else(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "schemas"]) == 0
+    assert "#:schema ./schemas/profile.json" in " ".join(capsys.readouterr().out.split())
+    names = {path.stem for path in Path("schemas").glob("*.json")}
+    assert {"profile", "log", "campaign", "aircraft", "imu", "gnss", "baro"} <= names
+    first = Path("schemas/imu.json").read_text()
+    assert main(["new", "schemas"]) == 0
+    assert Path("schemas/imu.json").read_text() == first
+    Path("schemas/log.json").write_text("{}")
+    assert main(["new", "schemas"]) == 2
+    assert "schemas/log.json: exists already, is no schema" in capsys.readouterr().err
+    assert Path("schemas/log.json").read_text() == "{}"
