@@ -44,6 +44,7 @@ ANSWER = struct.Struct("<IQ")
 """Begin of an answer: sizes of its text and its body."""
 
 _AWAKE = 1e-3  # [s]
+_MOST_SAID = 200_000  # characters of a traceback
 _SMALL = 1 << 16  # body that goes with its text [byte]
 
 OFFERS = ("in_pieces", "unmodelled", "identity")
@@ -159,13 +160,13 @@ class _FilterServer:
             self._kept.pop(number, None)
         do, label = request["do"], request["label"]
         try:
-            return RecordMessage({"done": getattr(self, do)(**request["with"])})
+            return RecordMessage({"done": getattr(self, do)(**request["with"])}, check=True)
         except EstimatorError as error:
             return RecordMessage({"refused": error.messages})
         except BaseException as error:  # of the filter, whatever it is
             own = isinstance(error, EstimatorFailedError)
             failure = error if own else estimator.make_failure(label, f"{do}()", error)
-            said = "".join(traceback.format_exception(error.__cause__ or error))
+            said = "".join(traceback.format_exception(error.__cause__ or error))[-_MOST_SAID:]
             return RecordMessage({"failed": str(failure), "traceback": said})
 
     def assume(self, specs: NDArray[np.uint8]) -> None:

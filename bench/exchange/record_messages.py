@@ -63,11 +63,21 @@ class _Plan:
         self._known: dict[int, tuple[list[_RowColumn], int]] = {}
         self._empty: dict[int, Any] = {}
 
-    def take(self, record: Any) -> tuple[int, int, tuple[Any, ...], tuple[Any, ...], int]:
-        """Return rows and width of a record, its arrays, the rest, and the size of the arrays [byte]."""
+    def take(self, record: Any, check: bool) -> tuple[int, int, tuple[Any, ...], tuple[Any, ...], int]:
+        """Return rows and width of a record, its arrays, the rest, and the size of the arrays [byte].
+
+        ``check`` raises TypeError if an array is not what it was when the record was made.
+        """
         rows = 0 if self._first is None else len(getattr(record, self._first))
         width = 0 if self._widest is None else getattr(record, self._widest).shape[1]
-        return rows, width, self._numbers(record), self._others(record), rows * self.columns(width)[1]
+        (columns, size), arrays = self.columns(width), self._numbers(record)
+        if check:
+            for (name, kind, _, count, dtype), array in zip(columns, arrays, strict=True):
+                if array.dtype != dtype or array.size != rows * count:
+                    raise TypeError(
+                        f"{self.kind.__name__}.{name} is not {rows} rows of {kind.__name__} any more"
+                    )
+        return rows, width, arrays, self._others(record), rows * size
 
     def columns(self, width: int) -> tuple[list[_RowColumn], int]:
         """Return the columns of records whose widest have a width, and the size of a row [byte]."""
@@ -75,7 +85,7 @@ class _Plan:
             found = []
             for name, kind, shape in self._shapes:
                 row = tuple(width if n is None else n for n in shape)
-                found.append(_RowColumn(name, kind, row, int(np.prod(row))))
+                found.append(_RowColumn(name, kind, row, int(np.prod(row)), np.dtype(kind)))
             size = sum(one.numbers * (1 if one.kind is bool else ALIGNED) for one in found)
             self._known[width] = found, size
         return self._known[width]
@@ -85,7 +95,7 @@ class _Plan:
         if width not in self._empty:
             record: Any = object.__new__(self.kind)
             self._empty[width] = record
-            for name, kind, shape, _ in self.columns(width)[0]:
+            for name, kind, shape, *_ in self.columns(width)[0]:
                 object.__setattr__(record, name, read_only(np.empty((0, *shape), kind)))
             for name in self.others:
                 object.__setattr__(record, name, ())
@@ -99,6 +109,7 @@ class _RowColumn(NamedTuple):
     kind: type
     shape: tuple[int, ...]
     numbers: int
+    dtype: np.dtype[Any]
 
 
 def _make_getter(names: list[str]) -> Any:
@@ -127,9 +138,10 @@ _PLANS = {
 
 
 class RecordMessage:
-    """A value on its way: its text, and its body in parts."""
+    """A value on its way: its text, and its body in parts; of a record of others ``check`` its arrays."""
 
-    def __init__(self, value: Any) -> None:
+    def __init__(self, value: Any, *, check: bool = False) -> None:
+        self._check = check
         self.parts: list[Any] = []  # arrays and bytes
         self.size = 0  # of the body [byte]
         self.text = _encode(self._take(value)).encode()
@@ -139,7 +151,7 @@ class RecordMessage:
         if kind in _PLAIN:
             return value
         if (plan := _PLANS.get(kind.__name__)) is not None and kind is plan.kind:
-            rows, width, arrays, others, size = plan.take(value)
+            rows, width, arrays, others, size = plan.take(value, self._check)
             if not rows and all(type(one) is tuple and not one for one in others):
                 return {_KIND: kind.__name__, _CONTENT: [0, width]}
             self.parts += arrays
@@ -225,7 +237,7 @@ class _Reader:
         record: Any = object.__new__(plan.kind)
         put = object.__setattr__
         place = self._place
-        for name, kind, shape, count in plan.columns(width)[0]:
+        for name, kind, shape, count, _ in plan.columns(width)[0]:
             size = rows * count
             if kind is bool:
                 array, place = self._truths[place : place + size], place + size

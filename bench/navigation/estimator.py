@@ -252,7 +252,7 @@ def catch_exit(name: str, part: str) -> Iterator[None]:
 
 def make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
     """Return that a part of an estimator raised an error."""
-    what = one_line("".join(traceback.format_exception_only(error)).strip())[:_LONGEST]
+    what = one_line("".join(traceback.format_exception_only(error)).strip()[:_LONGEST])
     return EstimatorFailedError(f"estimator {name!r}: {part} raised {what}")
 
 

@@ -134,6 +134,27 @@ class Interrupts(Stays):
         raise KeyboardInterrupt
 
 
+class SaysTooMuch(Stays):
+    def act(self, sensors):
+        raise ValueError(30_000_000 * "no \n")
+
+
+class TakesRowsAway(Stays):
+    """Where the record has checked them already."""
+
+    def run(self, sensors, initial):
+        found = super().run(sensors, initial)
+        object.__setattr__(found, "cov", found.cov[:3])
+        return found
+
+
+class PutsObjects(Stays):
+    def run(self, sensors, initial):
+        found = super().run(sensors, initial)
+        object.__setattr__(found, "vel_n", np.full(found.vel_n.shape, None))
+        return found
+
+
 class Writes(Stays):
     def act(self, sensors):
         sensors.imu.dvel_b.flags.writeable = True

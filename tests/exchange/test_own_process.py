@@ -145,6 +145,25 @@ def test_what_raises_keeps_its_traceback(place):
     assert metrics["gnss-only"]["converged"]
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("SaysTooMuch", r"run\(\) raised ValueError: no  no .*"),
+        ("TakesRowsAway", r".* raised TypeError: NavSolution.cov is not \d+ rows of float any more"),
+        ("PutsObjects", r".* raised TypeError: NavSolution.vel_n is not \d+ rows of float any more"),
+    ],
+)
+def test_what_cannot_be_sent_is_a_failure_at_once(sensed, name, why):
+    """Not a wait for what never comes, nor the memory of objects taken for numbers."""
+    one = pipeline.build_estimator(EstimatorChoice(f"attacks:{name}", name, guard=Guard(timeout=60.0)))
+    begun = time.process_time()
+    with pytest.raises(EstimatorFailedError, match=why) as caught:
+        one.run(sensed.data, sensed.initial)
+    assert len(str(caught.value)) < 1000
+    assert len(str(caught.value.__cause__)) < 300_000
+    assert time.process_time() - begun < 5.0
+
+
 def test_in_process_is_for_a_debugger_and_says_that_nothing_is_guarded(place):
     arguments = ["run", "short.toml", "-e", "attacks:Stays", "--in-process", "--no-rrd", "-o", "here"]
     ran = run_bench(*arguments)
