@@ -21,6 +21,9 @@ LEAST_DRAWS = 20
 TOLERANCE = 0.02
 """Change that does not matter, as a fraction [1]; a baseline may say another."""
 
+CPU = "cpu_ratio"
+"""Metric of the CPU time of an estimator over that of the strapdown alone, if it was asked for [1]."""
+
 UNKNOWN = ""
 """Digest of the sensor data of a draw without a result."""
 
@@ -45,6 +48,7 @@ class Baseline(Table):
     profile: str  # shipped name, or path of a .toml; in the file relative to its folder
     requested: Annotated[tuple[str, ...], ROWS] | None  # estimators asked for; null: those of the profile
     seed: int
+    overrides: dict[str, Any] = Field(default_factory=dict)  # of the profile, as --set gives them
     tolerance: Annotated[float, NOT_NEGATIVE] = TOLERANCE
     versions: dict[str, str]
     truth: str  # digest
@@ -86,6 +90,8 @@ def write_baseline(directory: Path, baseline: Baseline) -> Path:
                 f"{path}: is the baseline of another profile, {there}; give one of them another name"
             )
     document = baseline.model_dump(mode="json")
+    if not baseline.overrides:
+        del document["overrides"]
     if baseline.profile.endswith(_PATH):
         document["profile"] = Path(os.path.relpath(baseline.profile, directory)).as_posix()
     directory.mkdir(parents=True, exist_ok=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from bench import durable
 from bench.baselines.baseline_file import (
+    CPU,
     LEAST_DRAWS,
     Baseline,
     get_name,
@@ -50,6 +52,7 @@ class _Measured:
     experiment: Experiment
     requested: Sequence[str] | None
     progress: Progress | None
+    overrides: Mapping[str, Any]
     draws: list[Draw] = field(default_factory=list)
 
     def measure(self, count: int, pool: Pool) -> Baseline:
@@ -64,7 +67,7 @@ class _Measured:
             found[k] = lose_draw(self.experiment, draw.reason) if isinstance(draw, Lost) else draw
             self._show(known + len(found), count)
         self.draws += [found[k] for k in range(len(found))]
-        return make_baseline(self.experiment, self.draws[:count], self.requested)
+        return make_baseline(self.experiment, self.draws[:count], self.requested, self.overrides)
 
     def _show(self, done: int, count: int) -> None:
         if self.progress:
@@ -98,6 +101,8 @@ def record_baselines(
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
     reason: str = "",
+    overrides: Mapping[str, Any] | None = None,
+    cpu: bool = False,
     allow_code: bool = False,
     guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
@@ -118,6 +123,10 @@ def record_baselines(
         Number of draws, at least `LEAST_DRAWS`; default `DRAWS`.
     reason : str
         Why the numbers moved, for ``CHANGES.md``.
+    overrides : mapping or None
+        As for `bench.load_profile`; the baseline keeps them. None takes those of the old baseline.
+    cpu : bool
+        Record CPU time, too: `bench.baselines.baseline_file.CPU`. A baseline that has it keeps it.
     allow_code : bool
         Let profiles and baselines run the code they name, programs and classes.
     guard : Guard
@@ -147,7 +156,9 @@ def record_baselines(
         old = before.get(name)
         source = old.profile if old and source == name else source
         requested = old.requested if old and estimators is None else estimators
-        measured.append(_open(source, requested, estimators, allow_code, guard, progress))
+        given = (old.overrides if old else {}) if overrides is None else overrides
+        timed = cpu or (old is not None and has_cpu(old))
+        measured.append(_open(source, requested, estimators, allow_code, guard, progress, given, cpu=timed))
     paths = []
     with open_pool(jobs) as pool:
         for one in measured:
@@ -166,6 +177,9 @@ def _open(
     allow_code: bool,
     guard: Guard,
     progress: Progress | None,
+    overrides: Mapping[str, Any],
+    *,
+    cpu: bool,
 ) -> _Measured:
     """Open a profile with the estimators of its baseline; code needs permission or the user's own -e."""
     code = [use for use in requested or () if is_code(use) and use not in (named or ())]
@@ -174,7 +188,13 @@ def _open(
             f"{source}: its baseline names {code[0][:60]!r}, which runs code on this machine; "
             "--allow-code permits it"
         )
-    return _Measured(open_experiment(source, requested, allow_code, guard), requested, progress)
+    experiment = open_experiment(source, requested, allow_code, guard, overrides, cpu)
+    return _Measured(experiment, requested, progress, overrides)
+
+
+def has_cpu(baseline: Baseline) -> bool:
+    """Tell whether a baseline holds CPU times."""
+    return any(CPU in values.metrics for values in baseline.estimators.values())
 
 
 def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
@@ -185,7 +205,7 @@ def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: 
         lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} draws.*"]
     else:
         cause = reason or "say here why"
-        rows = [one for one in compare(old, new, name) if one.side or not one.certain]
+        rows = [one for one in compare(old, new, name, numbered=True) if one.side or not one.certain]
         rows.sort(key=lambda one: -abs(one.row.change or 0.0))
         moved: dict[str, list[Candidate]] = {label: [] for label in new.estimators}
         for one in rows:
@@ -218,6 +238,7 @@ def check(
     directory: str | Path = DIRECTORY,
     estimators: Sequence[str] | None = None,
     runs: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
     allow_code: bool = False,
     guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
@@ -238,6 +259,8 @@ def check(
         Check only these estimators of the baselines, by label or by the name they were recorded with.
     runs : int or None
         Number of draws of the first look; more are flown only to decide.
+    overrides : mapping or None
+        As for `bench.load_profile`, over those of the baseline: what another unit or figure does.
     allow_code, guard, jobs, progress
         As for :func:`record_baselines`.
 
@@ -269,7 +292,10 @@ def check(
     for name, baseline in baselines.items():
         chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")
         baselines[name] = chosen
-        measured[name] = _open(chosen.profile, requested, estimators, allow_code, guard, progress)
+        given = {**baseline.overrides, **(overrides or {})}
+        measured[name] = _open(
+            chosen.profile, requested, estimators, allow_code, guard, progress, given, cpu=has_cpu(chosen)
+        )
     looks = sorted({runs or LOOKS[0], *LOOKS})
     found: dict[str, list[Candidate]] = {}
     words: dict[tuple[str, str, str], Verdict] = {}
@@ -278,7 +304,8 @@ def check(
         for look in looks[looks.index(runs or LOOKS[0]) :][: len(LOOKS)]:
             for name in sorted(unsure):
                 count = min(look, baselines[name].draws)
-                found[name] = compare(baselines[name], measured[name].measure(count, pool), name)
+                new = measured[name].measure(count, pool)
+                found[name] = compare(baselines[name], new, name, numbered=True)
             everything = [one for name in baselines for one in found[name]]
             for verdict in decide(everything):
                 key = (verdict.profile, verdict.estimator, verdict.metric)

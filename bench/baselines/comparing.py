@@ -168,6 +168,16 @@ _NOT_FLOWN = ("title", "sensors", "assumed", "estimator", "evaluation", "faults"
 """Parts of a profile that the truth does not depend on."""
 
 
+_SENSED = ("sensors", "faults", "fault", "gnss_outage")
+"""Parts of a profile that its sensor data depend on, besides the truth and the seed."""
+
+
+def _take_sensed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of a profile that its sensor data depend on; what filters assume is none."""
+    units = {key: value for key, value in (document.get("sensors") or {}).items() if key != "assumed"}
+    return {key: document.get(key) or None for key in _SENSED} | {"sensors": units}
+
+
 def _describe_flight(document: Mapping[str, Any]) -> str:
     """Return the part of a profile that the truth depends on, as text."""
     return store.to_json({key: value for key, value in document.items() if key not in _NOT_FLOWN})
@@ -216,9 +226,11 @@ def _compare_sides(first: Side, other: Side) -> Compared:
     for one, two in pairs:
         old, new, labels = _match(first, other, one, two)
         differences += _list_differences(first, other, one, two)
-        found = (
-            compare(old, new, one) if min(old.draws, new.draws) > 1 else list(_compare_single(old, new, one))
-        )
+        if min(old.draws, new.draws) > 1:
+            changed = _take_sensed(first.documents[one]) != _take_sensed(other.documents[two])
+            found = compare(old, new, one, changed=changed)
+        else:
+            found = list(_compare_single(old, new, one))
         candidates += [
             replace(row, row=replace(row.row, estimator=labels[row.row.estimator])) for row in found
         ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,16 +12,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from bench import log_pipeline, pipeline, store
-from bench.baselines.baseline_file import UNKNOWN, Baseline, EstimatorValues, Value, get_name
+from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value, get_name
 from bench.baselines.digests import digest_record
 from bench.campaigns.worker import describe_error, get_truth
 from bench.config import load_profile
 from bench.config.toml_file import read_toml
 from bench.data import ErrorSeries
+from bench.errors import ConfigError
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.metrics import find_metric
+from bench.pipeline import build_estimator
 from bench.run_result import RunResult
-from bench.specs import DEFAULT_GUARD, Guard
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.units import SAME_INSTANT
 
 STRETCHES = 20
@@ -83,8 +86,12 @@ def open_experiment(
     requested: Sequence[str] | None = None,
     allow_code: bool = False,
     guard: Guard = DEFAULT_GUARD,
+    overrides: Mapping[str, Any] | None = None,
+    cpu: bool = False,
 ) -> Experiment:
     """Read a profile or a log and check it; nothing is flown yet.
+
+    ``overrides`` are those of `bench.load_profile`; ``cpu`` adds the metric `CPU`.
 
     Raises
     ------
@@ -92,8 +99,12 @@ def open_experiment(
         If it is missing or wrong.
     """
     if source.endswith(".toml") and "imu" in read_toml(Path(source), source):
-        return Recording(source, requested, allow_code, guard)
-    return Flight(source, requested, allow_code, guard)
+        if cpu:
+            raise ConfigError(
+                f"{source}: a log is run once, which does not measure CPU time; leave --cpu out"
+            )
+        return Recording(source, requested, allow_code, guard, overrides)
+    return Flight(source, requested, allow_code, guard, overrides, cpu=cpu)
 
 
 class Flight:
@@ -101,9 +112,20 @@ class Flight:
 
     draws = None
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool, guard: Guard) -> None:
-        self.source, self.name = source, get_name(source)
-        self.profile = load_profile(source, estimators=requested, allow_code=allow_code, guard=guard)
+    def __init__(
+        self,
+        source: str,
+        requested: Sequence[str] | None,
+        allow_code: bool,
+        guard: Guard,
+        overrides: Mapping[str, Any] | None = None,
+        *,
+        cpu: bool = False,
+    ) -> None:
+        self.source, self.name, self._cpu = source, get_name(source), cpu
+        self.profile = load_profile(
+            source, overrides, estimators=requested, allow_code=allow_code, guard=guard
+        )
         self.seed = self.profile.seed
         self.truth_digest = ""
         pipeline.build_estimators(self.profile)
@@ -127,7 +149,35 @@ class Flight:
         sensed = result.records["sensed"]
         digest = digest_record([sensed.data, sensed.initial])
         rows = {label: collect_draw(result, label, self.profile.evaluation_from) for label in result.metrics}
+        if self._cpu:
+            ratios = measure_cpu(result)
+            rows = {k: replace(row, metrics={**row.metrics, CPU: ratios[k]}) for k, row in rows.items()}
         return Draw(digest, rows)
+
+
+_UNIT = "free-inertial"
+_warm = set[str]()  # what estimators of this process have run already
+
+
+def measure_cpu(result: RunResult) -> dict[str, Value]:
+    """Return the CPU time of each estimator over that of `free-inertial` on the same record [1].
+
+    The strapdown alone is a unit that fast and slow machines, long and short flights share; the least of
+    three counts. None for an estimator that has failed, or that has just been loaded, and compiled perhaps.
+    """
+    sensed = result.records["sensed"]
+    unit, spent = build_estimator(EstimatorChoice(_UNIT, _UNIT)), list[float]()
+    for _ in range(4):  # the first one loads
+        begun = time.process_time()
+        unit.run(sensed.data, sensed.initial)
+        spent.append(time.process_time() - begun)
+    found: dict[str, Value] = {}
+    for label, used in result.provenance["estimator_cpu_s"].items():
+        key = repr((result.profile["estimator"], label))
+        good = key in _warm and not result.metrics[label].get("failed")
+        found[label] = used / max(min(spent[1:]), 1e-9) if good else None
+        _warm.add(key)
+    return found
 
 
 def collect_draw(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
@@ -160,9 +210,18 @@ class Recording:
     seed = 0
     truth_digest = ""
 
-    def __init__(self, source: str, requested: Sequence[str] | None, allow_code: bool, guard: Guard) -> None:
+    def __init__(
+        self,
+        source: str,
+        requested: Sequence[str] | None,
+        allow_code: bool,
+        guard: Guard,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
         self.source, self.name = source, get_name(source)
-        self.log = log_pipeline.read_log(source, estimators=requested, allow_code=allow_code, guard=guard)
+        self.log = log_pipeline.read_log(
+            source, overrides=overrides, estimators=requested, allow_code=allow_code, guard=guard
+        )
         self.labels = list(self.log.estimators)
 
     @cached_property
@@ -210,14 +269,15 @@ def make_baseline(
     experiment: Experiment,
     draws: Sequence[Draw],
     requested: Sequence[str] | None,
-    versions: Mapping[str, str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> Baseline:
     """Return the baseline of what was measured."""
     return Baseline(
         profile=experiment.source,
         requested=None if requested is None else tuple(requested),
         seed=experiment.seed,
-        versions=dict(versions or store.list_versions()),
+        overrides=dict(overrides or {}),
+        versions=dict(store.list_versions()),
         truth=experiment.truth_digest,
         sensors=tuple(draw.sensors for draw in draws),
         estimators={

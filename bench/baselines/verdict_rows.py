@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
-from bench.baselines.baseline_file import UNKNOWN, Baseline, EstimatorValues, Value
+from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value
 from bench.evaluation import regression
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.regression import Change
@@ -27,11 +27,20 @@ LOOKS = (20, 40, 80)
 CONVERGED = "converged"
 """Name of the row that counts the runs that converged."""
 
+CPU_TOLERANCE = 0.25
+"""Change of CPU time that a busy or another machine may make [1]."""
+
 FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973, "output_coverage": 1.0}
 """Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
 
-UNPAIRED = "other truth or sensor data: not paired"
+UNPAIRED = "other truth, or other sensor data of another seed: not paired"
 """Note of a verdict whose draws are no pairs."""
+
+BY_SEED = "other sensor data, paired by seed"
+"""Note of a verdict on other sensors or figures of them: draws of one seed and number share their noise."""
+
+MATCHES = (UNPAIRED, BY_SEED)
+"""Notes on how the draws of a whole profile are matched; others are on a metric."""
 
 Word = Literal["same", "better", "worse", "undecided"]
 
@@ -112,52 +121,60 @@ def decide(candidates: Sequence[Candidate], error: float = ERROR / len(LOOKS)) -
     return verdicts
 
 
-def compare(baseline: Baseline, measured: Baseline, name: str) -> list[Candidate]:
+def compare(
+    baseline: Baseline, measured: Baseline, name: str, *, numbered: bool = False, changed: bool = False
+) -> list[Candidate]:
     """Compare the first draws of a baseline with those measured, metric by metric.
 
     Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
-    draws measured; otherwise all draws before with all draws after. A draw without a result
-    is a pair: it failed.
+    draws measured. Others are pairs, too, if both are ``numbered`` from 0 with one seed on one truth: each
+    source of noise has a stream of its own, which other figures scale and other sources leave alone. A pair
+    whose noise is not the same costs power, but no error: draws are independent of each other. Otherwise all
+    draws before are compared with all draws after. A draw without a result is a pair: it failed. ``changed``
+    says that draws of equal digests have other sensor data all the same: the digests name seed and number.
     """
     n = min(baseline.draws, measured.draws)
     pairs = zip(baseline.sensors[:n], measured.sensors[:n], strict=True)
     alike = np.array([a == b or UNKNOWN in (a, b) for a, b in pairs])
     if baseline.truth != measured.truth:
         alike[:] = False
-    paired = bool(alike.sum() >= max(2, 0.5 * n))
-    which = np.flatnonzero(alike) if paired else np.arange(n)
+    same = bool(alike.sum() >= max(2, 0.5 * n))
+    which = np.flatnonzero(alike) if same else np.arange(n)
+    seeded = numbered and bool(baseline.truth) and baseline.truth == measured.truth
+    match = BY_SEED if changed else ""
+    if not same:
+        match = BY_SEED if seeded and baseline.seed == measured.seed else UNPAIRED
     rows = []
     for label, old in baseline.estimators.items():
         new = measured.estimators.get(label)
         if new is None:
-            row = _make_row(name, label, CONVERGED, paired, len(which), "the profile has no such estimator")
+            row = _make_row(name, label, CONVERGED, match, len(which), "the profile has no such estimator")
             rows.append(Candidate(replace(row, word="worse"), certain=True))
             continue
-        rows.append(_compare_convergence(name, label, old, new, which, paired))
+        rows.append(_compare_convergence(name, label, old, new, which, match))
         for metric in old.metrics:
-            candidate = _compare_metric(name, label, metric, old, new, which, paired, baseline.tolerance)
+            candidate = _compare_metric(name, label, metric, old, new, which, match, baseline.tolerance)
             if candidate is not None:
                 rows.append(candidate)
     return rows
 
 
-def _make_row(name: str, label: str, metric: str, paired: bool, draws: int, note: str = "") -> Verdict:
+def _make_row(name: str, label: str, metric: str, match: str, draws: int, note: str = "") -> Verdict:
     known = find_metric(metric)
     unit = known.unit if known else "1"
-    if not paired:
-        note = ", ".join(filter(None, [note, UNPAIRED]))
+    note, paired = ", ".join(filter(None, [note, match])), match != UNPAIRED
     return Verdict(
         name, label, metric, unit, "same", None, None, None, None, None, False, draws, paired, note
     )
 
 
 def _compare_convergence(
-    name: str, label: str, old: EstimatorValues, new: EstimatorValues, which: np.ndarray, paired: bool
+    name: str, label: str, old: EstimatorValues, new: EstimatorValues, which: np.ndarray, match: str
 ) -> Candidate:
     """Compare how many runs converged; on identical draws a new divergence is worse without statistics."""
     before, after = np.array(old.converged)[which], np.array(new.converged)[which]
-    candidate = _compare_events(name, label, CONVERGED, before, after, which, paired)
-    if paired and (before & ~after).any():
+    candidate = _compare_events(name, label, CONVERGED, before, after, which, match)
+    if not match and (before & ~after).any():
         return replace(candidate, row=replace(candidate.row, word="worse"), certain=True)
     return candidate
 
@@ -169,15 +186,16 @@ def _compare_events(
     before: BoolArray,
     after: BoolArray,
     which: np.ndarray,
-    paired: bool,
+    match: str,
 ) -> Candidate:
     """Compare how often something good happens."""
     notes = []
+    paired = match != UNPAIRED
     if paired:
         for text, flipped in (("lost", before & ~after), ("gained", ~before & after)):
             if flipped.any():
                 notes.append(f"{text} in draw {_list_draws(which[flipped])}")
-    row = _make_row(name, label, metric, paired, len(before), ", ".join(notes))
+    row = _make_row(name, label, metric, match, len(before), ", ".join(notes))
     row = replace(row, old=float(before.mean()), new=float(after.mean()))
     if np.array_equal(before, after):
         return Candidate(row, certain=True)
@@ -198,7 +216,7 @@ def _compare_metric(
     old: EstimatorValues,
     new: EstimatorValues,
     which: np.ndarray,
-    paired: bool,
+    match: str,
     tolerance: float,
 ) -> Candidate | None:
     """Compare one metric over the draws that converged and have it before and after; None if none had it."""
@@ -208,7 +226,7 @@ def _compare_metric(
         if not known.any():
             return None
         return _compare_events(
-            name, label, metric, before[known] > 0.5, after[known] > 0.5, which[known], paired
+            name, label, metric, before[known] > 0.5, after[known] > 0.5, which[known], match
         )
     has_old, has_new = np.isfinite(before), np.isfinite(after)
     if not has_old.any():
@@ -217,20 +235,23 @@ def _compare_metric(
         noticed = f"fault_{metric.split('_')[1]}_detected"
         has_old &= _get_values(old, noticed, which) > 0.5
         has_new &= _get_values(new, noticed, which) > 0.5
-    elif paired and (lost := has_old & ~has_new & np.array(new.converged)[which]).any():
+    elif not match and metric != CPU and (lost := has_old & ~has_new & np.array(new.converged)[which]).any():
         row = _make_row(
-            name, label, metric, paired, len(which), f"no value in draw {_list_draws(which[lost])}"
+            name, label, metric, match, len(which), f"no value in draw {_list_draws(which[lost])}"
         )
         return Candidate(replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True)
+    paired = match != UNPAIRED
     if paired:
         has_old = has_new = has_old & has_new
     before, after = before[has_old], after[has_new]
     if min(len(before), len(after)) < 2:
         return None
-    row = _make_row(name, label, metric, paired, len(after))
+    row = _make_row(name, label, metric, match, len(after))
     row = replace(row, old=_pool(metric, before), new=_pool(metric, after))
     if paired and _is_same(metric, before, after, min(old.epochs, new.epochs)):
         return Candidate(row, certain=True)
+    if metric == CPU:
+        tolerance = max(tolerance, CPU_TOLERANCE)
     return _measure_change(row, before, after, new.expected.get(metric), tolerance)
 
 
@@ -288,7 +309,7 @@ def _measure_change(
         scale, limit, target = regression.distance_from(fraction), tolerance, fraction
     elif expected and positive:
         scale, relative, target = regression.log_distance_from(expected), True, expected
-    elif known is not None and known.direction == "lower" and positive:
+    elif positive and (row.metric == CPU or (known is not None and known.direction == "lower")):
         scale = regression.half_log_of_mean if _is_rms(row.metric) else regression.log_of_mean
         relative = True
     if relative:

@@ -321,6 +321,8 @@ def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: b
 @jobs_option
 @click.option("--record", is_flag=True, help="write what is measured as the new baselines")
 @click.option("--reason", default="", metavar="TEXT", help="why numbers move, for CHANGES.md; with --record")
+@click.option("--cpu", is_flag=True, help="record CPU time, too; a check judges it if the baseline has it")
+@set_option
 @click.option("--strict", is_flag=True, help="status 1 if a metric is undecided, too")
 @click.option("--junit", type=FILE, metavar="FILE", help="write the verdicts as a JUnit file")
 @json_option("the verdicts")
@@ -334,6 +336,8 @@ def check(
     jobs: int | None,
     record: bool,
     reason: str,
+    cpu: bool,
+    overrides: dict[str, Any],
     strict: bool,
     junit: Path | None,
     as_json: bool,
@@ -346,11 +350,13 @@ def check(
     a baseline. A baseline holds every metric of every noise draw. The check flies the
     same draws and compares them one by one: same, better, worse or undecided.
     With --record it writes the baselines and a line each for CHANGES.md beside them.
+    With --set it says what another unit or figure does, in pairs of the same noise.
 
     \b
     Examples:
       bench check figure-eight -e mine:Mine --record   record a filter of your own
       bench check --allow-code                         and check it after a change
+      bench check figure-eight --set sensors.imu.gyro.noise_deg_sqrt_h=0.2
     """
     from bench.store import to_json
     from bench.workbench import check_verb
@@ -360,14 +366,17 @@ def check(
         "directory": baselines,
         "estimators": estimators,
         "runs": runs,
+        "overrides": overrides or None,
         "allow_code": allow_code,
         "guard": guard,
         "jobs": jobs,
     }
+    if cpu and not record:
+        raise click.UsageError("--cpu goes with --record: a check judges CPU time if the baseline has it")
     if record:
         if strict or junit or as_json:
             raise click.UsageError("--record measures no change: leave --strict, --junit and --json out")
-        check_verb.record(profiles, console=console, reason=reason, **options)
+        check_verb.record(profiles, console=console, reason=reason, cpu=cpu, **options)
         return DONE
     verdicts = check_verb.check(profiles, console=console, junit=junit, strict=strict, **options)
     if as_json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,8 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.baselines import checking
+from bench.baselines.annotations import annotate
 from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import LOOKS, UNPAIRED, Verdict
+from bench.baselines.verdict_rows import LOOKS, MATCHES, Verdict
 from bench.campaigns.pools import count_processors
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
@@ -52,6 +54,8 @@ def check(
     with _show_draws() as progress:
         verdicts = checking.check(profiles, progress=progress, jobs=jobs or count_processors(), **options)
     print_verdicts(console, verdicts)
+    for line in annotate(verdicts, Path(options["directory"]), os.environ, strict=strict):
+        console.file.write(f"{line}\n")  # as it is: no wrapping, no style
     if junit is not None:
         write_junit(junit, verdicts, strict=strict)
     return verdicts
@@ -73,7 +77,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         counts = Counter[str](row.word for row in rows)
         words = ", ".join(f"{counts[word]} {word}" for word in STYLES if counts[word])
         draws = max(row.draws for row in rows)
-        how = "" if all(row.paired for row in rows) else f"; {UNPAIRED}"
+        how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
         console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
         if changed:
             console.print(_make_table(changed))
@@ -95,6 +99,6 @@ def _make_table(rows: Sequence[Verdict]) -> Table:
     table.add_column("change, + is worse", overflow="fold")
     for row in rows:
         numbers = ["-" if value is None else f"{value:.4g}" for value in (row.old, row.new)]
-        change = "; ".join(filter(None, [row.format_change(), "" if row.note == UNPAIRED else row.note]))
+        change = "; ".join(filter(None, [row.format_change(), "" if row.note in MATCHES else row.note]))
         table.add_row(Text(row.word, STYLES[row.word]), row.metric, *numbers, change)
     return table

@@ -14,10 +14,12 @@ from rich.console import Console
 
 from bench import durable
 from bench.baselines.checking import DIRECTORY
+from bench.baselines.pinning import find_requirement
 from bench.campaigns.campaign_file import CampaignTable
 from bench.config.checks import is_code
 from bench.config.schemas import DIALECT, SCHEMAS, make_schema
 from bench.errors import ConfigError
+from bench.wording import one_line
 from bench.workbench import check_verb
 
 _CLASS = "StartingPoint"
@@ -91,7 +93,7 @@ jobs:
       - uses: actions/setup-python@v5
         with:
           python-version: "3.12"
-      - run: pip install ins-gnss-bench  # or where you install bench from
+      - run: pip install "{requirement}"{remark}
       - run: bench check --junit accuracy.xml{option}
       - uses: actions/upload-artifact@v4
         if: always()
@@ -120,7 +122,11 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_.:-]+", use):
         raise ConfigError(f"{use!r}: must be a built-in estimator or module:Class")
     option = " --allow-code" if is_code(use) else ""
-    texts = {profile: _PROFILE.format(use=use), workflow: _WORKFLOW.format(option=option)}
+    requirement, remark = find_requirement()
+    steps = _WORKFLOW.format(
+        option=option, requirement=requirement, remark=f"  # {one_line(remark)}" if remark else ""
+    )
+    texts = {profile: _PROFILE.format(use=use), workflow: steps}
     for path in (*texts, profile.with_suffix(".json")):
         if path.exists() or path.is_symlink():
             raise ConfigError(
@@ -131,6 +137,7 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     _write_all(texts, lambda: check_verb.record([str(profile)], console=console, runs=draws, allow_code=True))
     console.print(f"Wrote {profile} and {workflow}. Keep them in your repository.")
+    console.print(f"{workflow} installs {requirement}" + (f": {remark}" if remark else ""), soft_wrap=True)
     console.print(f"Next: bench check{option}")
 
 

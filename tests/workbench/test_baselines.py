@@ -17,15 +17,18 @@ from rich.console import Console
 
 from bench import pipeline
 from bench.baselines import checking, experiments
-from bench.baselines.baseline_file import read_baseline
+from bench.baselines.annotations import annotate
+from bench.baselines.baseline_file import CPU, read_baseline
 from bench.baselines.checking import check, record_baselines
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
+from bench.baselines.verdict_rows import BY_SEED, UNPAIRED, Verdict
 from bench.campaigns.batches import Lost
 from bench.data import ImuData
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
+from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import DEFAULT_GUARD, Guard, stream
 from bench.workbench.check_verb import print_verdicts
@@ -48,12 +51,19 @@ def measure(monkeypatch):
     """Replace flights by made-up metrics of draw k; return the draws that were measured."""
     measured = []
 
-    def install(metrics_of=usual, sensors=str, converged=lambda k: True, labels=("loose-15",), reason="lost"):
+    def install(
+        metrics_of=usual,
+        sensors=str,
+        converged=lambda k: True,
+        labels=("loose-15",),
+        reason="lost",
+        seed=7,
+    ):
         class Made:
-            draws, seed, truth_digest, prepare = None, 7, "truth", list
+            draws, truth_digest, prepare = None, "truth", list
 
             def __init__(self, source):
-                self.source, self.name, self.labels = source, Path(source).stem, labels
+                self.source, self.name, self.labels, self.seed = source, Path(source).stem, labels, seed
 
             def measure(self, k):
                 measured.append((self.name, k))
@@ -274,18 +284,18 @@ def test_faults_are_counts_and_their_delay_counts_where_both_noticed_them(measur
 
 
 def test_other_draws_are_compared_unpaired_and_it_is_said(recorded, measure):
-    measure(lambda k: usual(k + 1000), sensors=lambda k: f"other {k}")
+    measure(lambda k: usual(k + 1000), sensors=lambda k: f"other {k}", seed=8)
     rows = {row.metric: row for row in check(directory=recorded)}
     assert not any(row.paired for row in rows.values())
-    assert rows["pos_rmse_h_m"].note == "other truth or sensor data: not paired"
+    assert rows["pos_rmse_h_m"].note == UNPAIRED
     assert rows["pos_rmse_h_m"].word in ("same", "undecided")
-    measure(lambda k: usual(k + 1000, 3.0), sensors=lambda k: f"other {k}")
+    measure(lambda k: usual(k + 1000, 3.0), sensors=lambda k: f"other {k}", seed=8)
     assert words(check(directory=recorded))["pos_rmse_h_m"] == "worse"
 
 
 def test_other_draws_of_which_one_broke_are_compared_all_the_same(recorded, measure):
     """Before and after there are different numbers of values, and no pairs."""
-    measure(lambda k: usual(k, 3.0), sensors=lambda k: f"other {k}", converged=lambda k: k != 3)
+    measure(lambda k: usual(k, 3.0), sensors=lambda k: f"other {k}", converged=lambda k: k != 3, seed=8)
     rows = {row.metric: row for row in check(directory=recorded)}
     assert not any(row.paired for row in rows.values())
     assert (rows["pos_rmse_h_m"].word, rows["pos_rmse_h_m"].draws) == ("worse", 19)
@@ -295,13 +305,94 @@ def test_other_draws_of_which_one_broke_are_compared_all_the_same(recorded, meas
 def test_what_is_not_paired_or_needs_more_draws_is_said_once(measure, tmp_path):
     measure()
     record_baselines(["survey.toml"], directory=tmp_path, runs=20)
-    measure(lambda k: usual(k + 1000, 1.2), sensors=lambda k: f"other {k}")
+    measure(lambda k: usual(k + 1000, 1.2), sensors=lambda k: f"other {k}", seed=8)
     console = Console(width=80, record=True, file=io.StringIO())
     print_verdicts(console, check(directory=tmp_path))
-    text = console.export_text()
-    assert "(20 draws; other truth or sensor data: not paired)" in text
+    text = console.export_text().replace("\n", " ")
+    assert f"(20 draws; {UNPAIRED})" in text
     assert text.count("not paired") == 1
     assert "Baselines of 80 draws would decide more" in text
+
+
+def test_a_changed_unit_is_paired_by_seed_and_it_is_said(recorded, measure):
+    """Draws that differ by 30 % hide a change of 5 % from all tests but those of pairs."""
+    measure(lambda k: usual(k, 1.05, 0.02), sensors=lambda k: f"noisier {k}")
+    rows = {row.metric: row for row in check(directory=recorded)}
+    assert {(row.paired, row.note) for row in rows.values()} == {(True, BY_SEED)}
+    assert rows["pos_rmse_h_m"].word == "worse"
+    assert rows["pos_rmse_h_m"].high - rows["pos_rmse_h_m"].low < 0.1
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_verdicts(console, list(rows.values()))
+    assert console.export_text().count("paired by seed") == 2  # of all, and in the sentence
+    measure(lambda k: usual(k, 1.05, 0.02), sensors=lambda k: f"noisier {k}", seed=8)
+    other = {row.metric: row for row in check(directory=recorded)}["pos_rmse_h_m"]
+    assert other.word == "undecided"
+    assert other.high - other.low > 0.3
+
+
+def test_a_divergence_of_another_unit_is_a_count(recorded, measure):
+    """On other noise a run that diverges proves nothing by itself."""
+    measure(sensors=lambda k: f"noisier {k}", converged=lambda k: k != 3)
+    rows = {row.metric: row for row in check(directory=recorded)}
+    assert rows["converged"].word == "undecided"
+    assert "lost in draw 3" in rows["converged"].note
+
+
+def test_values_that_are_set_are_kept_with_the_baseline(measure, tmp_path, monkeypatch):
+    measure()
+    made, given = checking.open_experiment, []
+    monkeypatch.setattr(
+        checking, "open_experiment", lambda *all_of: (given.append(all_of[4]), made(all_of[0]))[1]
+    )
+    record_baselines(["survey.toml"], directory=tmp_path, overrides={"sensors.imu": "stim300"})
+    check(directory=tmp_path)
+    check(directory=tmp_path, overrides={"sensors.gnss": "l1-code", "sensors.imu": "mpu-9250"})
+    record_baselines(directory=tmp_path)
+    stim = {"sensors.imu": "stim300"}
+    assert given == [stim, stim, {"sensors.gnss": "l1-code", "sensors.imu": "mpu-9250"}, stim]
+    assert read_baseline(tmp_path / "survey.json").overrides == stim
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.15, "same"), (1.6, "worse"), (0.5, "better")])
+def test_cpu_time_is_judged_with_a_tolerance_of_its_own(measure, tmp_path, factor, word):
+    """It may miss in the first draw of each process; a busy machine is no loss."""
+
+    def timed(k, factor=1.0, first=0):
+        return {**usual(k), CPU: None if k == first else 5.0 * factor * (1 + 0.1 * (k % 3))}
+
+    measure(timed)
+    record_baselines(["survey.toml"], directory=tmp_path)
+    measure(lambda k: timed(k, factor, 7))
+    assert words(check(directory=tmp_path))[CPU] == word
+
+
+def test_the_cpu_time_of_a_filter_is_in_units_of_the_strapdown(tmp_path, monkeypatch):
+    """One that works twice takes twice as long, whatever the machine."""
+    (tmp_path / "short.toml").write_text(test_cli.PROFILE)
+    monkeypatch.chdir(tmp_path)
+    here = Guard(in_process=True)
+    uses = [f"{__name__}:{name}" for name in ("WorksOnce", "WorksTwice")]
+    flight = experiments.Flight("short.toml", uses, True, here, cpu=True)
+    flight.prepare()
+    draws = [flight.measure(k) for k in range(6)]
+    values = [[draw.estimators[label].metrics[CPU] for draw in draws] for label in flight.labels]
+    assert [row[0] for row in values] == [None, None]
+    once, twice = (min(row[1:]) for row in values)
+    assert once > 1.0
+    assert 1.6 < twice / once < 2.4
+
+
+class WorksOnce:
+    times = 1
+
+    def run(self, sensors, initial):
+        for _ in range(self.times):
+            found = load("loose-15", {}).run(sensors, initial)
+        return found
+
+
+class WorksTwice(WorksOnce):
+    times = 2
 
 
 def test_a_few_other_draws_are_left_out_of_the_pairs(recorded, measure):
@@ -417,6 +508,38 @@ def test_junit_is_xml_whatever_a_profile_is_called(measure, tmp_path):
     (suite,) = ElementTree.parse(tmp_path / "check.xml").getroot()
     assert suite.attrib["name"] == "a??[31m <&??"
     assert any("<&" in case[0].attrib["message"] for case in suite if len(case))
+
+
+@pytest.mark.parametrize(
+    ("environment", "lines"),
+    [
+        ({}, []),
+        (
+            {"GITHUB_ACTIONS": "true"},
+            [
+                "::error file=base/50%25%3Aa%2Cb.json,title=loose-15%3A pos_rmse_h_m is worse::worse: "
+                "loose-15 on 50%25:a,b, pos_rmse_h_m 2 -> 3 m, +50.0%25 (+40.0%25 to +60.0%25) in 20 draws"
+            ],
+        ),
+        (
+            {"TF_BUILD": "True"},
+            [
+                "##vso[task.logissue type=error;sourcepath=base/50%AZP25:a,b.json]worse: "
+                "loose-15 on 50%AZP25:a,b, pos_rmse_h_m 2 -> 3 m, +50.0%AZP25 "
+                "(+40.0%AZP25 to +60.0%AZP25) in 20 draws"
+            ],
+        ),
+    ],
+)
+def test_ci_shows_what_is_worse_beside_the_change(environment, lines):
+    row = Verdict(
+        "50%:a,b", "loose-15", "pos_rmse_h_m", "m", "worse", 2.0, 3.0, 0.5, 0.4, 0.6, True, 20, True, ""
+    )
+    rows = [row, replace(row, word="same"), replace(row, word="better")]
+    assert list(annotate(rows, Path("base"), environment)) == lines
+    unsure = [replace(row, word="undecided")]
+    levels = [next(iter(annotate(unsure, Path(), environment, strict=one)), "") for one in (False, True)]
+    assert ["warning" in line for line in levels] == [bool(environment), False]
 
 
 def test_the_verdict_survives_80_columns(recorded, measure):

@@ -11,6 +11,7 @@ import bench
 from bench.baselines import comparing
 from bench.baselines.baseline_file import Baseline, EstimatorValues
 from bench.baselines.comparing import Side
+from bench.baselines.verdict_rows import BY_SEED
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.evaluation import ensemble
@@ -53,6 +54,23 @@ def test_runs_are_paired_by_seed_and_number(draws):
     assert {row.word for row in unpaired.verdicts if row.metric != "converged"} == {"undecided"}
     assert "draws: 20 and 20, none in both" in unpaired.differences
     check_sentence(unpaired, "undecided")
+
+
+def test_another_unit_is_paired_by_seed_and_it_is_said(draws):
+    before, after = draws
+    keys = [f"seed 1, run {k}" for k in range(20)]
+    first, other = make_side("first", before, keys), make_side("other", after, keys)
+    for side, unit in ((first, "stim300"), (other, "mpu-9250")):
+        side.documents["flight"]["sensors"] = {"imu": unit, "assumed": {"imu": "stim300"}}
+    found = comparing._compare_sides(first, other)
+    assert {row.note for row in found.verdicts} == {BY_SEED}
+    assert {row.word for row in found.verdicts if row.metric != "converged"} == {"worse"}
+    assert found.differences == ("sensors.imu: stim300 and mpu-9250",)
+    (sentence,) = found.sentences
+    assert sentence.endswith("by 20 pairs, other sensor data, paired by seed")
+    other.documents["flight"]["sensors"]["imu"] = "stim300"  # what the filter assumes is its own
+    other.documents["flight"]["sensors"]["assumed"] = {"imu": "mpu-9250"}
+    assert {row.note for row in comparing._compare_sides(first, other).verdicts} == {""}
 
 
 def check_sentence(found, said):
