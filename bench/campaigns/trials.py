@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,17 +11,19 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from bench import log_pipeline, pipeline
+from bench import disk_arrays, log_pipeline, pipeline
 from bench.arrays import BoolArray, FloatArray
 from bench.campaigns.batches import Lost, Pool, compute
-from bench.campaigns.worker import RunTask, choose_step, measure
+from bench.campaigns.heap import keep_freed_memory
+from bench.campaigns.worker import RunTask, choose_step, describe_error, get_truth, measure
 from bench.config import load_profile
 from bench.config.datasheets import MODIFIED, SENSORS
 from bench.config.library import find_profile
 from bench.errors import ConfigError
 from bench.evaluation import ensemble
-from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.ensemble import Estimate
+from bench.evaluation.error_series import error_series, find_covered_epochs, select_epochs
+from bench.evaluation.log_score import score_claims, score_innovations
 from bench.run_result import RunResult
 from bench.specs import Guard, Profile
 from bench.store import truth_key
@@ -33,24 +35,7 @@ Figures = Mapping[str, float]
 
 _STRETCHES = 10  # of each half of a log: each counts as a draw
 _LEAST = 2
-
-
-@dataclass(frozen=True)
-class Score:
-    """How a filter does, as an optimiser sees it."""
-
-    nees_ratio: float  # mean NEES over its expectation
-    nis_ratios: Mapping[str, float]  # mean NIS over its expectation, by sensor
-    rmse: float  # horizontal [m]
-    converged: float  # rate [1]
-
-    def cost(self, goal: Goal) -> float:
-        """Return what is to be small."""
-        lost = 100.0 * (1.0 - self.converged)
-        if goal == "rmse":
-            return lost + float(np.log(self.rmse))
-        nis = [float(np.log(ratio)) ** 2 for ratio in self.nis_ratios.values()]
-        return lost + float(np.log(self.nees_ratio)) ** 2 + (float(np.mean(nis)) if nis else 0.0)
+_LOST = 1e6  # cost of a draw without finite errors or claims
 
 
 @dataclass(frozen=True)
@@ -69,8 +54,8 @@ class Trial(Protocol):
     assumed: dict[str, str]  # kind of sensor -> name of the datasheet that the filter assumes
     beside: Path  # where a datasheet is searched
 
-    def score(self, figures: Figures) -> Score:
-        """Return how the filter does with these figures on the data for tuning."""
+    def score(self, figures: Figures, goal: Goal) -> FloatArray:
+        """Return the cost of each draw (D,) with these figures, on the data for tuning; finite."""
 
     def judge(self, figures: Figures) -> Judged:
         """Return how it does with them on the other data."""
@@ -102,45 +87,32 @@ class ProfileTrial:
             self._source, **{**self._options, "overrides": given}, estimators=[self._estimator]
         )
 
-    def _measure(self, figures: Figures, draws: Sequence[int]) -> list[Mapping[str, Any]]:
+    def _compute(
+        self, function: Callable[[RunTask], Mapping[str, Any]], figures: Figures, draws: Sequence[int]
+    ) -> list[Mapping[str, Any]]:
+        """Return what a function of workers finds in each draw."""
         profile = self._load(figures)
         step = choose_step(self._end, profile.sensors.output_rate)
         tasks = [RunTask(str(run), self._truth_key, profile, run, step) for run in draws]
-        rows = dict(compute(measure, tasks, self._pool))
+        rows = dict(compute(function, tasks, self._pool))
         found: list[Mapping[str, Any]] = []
         for k in range(len(tasks)):
             row = rows[k]
             wrong = row.reason if isinstance(row, Lost) else row.get("error")
             if isinstance(row, Lost) or wrong:
                 raise ConfigError(f"{self._source}: draw {draws[k]} has no result: {wrong}")
-            found.append(row["estimators"][self.label])
+            found.append(row)
         return found
 
-    def score(self, figures: Figures) -> Score:
-        """Return how the filter does with these figures in the first draws."""
-        rows = self._measure(figures, range(self._runs))
-        good = [row for row in rows if row["metrics"]["converged"]]
-        if not good:
-            return Score(math.e, {}, math.e, 0.0)
-        sums: dict[str, FloatArray] = {}
-        for row in good:
-            for sensor, dof in row["nis_dof"].items():
-                mean = row["metrics"].get(f"nis_mean_{sensor}")
-                if mean is None:  # a filter of others may report innovations that are not finite
-                    continue
-                new = np.array([mean * row["metrics"][f"updates_{sensor}"], dof])
-                sums[sensor] = sums.get(sensor, np.zeros(2)) + new
-        mean_squares, nees = _draw_values(good)
-        return Score(
-            nees_ratio=float(nees.mean()),
-            nis_ratios={sensor: float(total / dof) for sensor, (total, dof) in sums.items()},
-            rmse=float(np.sqrt(mean_squares.mean())),
-            converged=len(good) / len(rows),
-        )
+    def score(self, figures: Figures, goal: Goal) -> FloatArray:
+        """Return the cost of the filter in each of the first draws."""
+        rows = self._compute(measure_costs, figures, range(self._runs))
+        return np.array([_limit_cost(row[goal]) for row in rows])
 
     def judge(self, figures: Figures) -> Judged:
         """Return how it does with them in the other draws."""
-        rows = self._measure(figures, range(self._runs, 2 * self._runs))
+        others = self._compute(measure, figures, range(self._runs, 2 * self._runs))
+        rows = [row["estimators"][self.label] for row in others]
         good = [row for row in rows if row["metrics"]["converged"]]
         sums = [{name: np.array(one) for name, one in row["repetition"].items()} for row in good]
         return _judge(*_draw_values(good), sums)
@@ -174,25 +146,20 @@ class LogTrial:
         """Return the edges of the stretches of the judged time."""
         return np.linspace(self._from, float(t.max()) + SAME_INSTANT, 2 * _STRETCHES + 1)
 
-    def score(self, figures: Figures) -> Score:
-        """Return how the filter does with these figures in the first half."""
+    def score(self, figures: Figures, goal: Goal) -> FloatArray:
+        """Return the cost of the filter in each stretch of the first half."""
         result = self._navigate(figures)
         errors, innovations = result.errors[self.label], result.solutions[self.label].innovations
-        edges = self._split(errors.t)
-        inside = (errors.t >= edges[0]) & (errors.t < edges[_STRETCHES])
-        nis = nis_by_sensor(innovations, self._from)
-        first = {name: series.t < edges[_STRETCHES] for name, series in nis.items()}
-        mean_squares, nees = _stretch_values(result, self.label, [inside])
-        return Score(
-            nees_ratio=float(nees.mean()),
-            nis_ratios={
-                name: float(series.nis[first[name]].sum() / series.dof[first[name]].sum())
-                for name, series in nis.items()
-                if first[name].any()
-            },
-            rmse=float(np.sqrt(mean_squares.mean())),
-            converged=float(result.metrics[self.label]["converged"]),
-        )
+        edges = self._split(errors.t)[: _STRETCHES + 1]
+        if goal == "rmse":
+            t, values = errors.t, np.square(errors.pos_n[:, :2]).sum(axis=1)
+        else:
+            t, values = innovations.t, score_innovations(innovations)
+            if not len(t):
+                raise ConfigError(f"{self.label} reports no innovations: --goal rmse tunes without them")
+        inside = (t >= edges[0]) & (t < edges[-1])
+        sums, _ = np.histogram(t[inside], edges, weights=values[inside])
+        return np.array([_limit_cost(value * _STRETCHES / max(inside.sum(), 1)) for value in sums])
 
     def judge(self, figures: Figures) -> Judged:
         """Return how it does with them in the second half."""
@@ -203,6 +170,32 @@ class LogTrial:
         values = _stretch_values(result, self.label, [rows for rows in inside if rows.any()])
         innovations = result.solutions[self.label].innovations
         return _judge(*values, [ensemble.sum_repetition(innovations, edges[0], edges[-1])])
+
+
+def measure_costs(task: RunTask) -> dict[str, Any]:
+    """Return by goal the cost of the one filter of a draw, or an ``error``: the work of a worker."""
+    keep_freed_memory()
+    profile = task.profile
+    try:
+        truth = get_truth(task.truth_key, profile)
+        sensed = pipeline.sense(profile, truth, task.run)
+        solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
+        disk_arrays.release()
+        rows = find_covered_epochs(solution) & (solution.t >= profile.evaluation_from - SAME_INSTANT)
+        solution = select_epochs(solution, rows)
+        errors = error_series(truth, solution)
+        if not errors.states:
+            return {"error": f"{profile.estimators[0].label} claims no accuracy, so there is nothing to tune"}
+        with np.errstate(over="ignore"):
+            square = float(np.square(errors.pos_n[:, :2]).sum(axis=1).mean())
+        return {"consistency": float(score_claims(errors, solution).mean()), "rmse": square}
+    except Exception as error:
+        return {"error": describe_error(error)}
+
+
+def _limit_cost(value: float) -> float:
+    """Return a cost that a search can take: what is lost costs most."""
+    return min(float(value), _LOST) if math.isfinite(value) else _LOST
 
 
 def _list_assumed(document: Mapping[str, Any]) -> dict[str, str]:

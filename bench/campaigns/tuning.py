@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 
 from bench import durable
 from bench.arrays import FloatArray
+from bench.campaigns.factor_search import REACH, Found, search_factors
 from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
@@ -28,11 +30,8 @@ DEFAULT_FACTORS = (
 )
 """Beginnings of the figures that share a factor, if none are asked for: kind, table and key."""
 
-_LARGEST = 100.0  # factor
-_FIRST_STEP = 2.0  # factor
 _AT_BOUND = 0.98  # of the logarithm of the bound
 _REPEATS = 0.1  # correlation of neighbouring innovations that matters [1]
-_PULL = 1e-3  # cost of the square of the logarithm of a factor: one without effect stays 1
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,11 @@ class Tuning:
     label: str
     goal: Goal
     factors: Mapping[str, float]  # beginning of the figures -> factor
+    intervals: Mapping[str, tuple[float | None, float | None]]
+    """Of each factor, with 95 %; None where the data tell no end, or where the search did not converge."""
+    converged: bool
+    starts: int  # of the search
+    agreed: int  # starts that came to the same cost
     before: Judged
     after: Judged
     evaluations: int
@@ -50,7 +54,11 @@ class Tuning:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What was found."""
-        found = [_describe_factor(name, factor) for name, factor in self.factors.items()]
+        found = [self._describe_search()]
+        found += [
+            _describe_factor(name, factor, *self.intervals[name], told=self.converged)
+            for name, factor in self.factors.items()
+        ]
         for name, title in (("nees_ratio", "NEES over its expectation"), ("rmse_h_m", "horizontal RMSE [m]")):
             old, new = (getattr(one, name) for one in (self.before, self.after))
             found.append(
@@ -64,6 +72,18 @@ class Tuning:
             if abs(value) > max(band, _REPEATS)
         ]
         return tuple(found)
+
+    def _describe_search(self) -> str:
+        if not self.converged:
+            return (
+                f"NOT converged after {self.evaluations} sets of factors: these are the best of them, "
+                "without intervals; --evaluations allows more"
+            )
+        best = ", the best of them is given" if self.agreed < self.starts else ""
+        return (
+            f"converged after {self.evaluations} sets of factors; {self.agreed} of {self.starts} starts came "
+            f"to the same cost{best}"
+        )
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write the tuned datasheets, ``<kind>-tuned.toml``, and return the files.
@@ -85,7 +105,7 @@ def tune(
     goal: Goal = "consistency",
     factors: Sequence[str] | None = None,
     runs: int = 20,
-    evaluations: int = 60,
+    evaluations: int = 400,
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
     allow_code: bool = False,
@@ -104,33 +124,32 @@ def tune(
     log : bool
         The source is a log: withheld fixes of its first half tune, those of its second half judge.
     goal : str
-        "consistency": NEES and NIS at their expectation; "rmse": least horizontal RMSE.
+        "consistency": least log score (`bench.evaluation.log_score`) of the errors, or of the innovations of
+        a log; "rmse": least horizontal RMSE.
     factors : sequence of str or None
         Beginnings of the figures that share a factor, such as "imu.gyro.noise", several with commas between
         them; None takes those of `DEFAULT_FACTORS` that the assumed datasheets have.
     runs : int
         Draws of a profile that tune; as many others judge.
     evaluations : int
-        Most sets of factors to try.
+        Most sets of factors to try before the search ends unconverged. Intervals take some ten more each.
     seed, overrides, allow_code, guard
         As for `bench.load_profile`; a log has no seed.
     jobs : int or None
         Number of processes for a profile.
     progress : callable
-        Called with the number of the set, the most there may be, and its cost.
+        Called with the number of the set, the most of the search, and its mean cost.
 
     Returns
     -------
     tuning : Tuning
-        Found by the method of Nelder and Mead on the logarithms of the factors.
+        Found on the logarithms of the factors, from several starts, by `bench.campaigns.factor_search`.
 
     Raises
     ------
     bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
         If the source, the estimator or a factor is wrong, or a draw cannot be judged.
     """
-    from scipy.optimize import minimize
-
     with ProcessPool(jobs or count_processors()) as pool:
         trial: Trial
         if log:
@@ -140,39 +159,53 @@ def tune(
             trial = ProfileTrial(str(source), estimator, runs, pool, options)
         known = _read_figures(trial)
         groups = _group_figures(known, factors)
-        tried: dict[tuple[float, ...], float] = {}
+        sets, unit = itertools.count(1), 1.0
 
-        def cost(x: FloatArray) -> float:
-            key = tuple(float(value) for value in x)
-            if key not in tried:
-                score = trial.score(_name_keys(_scale(groups, known, np.exp(x))))
-                tried[key] = score.cost(goal) + _PULL * float(x @ x)
-                progress(len(tried), evaluations, tried[key])
-            return tried[key]
+        def find_costs(x: FloatArray) -> FloatArray:
+            costs = trial.score(_name_keys(_scale(groups, known, np.exp(x))), goal) / unit
+            progress(next(sets), evaluations, float(costs.mean()))
+            return costs
 
-        n, step, reach = len(groups), np.log(_FIRST_STEP), np.log(_LARGEST)
-        simplex = np.vstack([np.zeros(n), step * np.eye(n)])
-        settings = {"maxfev": evaluations, "initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4}
-        minimize(cost, np.zeros(n), method="Nelder-Mead", bounds=[(-reach, reach)] * n, options=settings)
-        best = np.exp(min(tried, key=lambda key: tried[key]))
+        if goal == "rmse":  # relative to the datasheets: the search knows costs of the size of 1
+            unit = float(find_costs(np.zeros(len(groups))).mean()) or 1.0
+        found = search_factors(find_costs, len(groups), evaluations)
+        best = np.exp(found.x)
         figures = _scale(groups, known, best)
         before, after = trial.judge({}), trial.judge(_name_keys(figures))
     return Tuning(
         label=trial.label,
         goal=goal,
         factors=dict(zip(groups, best.tolist(), strict=True)),
+        intervals={name: _name_ends(found, k) for k, name in enumerate(groups)},
+        converged=found.converged,
+        starts=found.starts,
+        agreed=found.agreed,
         before=before,
         after=after,
-        evaluations=len(tried),
+        evaluations=next(sets) - 1,
         datasheets=_write_datasheets(trial, figures),
     )
 
 
-def _describe_factor(name: str, factor: float) -> str:
+def _name_ends(found: Found, k: int) -> tuple[float | None, float | None]:
+    """Return the interval of a factor; None where there is no end."""
+    low, high = (float(np.exp(ends[k])) if np.isfinite(ends[k]) else None for ends in (found.low, found.high))
+    return low, high
+
+
+def _describe_factor(name: str, factor: float, low: float | None, high: float | None, *, told: bool) -> str:
     text = f"{name}: {factor:.3g} times the datasheet"
-    if abs(np.log(factor)) < _AT_BOUND * np.log(_LARGEST):
+    if abs(np.log(factor)) >= _AT_BOUND * REACH:
+        text += ": the bound, so the right one was not found; ask whether this noise is in the error at all"
+    elif not told:
         return text
-    return f"{text}: the bound, so the right one was not found; ask whether this noise is in the error at all"
+    elif low is not None and high is not None:
+        text += f" ({low:.3g} to {high:.3g})"
+    else:
+        ends = [f"at least {low:.3g} times"] if low is not None else []
+        ends += [f"at most {high:.3g} times"] if high is not None else []
+        text += f", but these data cannot tell: {ends[0] if ends else 'any factor does'}"
+    return text
 
 
 def _read_figures(trial: Trial) -> dict[str, float]:

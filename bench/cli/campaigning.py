@@ -92,12 +92,14 @@ def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) ->
 @commands.command(epilog=STATUS)
 @click.argument("source", metavar="PROFILE|LOG.toml", shell_complete=completion.profile)
 @click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to tune")
-@click.option("--log", is_flag=True, help="it is a log: withheld fixes of its two halves tune and judge")
+@click.option(
+    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second judge"
+)
 @click.option(
     "--goal",
     type=click.Choice(["consistency", "rmse"]),
     default="consistency",
-    help="NEES and NIS at their expectation, or the least horizontal RMSE",
+    help="claims that describe the errors, or the least horizontal RMSE",
 )
 @click.option(
     "--factor",
@@ -108,7 +110,13 @@ def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) ->
     help="one factor for all figures that begin so: imu.gyro.noise; repeat for more",
 )
 @click.option("--runs", type=click.IntRange(min=2), default=20, metavar="N", help="draws that tune")
-@click.option("--evaluations", type=click.IntRange(min=2), default=60, metavar="N", help="most sets to try")
+@click.option(
+    "--evaluations",
+    type=click.IntRange(min=2),
+    default=400,
+    metavar="N",
+    help="most sets to try; status 1 if the search has not converged then",
+)
 @jobs_option
 @click.option("-o", "--out", type=FILE, default="tuned", metavar="DIR", help="folder for the datasheets")
 @set_option
@@ -121,8 +129,9 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
     """Find factors on the noises that a filter assumes.
 
     The first noise draws of PROFILE tune; as many others judge, before and after. With
-    --log the withheld fixes of the first half of a recording tune, those of its second
-    half judge. Writes the datasheets that the filter should assume.
+    --log the innovations of the first half of a recording tune, the withheld fixes of its
+    second half judge. Each factor has an interval; one that the data do not tell says so.
+    Writes the datasheets that the filter should assume.
 
     \b
     Examples:
@@ -138,7 +147,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
     found = run_tuning(source, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(asdict(found)), nl=False)
-    return DONE
+    return DONE if found.converged else NEGATIVE
 
 
 @commands.command(epilog=STATUS)

@@ -22,7 +22,7 @@ def run_tuning(source: str, *, console: Console, out: Path, force: bool, **optio
     with PlainConsole(stderr=True).status("") as status:
 
         def show(number: int, most: int, cost: float) -> None:
-            status.update(Text(f"set {number} of at most {most}, cost {cost:.3g}"))
+            status.update(Text(f"set {number}, cost {cost:.4g}; at most {most} until it converges"))
 
         tuning = tune(source, progress=show, **options)
     for sentence in tuning.sentences:

@@ -1,0 +1,86 @@
+"""Factors of variances are found, and their intervals hold the truth as often as they say, by Monte Carlo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from bench.campaigns.factor_search import REACH, search_factors
+
+TRUE = np.log([0.2, 3.0])  # right factors of the two noises that show
+DRAWS, EPOCHS = 8, 400
+
+
+def draw_costs(seed: int, draws: int = DRAWS) -> Callable[[np.ndarray], np.ndarray]:
+    """Log scores of two errors of known variances, correlated over epochs by first-order Markov processes.
+
+    The first error has noise a, the second 0.3 of it and noise b; a third noise is too small to show.
+    """
+    rng = np.random.default_rng(seed)
+    kept, errors = 0.9, np.empty((draws, EPOCHS, 2))
+    errors[:, 0] = rng.standard_normal((draws, 2))
+    for k in range(1, EPOCHS):
+        errors[:, k] = kept * errors[:, k - 1] + np.sqrt(1 - kept**2) * rng.standard_normal((draws, 2))
+
+    def variances(x: np.ndarray) -> np.ndarray:
+        a, b, c = np.exp(2 * x)
+        return np.array([a + 1e-4 * c, 0.3 * a + b + 1e-4 * c])
+
+    errors *= np.sqrt(variances(np.append(TRUE, 0.0)))
+
+    def costs(x: np.ndarray) -> np.ndarray:
+        v = variances(x)
+        return 0.5 * (np.square(errors) / v + np.log(v)).mean(axis=1).sum(axis=1)
+
+    return costs
+
+
+def test_a_case_with_a_solution_by_hand():
+    """One factor on the variance of one error: the cost is least where the factor is its RMS."""
+    squares = np.array([1.1, 0.7, 1.4, 0.9, 1.2, 0.6, 1.0, 1.3]) * 0.04
+    found = search_factors(lambda x: 0.5 * (squares * np.exp(-2 * x[0]) + 2 * x[0]), 1, 200)
+    assert found.converged
+    assert found.agreed == found.starts == 3
+    mean = squares.mean()
+    assert np.exp(2 * found.x[0]) == pytest.approx(mean, rel=0.01)
+    # the slope of a draw is 1 - square / factor^2: its mean is zero within t of its standard error
+    reach = 2.3646 * squares.std(ddof=1) / np.sqrt(len(squares))
+    assert np.exp(2 * found.low[0]) == pytest.approx(mean - reach, rel=0.02)
+    assert np.exp(2 * found.high[0]) == pytest.approx(mean + reach, rel=0.02)
+
+
+def test_intervals_hold_the_truth_and_what_does_not_show_has_no_end():
+    repetitions = 100
+    inside, below, above = np.zeros(2), 0, 0
+    for seed in range(repetitions):
+        found = search_factors(draw_costs(seed), 3, 1000)
+        assert found.converged
+        inside += (found.low[:2] <= TRUE) & (found.high[:2] >= TRUE)
+        below += found.low[2] == -np.inf
+        above += found.high[2] <= REACH
+    low, high = binom.ppf([0.0005, 0.9995], repetitions, 0.95)
+    assert ((low <= inside) & (inside <= high)).all(), inside
+    assert below > 0.9 * repetitions  # the third noise may be none
+    assert above > 0.9 * repetitions  # but not a hundred times as much
+
+
+def test_a_search_that_is_cut_short_says_so():
+    found = search_factors(draw_costs(1), 3, 20)
+    assert not found.converged
+    assert np.isnan(found.low).all()
+
+
+def test_the_start_does_not_matter():
+    """A second valley, beside the first start: another start finds the deeper one."""
+    draws = np.linspace(-0.01, 0.01, 6)
+
+    def costs(x: np.ndarray) -> np.ndarray:
+        shallow, deep = 1 - np.exp(-np.square((x[0] - 0.1) / 0.3)), np.exp(-np.square((x[0] + 2.0) / 0.5))
+        return shallow - 3 * deep + draws * x[0]
+
+    found = search_factors(costs, 1, 500)
+    assert found.x[0] == pytest.approx(-2.0, abs=0.05)
+    assert found.agreed < found.starts
