@@ -213,6 +213,37 @@ class OdometerSpec:
     """Time from a measurement until a filter gets it [s]."""
 
 
+@declared
+class HeadingData(InstrumentData):
+    """Heading from two antennas: the direction from the one behind to the one ahead."""
+
+    heading: FloatArray = column("heading_rad")  # (M,) from north over east [rad]
+    sd: FloatArray = column("sd_rad")  # (M,) white noise by the datasheet, or as reported [rad]
+
+
+@declared
+class HeadingSpec:
+    """Two antennas ahead of each other and a receiver that takes their heading. 0 switches an error off."""
+
+    name: str
+    rate: float = figure("hz", 0.01, 400)
+    """Measurements in a second [Hz]."""
+    white_sd: float = figure("deg", 0, 90, reported=True)
+    """White noise [rad]."""
+    wander_sd: float = figure("deg", 0, 90, default=0.0)
+    """Multipath, Gauss-Markov [rad]."""
+    wander_time: float = figure("s", 1, 1e5, default=60.0)
+    """Correlation time of the multipath [s]."""
+    bias_sd: float = figure("deg", 0, 90, default=0.0)
+    """Offset of the line between the antennas from the forward axis, constant in a run [rad]."""
+    max_slope: float = figure("deg", 1, 84, default=math.radians(60.0))
+    """Samples with that line steeper than this are flagged [rad]."""
+    quantization: float = figure("deg", default=0.0)
+    """Resolution [rad]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a measurement until a filter gets it [s]."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentSpecs:
     """Specs of the instruments, on board or assumed; None if there is no such instrument."""
@@ -222,6 +253,7 @@ class InstrumentSpecs:
     airspeed: AirspeedSpec | None = None
     radar: RadarSpec | None = None
     odometer: OdometerSpec | None = None
+    heading: HeadingSpec | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,6 +265,7 @@ class InstrumentReports:
     airspeed: AirspeedData | None = None
     radar: RadarData | None = None
     odometer: OdometerData | None = None
+    heading: HeadingData | None = None
 
     @property
     def instruments(self) -> dict[str, Any]:
@@ -389,6 +422,20 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             frame=6,
             bias=Column(("odometer_bias_mps",), ("m/s",)),
             trace=Trace("speed", "odometer", "m/s", dots=True),
+        ),
+        Instrument(
+            name="heading",
+            title="dual antenna",
+            record=HeadingData,
+            spec=HeadingSpec,
+            contents="heading from two antennas, from north over east; sd_rad is its white noise",
+            model="dual_antenna",
+            innovation="heading",
+            quantity="heading of the antennas",
+            frame=7,
+            bias=Column(("heading_bias_rad",), ("rad",)),
+            trace=Trace("heading", "dual antenna", "deg", 180.0 / math.pi, dots=True),
+            step="deg",
         ),
     )
 }

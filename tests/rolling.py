@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 from bench import earth, rotation
 from bench.data import Trajectory
 from bench.exchange.trajectory import read_trajectory
-from bench.navigation.error_state_filter.state_blocks import SQUAT_SD
 from bench.navigation.error_state_filter.vehicle_motion import SHAKING_SD, SLIP_FORCE
+from bench.navigation.error_state_filter.vehicle_states import SQUAT_SD
 from bench.navigation.options import FusionOptions
 from bench.specs import TableSpec
 from bench.store import join_pieces

@@ -23,6 +23,7 @@ from bench.plots.tabs.flight_data import FLIGHT
 from bench.run_result import RunResult
 from bench.sensors import sense
 from bench.specs import Fault
+from bench.units import to_si
 from tests.weaving import units
 
 
@@ -117,12 +118,13 @@ def test_a_step_strikes_the_instruments_that_have_one(sensed, truth, on_board):
         (fault,) = fault_tables.read_faults([table])
         struck = sense(truth, replace(on_board, faults=(fault,)), 1, 0)
         before, after = getattr(sensed.data, name), getattr(struck.data, name)
+        step = to_si(f"step_{row.step}", 7.0)
         added = row.values(after) - row.values(before)
         inside = (before.t >= 5.0 - 1e-6) & (before.t < 9.0 - 1e-6)
-        assert np.allclose(added[inside], 7.0, atol=1e-9)
+        assert np.allclose(added[inside], step, atol=1e-9)
         assert not added[~inside].any()
         drawn = struck.truth.bias[name] - sensed.truth.bias[name]
-        assert drawn.max() == pytest.approx(7.0)
+        assert drawn.max() == pytest.approx(step)
 
 
 def test_the_catalog_has_a_unit_of_each():

@@ -280,7 +280,7 @@ def stream(folder: Path, **options: Any) -> int:
     IMU and the other instruments are binary frames, little-endian:
 
     \b
-      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed, 5 radar, 6 odometer),
+      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed, 5 radar, 6 odometer, 7 heading),
       length n, uint32 number,
       n bytes payload: float64 values, then one byte, 1 if valid;
       uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
@@ -288,7 +288,7 @@ def stream(folder: Path, **options: Any) -> int:
       IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
       baro      t [s], altitude [m], sd [m]
       mag       t [s], field x y z [T], sd [T]
-      others    t [s], value and its sd: airspeed [m/s], radar [m], odometer [m/s]
+      others    t [s], value and its sd: airspeed [m/s], radar [m], odometer [m/s], heading [rad]
 
     A message is sent when it would reach the filter: at its time plus the latency of
     its sensor. Without --allow-remote only addresses of this machine are accepted.

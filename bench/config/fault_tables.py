@@ -75,6 +75,7 @@ _WORDS = {
     "sensor": "What is struck.",
     "satellites": "RINEX names, such as G05 and R12.",
     "step_m": "Error from the first instant on; of a position north, east, down.",
+    "step_deg": "Error from the first instant on.",
     "step_deg_h": "Error from the first instant on: x, y, z.",
     "step_mg": "Error from the first instant on: x, y, z.",
     "ramp_mps": "Growth of the error; of a position north, east, down.",

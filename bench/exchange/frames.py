@@ -5,7 +5,7 @@ A frame, little-endian:
     offset  bytes  content
     0       2      0xAA 0x55
     2       1      kind: 1 IMU; the others are `bench.instruments.Instrument.frame`: 2 barometer,
-                   3 magnetometer, 4 airspeed, 5 radar altimeter, 6 odometer
+                   3 magnetometer, 4 airspeed, 5 radar altimeter, 6 odometer, 7 heading
     3       1      n, length of the payload
     4       4      number of the frame, from 0, unsigned
     8       n      payload: float64 values, then one byte, 1 if the sensor marks the row as valid
@@ -14,7 +14,7 @@ A frame, little-endian:
 Payloads: IMU t, dt [s], increments of angle x, y, z [rad] and of velocity x, y, z [m/s] over the interval
 that ends at t, forward, right, down (n = 65); other instruments t [s], value or values, and sd, in SI:
 barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25), radar height above
-the runway [m] (25), odometer speed [m/s] (25).
+the runway [m] (25), odometer speed [m/s] (25), heading [rad] (25).
 """
 
 from __future__ import annotations

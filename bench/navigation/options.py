@@ -83,9 +83,10 @@ class GateOptions(Options):
     readmit_after_s: NotNegative = 10.0
     """Time of nothing but refusals, at least three, after which a sensor is believed again (A-5.4.7) [s]. The
     covariance grows for it along the states that may have made a step: position, velocity, clock of the
-    receiver, bias of the barometer, radar altimeter or magnetometer, scale factor of the odometer, wind, slip
-    of the wheels. A sensor for which the filter has no such state stays out until it agrees, and a satellite
-    while half of those in view do. After an outage a fix that tells of a drift is used at once."""
+    receiver, bias of the barometer, radar altimeter or magnetometer, offset of a heading, scale factor of the
+    odometer, wind, slip of the wheels. A sensor for which the filter has no such state stays out until it
+    agrees, and a satellite while half of those in view do. After an outage a fix that tells of a drift is
+    used at once."""
 
 
 class FixOptions(GateOptions):
@@ -111,6 +112,8 @@ class AidingOptions(FixOptions):
     """Use the height above the runway of a radar altimeter, with its bias as a state."""
     odometer: bool = False
     """Use the speed of a wheel, with its scale factor as a state."""
+    heading: bool = False
+    """Use the heading of two antennas, with its offset and its multipath as states."""
 
     @property
     def accuracy(self) -> FixAccuracy | None:
@@ -154,6 +157,9 @@ class FusionOptions(IntegrityOptions, AidingOptions):
     datasheet's."""
     standstill: bool = False
     """Use zero velocity and zero rate while the IMU stands still by its own account."""
+    time_offset_sd: NotNegative = 0.0
+    """How well the times of fixes are known on the clock of the IMU [s]; above 0 what has to be added to them
+    is a state, time_offset_s."""
     lever_arm_sd: NotNegative = 0.0
     """How well each component of the antenna's place is known [m]; above 0 it is estimated."""
     nonholonomic: bool = False
@@ -199,6 +205,10 @@ class FusionOptions(IntegrityOptions, AidingOptions):
             wrong.append("gnss_markov = true needs gnss = true: the states are errors of its fixes")
         if self.gnss_markov and self.tight:
             wrong.append("gnss_markov = true needs fixes: tight coupling uses none")
+        if self.time_offset_sd > 0 and (self.tight or not self.gnss):
+            wrong.append(
+                f"time_offset_sd = {self.time_offset_sd:g} needs fixes: the offset is of their clock"
+            )
         if self.lever_arm_sd > 0 and not self.gnss:
             wrong.append(
                 f"lever_arm_sd = {self.lever_arm_sd:g} needs gnss = true: only its antenna has an arm"

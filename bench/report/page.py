@@ -125,7 +125,7 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
     kind, mark = mark_of(word)
     remarks = [
         f"{begun:g} to {end:g} s: {text}"
-        for what in ("alignment", "restart")
+        for what in ("alignment", "restart", "reset", "ended")
         if label in result.solutions
         for begun, end, text in result.solutions[label].events.select(what)
     ]

@@ -13,6 +13,7 @@ from rich.console import Console
 from bench import durable
 from bench.config.log import LogSpec, load_log
 from bench.errors import ConfigError
+from bench.evaluation.motion_checks import SHIFT_OFF
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.evaluation.validity import check_recording
 from bench.exchange.exports.column_files import START
@@ -198,4 +199,12 @@ def _write_log(
         lines += ['kind = "course"  # "level" if it stands for a minute before it moves?']
     else:
         lines += ['kind = "level"  # it does not move fast enough for a course', f"duration_s = {rest:.1f}"]
+    if "imu" in clocks:  # what is left of it is a state
+        options = f"{{ time_offset_sd = {SHIFT_OFF:g} }}"
+        lines += [
+            "",
+            "[[estimator]]",
+            'use = "loose-15"',
+            f"options = {options}  # of that clock",
+        ]
     return "\n".join(lines) + "\n"

@@ -91,8 +91,9 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
     for label, values in measured.items():
         for begun, end, text in solutions[label].events.select("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
-        for begun, end, text in solutions[label].events.select("restart"):
-            remarks.setdefault(f"{begun:g} to {end:g} s: {text}", []).append(label)
+        for kind in ("restart", "reset", "ended"):
+            for begun, end, text in solutions[label].events.select(kind):
+                remarks.setdefault(f"{begun:g} to {end:g} s: {text}", []).append(label)
         if values["converged"] and values.get("program"):
             stderr = values["program"]["stderr"]
             last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""

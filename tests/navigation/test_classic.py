@@ -18,7 +18,7 @@ from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.errors import EstimatorError
 from bench.navigation.engine import kalman
-from bench.navigation.error_state_filter import error_state, measurement_rows
+from bench.navigation.error_state_filter import antenna_rows, error_state
 from bench.navigation.estimator import load
 from bench.navigation.models.classic import (
     Classic22,
@@ -160,7 +160,7 @@ def test_h_gain_and_update_of_both_filters_are_one():
     fix_lla, fix_vel = NAV_N[:3] + np.array([2e-7, -3e-7, 2.0]), NAV_N[3:6] + np.array([0.1, -0.2, 0.05])
     C = rotation.matrix(NAV_N[6:])
     H_n, z_n = np.zeros((7, 22)), np.zeros(7)
-    measurement_rows.antenna_kernel(NAV_N, C, antenna, w_b, fix_lla, fix_vel, H_n, z_n)
+    antenna_rows.antenna_kernel(NAV_N, C, antenna, w_b, fix_lla, fix_vel, H_n, z_n)
     H_n[:6, 16:22] += np.eye(6)
     H_n[6, 2], H_n[6, 15], z_n[6] = -1.0, 1.0, NAV_N[2] - 2504.0
 

@@ -15,7 +15,15 @@ import numpy as np
 import pytest
 
 from bench import rotation, sensors
-from bench.instruments import AirspeedData, AirspeedSpec, MagSpec, OdometerSpec, RadarSpec
+from bench.instruments import (
+    INSTRUMENTS,
+    AirspeedData,
+    AirspeedSpec,
+    HeadingSpec,
+    MagSpec,
+    OdometerSpec,
+    RadarSpec,
+)
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Passage
@@ -61,6 +69,7 @@ def record(attitude, standing, sky=False):
         ),
         "radar": RadarSpec("radar", 10.0, white_sd=0.3, range=2000.0, bias_sd=0.5),
         "odometer": OdometerSpec("wheel", 10.0, white_sd=0.05, scale_factor_sd=0.02),
+        "heading": HeadingSpec("two", 10.0, white_sd=0.003, wander_sd=0.002, bias_sd=0.01, max_slope=1.4),
     }
     spec = replace(spec, **more, assumed=replace(spec.assumed, imu=IMU, **more), ground_alt=700.0)
     truth = weaving(2.0, rate=RATE)  # without air
@@ -80,7 +89,7 @@ def record(attitude, standing, sky=False):
         force = np.array([3.0, 2.0, -11.0]) + np.cos(3 * phase + [0.0, 1.0, 2.0])
         initial = replace(initial, vel_n=np.array([30.0, 18.0, -2.0]))
     imu = replace(imu, dtheta_b=turn / RATE, dvel_b=force / RATE)
-    names = {f.name for f in fields(data)} & {"fixes", "baro", "airspeed", "mag", "radar", "odometer"}
+    names = {f.name for f in fields(data)} & {"fixes", *INSTRUMENTS}
     last = {}
     for name in names:
         one = getattr(data, name)
@@ -196,15 +205,16 @@ def assert_alike(found, claimed, rows, names):
     ]
 
 
-AIR = {"airspeed": True, "magnetometer": True, "radar": True, "coordinated": True}
+AIR = {"airspeed": True, "magnetometer": True, "radar": True, "coordinated": True, "heading": True}
 WHEELS = {"odometer": True, "nonholonomic": True, "standstill": True, "axle_b": [-3.0, 1.0, 2.0]}
 CASES = {
     "air": ("loose-full", {"lever_arm_sd": 0.3, **AIR}, {}),
+    "late": ("loose-full", {"lever_arm_sd": 0.3, "time_offset_sd": 2.0}, {}),
     "tight": ("tight", {"every_error": True, "lever_arm_sd": 0.3}, {"sky": True}),
     "wheels": ("loose-full", WHEELS, {}),
     "standing": ("loose-full", WHEELS, {"standing": True}),
 }
-EVERY = [(case, attitude) for case in CASES for attitude in ATTITUDES[: 3 if case in ("air", "tight") else 1]]
+EVERY = [(case, one) for case in CASES for one in ATTITUDES[: 3 if case in ("air", "late", "tight") else 1]]
 
 
 @pytest.mark.parametrize(("case", "attitude"), EVERY)

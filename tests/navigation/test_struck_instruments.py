@@ -17,7 +17,7 @@ from scipy import stats
 from bench import sensors
 from bench.data import AirData
 from bench.evaluation.error_series import error_series
-from bench.instruments import INSTRUMENTS, AirspeedSpec, MagSpec, OdometerSpec, RadarSpec
+from bench.instruments import INSTRUMENTS, AirspeedSpec, HeadingSpec, MagSpec, OdometerSpec, RadarSpec
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
 from bench.navigation.estimator import load
 from bench.specs import Fault
@@ -30,6 +30,7 @@ UNITS = {
     "mag": MagSpec("compass", 10.0, white_sd=2e-7, hard_iron_sd=5e-7, misalignment_sd=0.01),
     "radar": RadarSpec("radar", 10.0, white_sd=0.3, range=2000.0, bias_sd=0.5),
     "odometer": OdometerSpec("wheel", 10.0, white_sd=0.05, scale_factor_sd=0.02),
+    "heading": HeadingSpec("two", 5.0, white_sd=0.003, wander_sd=0.002, wander_time=20.0, bias_sd=0.01),
 }
 KINDS = {
     "frozen": {},
@@ -48,7 +49,8 @@ def list_faults(sensor):
     if sensor == "gnss":
         yield Fault("spoofing", sensor, START, END, "spoofing", step=(60.0, -40.0, 20.0), ramp=(0.0,) * 3)
     elif INSTRUMENTS[sensor].step:
-        yield Fault(f"{sensor}-step", sensor, START, END, "step", step=(60.0,), ramp=(0.0,))
+        step = 0.2 if INSTRUMENTS[sensor].unit == "rad" else 60.0
+        yield Fault(f"{sensor}-step", sensor, START, END, "step", step=(step,), ramp=(0.0,))
 
 
 @cache

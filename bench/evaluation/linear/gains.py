@@ -11,6 +11,7 @@ from bench.data import Innovations, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
 from bench.evaluation.linear.path import Path, make_path
 from bench.navigation.engine.kalman import update_kernel
+from bench.navigation.error_state_filter.antenna_rows import antenna_kernel
 from bench.navigation.error_state_filter.error_state import GYRO
 from bench.navigation.error_state_filter.filter_run import Nodes, join_nodes
 from bench.navigation.error_state_filter.measurement_rows import (
@@ -18,7 +19,6 @@ from bench.navigation.error_state_filter.measurement_rows import (
     POSITION,
     SENSORS,
     VELOCITY,
-    antenna_kernel,
 )
 from bench.navigation.error_state_filter.state_blocks import Index, StateModel, state_model
 from bench.navigation.models.loose_tight import Fusion, Loose

@@ -22,6 +22,8 @@ from bench.instruments import (
     AirspeedSpec,
     BaroData,
     BaroSpec,
+    HeadingData,
+    HeadingSpec,
     MagData,
     MagSpec,
     OdometerData,
@@ -34,6 +36,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
     AIRSPEED_ROWS,
     BARO_ROWS,
     FIX_ROWS,
+    HEADING_ROWS,
     MAGNETIC_ROWS,
     ODOMETER_ROWS,
     RADAR_ROWS,
@@ -109,7 +112,7 @@ def jumps(gnss: GnssSpec) -> FloatArray:
     return np.asarray(min(CHANGES / gnss.rate, 1.0) * sd**2)
 
 
-def _rounding(spec: BaroSpec | RadarSpec | OdometerSpec) -> FloatArray:
+def _rounding(spec: BaroSpec | RadarSpec | OdometerSpec | HeadingSpec) -> FloatArray:
     return np.array([spec.quantization**2 / 12.0])
 
 
@@ -198,6 +201,16 @@ def _odometer_errors(odometer: OdometerSpec) -> Errors:
     yield "odometer quantization", odometer.quantization
 
 
+def _read_heading(record: HeadingData, *_: object) -> tuple[FloatArray, FloatArray]:
+    return record.heading[:, None], np.square(record.sd)[:, None]
+
+
+def _heading_errors(spec: HeadingSpec) -> Errors:
+    yield "offset of the antennas' heading", spec.bias_sd
+    yield "multipath of the antennas' heading", spec.wander_sd
+    yield "quantization of the antennas' heading", spec.quantization
+
+
 def _read_field(record: MagData, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.field_b, np.repeat(np.square(record.sd)[:, None], 3, axis=1)
 
@@ -228,9 +241,12 @@ RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_
 ODOMETER = AidingSensor(
     "odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors, short=_rounding
 )
+HEADING = AidingSensor(
+    "heading", "heading", "heading", HEADING_ROWS, _read_heading, _heading_errors, short=_rounding
+)
 BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, False, _rounding)
 
-AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, BARO)
+AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, HEADING, BARO)
 
 
 def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:

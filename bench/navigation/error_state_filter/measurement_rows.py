@@ -2,10 +2,10 @@
 
 Every z is predicted minus measured, z = H dx + noise:
 
-    fix        antenna position = dp - [C l x] phi + C dl + dm_p
-               antenna velocity = dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl + dm_v
+    fix        of `antenna_rows`, and dm_p in position, dm_v in velocity
     baro       h + b - h_baro = -dp_D + db
     magnetic   (1 + M) C' m_n + d - m_b = (1 + M) C' [m_n x] phi + dM C' m_n + dd
+    heading    atan2(C_E, C_N) + b + m - psi = dphi_D - C_D (C_N dphi_N + C_E dphi_E) / (1 - C_D^2) + db + dm
     airspeed   |v_n - w| - V = u . (dv - dw)
     radar      h + b - h_radar = -dp_D + db
     odometer   (1 + s) c . u - V = (1 + s) du + (c . u) ds, u of `vehicle_motion`
@@ -13,8 +13,8 @@ Every z is predicted minus measured, z = H dx + noise:
     standstill v_n - 0 = dv;  w_ib_b - C' w_ie_n = -db_g - C' [w_ie_n x] phi
     course     yaw(C) - o - course = dpsi - do, o the offset of a `steady_course`
 
-with l the antenna in b, w the rate of b relative to e, m the Markov part of the GNSS error if it is
-estimated, u the direction of the airspeed and w in its row the wind, M and d the matrix and the offset that
+with m the Markov part of the GNSS error or of a heading if it is estimated, C_N, C_E, C_D the forward axis of
+b in n, u the direction of the airspeed and w in its row the wind, M and d the matrix and the offset that
 calibration left in a magnetometer (`state_blocks.MAGNETOMETER`). A fix without velocity has the rows of its
 position only. What has a column for the gyro bias has one for each state that adds to it
 (`corrections`).
@@ -28,13 +28,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.compiled import inner, kernel
+from bench.compiled import inner
 from bench.earth import EARTH_RATE, radii_kernel
+from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel, late_rows_kernel
 from bench.navigation.error_state_filter.corrections import (
     drive_rows_kernel,
     motion_factors_kernel,
     motion_kernel,
-    newest_kernel,
 )
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
 from bench.navigation.error_state_filter.magnetometer_errors import calibration_kernel
@@ -59,16 +59,18 @@ SENSORS = (
     "nonholonomic",
     "coordinated",
     "course",
+    "heading",
 )
 POSITION, VELOCITY, BARO, PSEUDORANGE, RANGE_RATE, MAGNETIC, AIRSPEED, ZERO_VELOCITY, ZERO_RATE = range(9)
-RADAR, ODOMETER, NONHOLONOMIC, COORDINATED, COURSE = 9, 10, 11, 12, 13
+RADAR, ODOMETER, NONHOLONOMIC, COORDINATED, COURSE, HEADING = range(9, 15)
 ABSENT = -1
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
-RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS, COURSE_ROWS = 6, 7, 8, 9
+RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS, COURSE_ROWS, HEADING_ROWS = range(6, 11)
 """Kinds of records; at one instant they are used in this order."""
 
 _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
+_LEAST_LEVEL = 0.1  # horizontal part of two antennas apart, below which they tell no heading [1]
 
 
 class Measurements(NamedTuple):
@@ -91,95 +93,6 @@ def _row_kernel(
     pending.r[row] = r
     pending.tags[row, 0], pending.tags[row, 1] = code, channel
     pending.tags[row, 2], pending.tags[row, 3] = component, length
-
-
-@kernel
-def antenna_kernel(
-    nav: FloatArray,
-    C: FloatArray,
-    antenna_b: FloatArray,
-    w_ib_b: FloatArray,
-    lla: FloatArray,
-    vel_n: FloatArray,
-    H: FloatArray,
-    z: FloatArray,
-) -> None:
-    """Fill z (6,) and H (6, n) of a fix: predicted minus measured position [m] and velocity [m/s], n.
-
-    Elements of H that are always zero are not written: H must hold zeros there.
-    """
-    s, c = np.sin(nav[0]), np.cos(nav[0])
-    meridian, prime = radii_kernel(s)
-    r_m, r_p = meridian + nav[2], prime + nav[2]
-    x, y, d = antenna_b[0], antenna_b[1], antenna_b[2]
-    # rate of b relative to e: without that of the Earth, in b
-    p = w_ib_b[0] - EARTH_RATE * (C[0, 0] * c - C[2, 0] * s)
-    q = w_ib_b[1] - EARTH_RATE * (C[0, 1] * c - C[2, 1] * s)
-    r = w_ib_b[2] - EARTH_RATE * (C[0, 2] * c - C[2, 2] * s)
-    sx, sy, sd = q * d - r * y, r * x - p * d, p * y - q * x  # w x l
-    for i in range(3):
-        H[POS + i, POS + i] = 1.0
-        H[VEL + i, VEL + i] = 1.0
-        H[3 + i, GYRO] = C[i, 1] * d - C[i, 2] * y  # C [l x]
-        H[3 + i, GYRO + 1] = C[i, 2] * x - C[i, 0] * d
-        H[3 + i, GYRO + 2] = C[i, 0] * y - C[i, 1] * x
-    for block, u, v, w in ((0, x, y, d), (3, sx, sy, sd)):
-        a = C[0, 0] * u + C[0, 1] * v + C[0, 2] * w
-        b = C[1, 0] * u + C[1, 1] * v + C[1, 2] * w
-        g = C[2, 0] * u + C[2, 1] * v + C[2, 2] * w
-        H[block, PHI + 1], H[block, PHI + 2] = g, -b  # -[a x]
-        H[block + 1, PHI], H[block + 1, PHI + 2] = -g, a
-        H[block + 2, PHI], H[block + 2, PHI + 1] = b, -a
-        z[block], z[block + 1], z[block + 2] = a, b, g
-    dlon = nav[1] - lla[1]
-    dlon -= 2.0 * np.pi * np.rint(dlon / (2.0 * np.pi))
-    z[0] += (nav[0] - lla[0]) * r_m
-    z[1] += dlon * r_p * c
-    z[2] += lla[2] - nav[2]
-    for i in range(3):
-        z[3 + i] += nav[3 + i] - vel_n[i]
-
-
-@inner
-def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> None:
-    """Fill the columns from ``at`` on of H (6, n): the estimated lever arm. The Earth rate is neglected."""
-    p, q, r = w_ib_b[0], w_ib_b[1], w_ib_b[2]
-    for i in range(3):
-        for j in range(3):
-            H[i, at + j] = C[i, j]
-        H[3 + i, at] = C[i, 1] * r - C[i, 2] * q  # C [w x]
-        H[3 + i, at + 1] = C[i, 2] * p - C[i, 0] * r
-        H[3 + i, at + 2] = C[i, 0] * q - C[i, 1] * p
-
-
-@inner
-def antenna_rows_kernel(
-    now: FilterState,
-    antenna_b: FloatArray,
-    lla: FloatArray,
-    vel_n: FloatArray,
-    index: Index,
-    H: FloatArray,
-    z: FloatArray,
-    work: MeasureWork,
-) -> None:
-    """Fill z (6,) and H (6, n) as :func:`antenna_kernel` does, with all states that the antenna depends on.
-
-    The lever arm is the estimated one if the layout has it.
-    """
-    at = index.antenna_b
-    for i in range(3):
-        work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
-    matrix_kernel(now.state, work.C)
-    antenna_kernel(now.state, work.C, work.lever, work.last[0], lla, vel_n, H, z)
-    if newest_kernel(work.last, work.known[3], work.motion):
-        for i in range(3):
-            for j in range(3):
-                H[3 + i, PHI + j] = 0.0
-    motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
-    drive_rows_kernel(H[3:], work.drives, work.factor)
-    if at >= 0:
-        lever_kernel(work.C, work.motion[0], at, H)
 
 
 @inner
@@ -205,7 +118,13 @@ def _fix_kernel(
         code = i // 3
         _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
-    antenna_rows_kernel(now, values[6:], values[:3], values[3:6], index, H, z, work)
+    if index.time_offset >= 0:
+        none = work.vectors[0]
+        none[:] = 0.0
+        antenna_rows_kernel(now, values[6:], values[:3], none, index, H, z, work)
+        late_rows_kernel(now, values[3:6], index.time_offset, H, z, work)
+    else:
+        antenna_rows_kernel(now, values[6:], values[:3], values[3:6], index, H, z, work)
     if index.gnss_pos >= 0:
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
@@ -321,6 +240,33 @@ def _radar_kernel(
 
 
 @inner
+def _heading_kernel(
+    row: int,
+    first: int,
+    now: FilterState,
+    data: Measurements,
+    index: Index,
+    pending: Pending,
+    work: MeasureWork,
+) -> int:
+    C = work.C
+    matrix_kernel(now.state, C)
+    north, east, down = C[0, 0], C[1, 0], C[2, 0]
+    level = north * north + east * east
+    if not level > _LEAST_LEVEL * _LEAST_LEVEL:
+        return 0
+    _row_kernel(pending, first, HEADING, HEADING, 0, 1, data.variance[row, 0])
+    H, z = pending.H[first], np.arctan2(east, north) - data.values[row, 0]
+    H[PHI], H[PHI + 1], H[PHI + 2] = -down * north / level, -down * east / level, 1.0
+    for at in (index.heading_bias, index.heading_wander):
+        if at >= 0:
+            H[at] = 1.0
+            z += now.state[at + 1]
+    pending.z[first] = z - 2.0 * np.pi * np.rint(z / (2.0 * np.pi))
+    return 1
+
+
+@inner
 def _odometer_kernel(
     row: int,
     first: int,
@@ -427,6 +373,7 @@ ROWS: dict[int, Callable[..., int]] = {
     ODOMETER_ROWS: _odometer_kernel,
     VEHICLE_ROWS: _vehicle_kernel,
     COURSE_ROWS: _course_kernel,
+    HEADING_ROWS: _heading_kernel,
 }
 """What fills the rows of each kind of record from row ``first`` of ``pending`` on and returns their number.
 

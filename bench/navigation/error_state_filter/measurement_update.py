@@ -36,6 +36,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     AIRSPEED,
     BARO,
+    HEADING,
     MAGNETIC,
     NONHOLONOMIC,
     ODOMETER,
@@ -60,6 +61,7 @@ OPENS = {
     AIRSPEED: ("wind_north", "wind_east"),
     RADAR: ("radar_bias",),
     ODOMETER: ("odometer_scale",),
+    HEADING: ("heading_bias",),
     NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
 }
 """The states that may have made a step where a sensor is believed again after refusals.
@@ -132,7 +134,7 @@ def use_kernel(
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
     P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
-    if rows > 0 and pending.tags[first, 0] != MAGNETIC:
+    if rows > 0 and pending.tags[first, 0] != MAGNETIC and pending.tags[first, 0] != HEADING:
         blind_kernel(now.state, P, pending.H[first : first + rows])
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     satellites: int = gate.opens.shape[0]

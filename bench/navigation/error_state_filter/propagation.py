@@ -31,6 +31,7 @@ from bench.navigation.error_state_filter.state_blocks import Index, Process
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 from bench.wide_rows import wide, widened
 
+LATE = 0.1  # mean age of the force by which late fixes are compared: half of a delay of 0.2 s [s]
 _RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
 
 
@@ -72,6 +73,7 @@ class MeasureWork(NamedTuple):
     """Memory of what fills the rows of a measurement, shared with the steps before it."""
 
     last: FloatArray  # (2, 3) rate [rad/s] and specific force [m/s^2] of the last step, b, corrected
+    force_n: FloatArray  # (3,) the mean force of the last `LATE`, n, where the clock of fixes is estimated
     vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
     C: FloatArray  # (3, 3)
     lever: FloatArray  # (3,)
@@ -94,10 +96,10 @@ class UpdateWork(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What the next step needs of the steps before; also the first two of `MeasureWork`."""
+    """What the next step needs of the steps before; also the first three of `MeasureWork`."""
 
-    whole: FloatArray  # (63,) memory of all of it
-    kept: FloatArray  # (63,) a copy, while a filter goes ahead for an answer
+    whole: FloatArray  # (66,) memory of all of it
+    kept: FloatArray  # (66,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
@@ -133,10 +135,10 @@ class Work(NamedTuple):
 
 def work_for(n: int, drives: IntArray) -> Work:
     """Return the memory for n states and their drives (D, 3)."""
-    shapes = (7,), (2, 3), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,)
+    shapes = (7,), (2, 3), (3,), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     whole = np.zeros(ends[-1])
-    before, last, vectors, *others = (
+    before, last, force_n, vectors, *others = (
         part.reshape(shape) for part, shape in zip(np.split(whole, ends[:-1]), shapes, strict=True)
     )
     F, G, back = np.zeros((3, 9, 15))
@@ -147,6 +149,7 @@ def work_for(n: int, drives: IntArray) -> Work:
         covariance=covariance_work(n),
         measure=MeasureWork(
             last,
+            force_n,
             vectors,
             np.zeros((3, 3)),
             np.zeros(3),
@@ -205,6 +208,16 @@ def clock_kernel(P: FloatArray, at: int, T: float) -> None:
         P[at, j] += T * P[at + 1, j]
     for i in range(n):
         P[i, at] += T * P[i, at + 1]
+
+
+@inner
+def mean_force_kernel(T: float, newest: FloatArray, force_n: FloatArray) -> None:
+    """Take a mean force (3,) over T into that of the last `LATE`."""
+    share = 1.0 - np.exp(-T / LATE)
+    if force_n[0] == 0.0 and force_n[1] == 0.0 and force_n[2] == 0.0:
+        share = 1.0
+    for i in range(3):
+        force_n[i] += share * (newest[i] - force_n[i])
 
 
 @inner
@@ -345,6 +358,8 @@ def advance_kernel(
             dv_sum[i] /= T
             for j in range(3):
                 C_mean[i, j] /= T
+        if index.time_offset >= 0:
+            mean_force_kernel(T, dv_sum, measure.force_n)
         for d in range(driven):
             factor[d] = factor_kernel(drives[d, 2], T, w_sum, f_sum, known) / T
         if driven > 0:

@@ -22,6 +22,7 @@ from bench.compiled import find_address, inner, types_of
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.engine.session import Growing, Kept, SessionState, require
+from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
@@ -29,7 +30,6 @@ from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
     SENSORS,
     Measurements,
-    antenna_rows_kernel,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
 from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, Index

@@ -27,6 +27,7 @@ from bench.navigation.error_state_filter.state_processes import (
     Block,
     States,
 )
+from bench.navigation.error_state_filter.vehicle_states import vehicle
 from bench.navigation.options import FusionOptions
 from bench.signals.orbits import C
 from bench.specs import AssumedSpecs
@@ -37,6 +38,8 @@ GPS_RANGES, GLONASS_RANGES = 16, 12
 """Satellites of each constellation whose range error has a state; some 14 of 32 and 10 of 24 are in view."""
 _OBLIQUITY = 1.6  # of the ionosphere at 35 deg, the median elevation above 5 deg [1]
 
+CLOCK_WALK = 1e-3  # of two clocks that nothing holds together: 100 ppm in 100 s [s/sqrt(s)]
+TURNING = 2.0  # acceleration that a vehicle may have as a filter starts [m/s^2]
 WIND_SD = 10.0  # of each horizontal component of the wind at the start, a fresh breeze [m/s]
 WIND_WALK = 0.1  # change of the wind as the aircraft moves through it: 2.4 m/s in 10 minutes [m/s/sqrt(s)]
 
@@ -55,6 +58,9 @@ class Index(NamedTuple):
     mag_soft_iron: int
     mag_turn: int
     odometer_scale: int
+    heading_bias: int
+    heading_wander: int
+    time_offset: int
     axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
     axle_b: int
     gust_n: int
@@ -128,6 +134,10 @@ def state_model(
     if layout.has("gnss_pos"):  # estimate, zero, less truth
         own = layout.slice("gnss_pos")
         P[:3, own], P[own, :3] = -np.diag(initial.fix_cov), -np.diag(initial.fix_cov)
+    if layout.has("time_offset"):  # a start by fixes is that of another instant
+        variance = P[layout.slice("time_offset"), layout.slice("time_offset")][0, 0]
+        P[:3, :3] += variance * np.outer(initial.vel_n, initial.vel_n)
+        P[3:6, 3:6] += variance * TURNING**2 * np.eye(3)
     table = np.array(sorted(drives, key=_correction_order), np.int64).reshape(-1, 3)
     thermal = thermal_figures(initial.t, float(initial.lla[2]), specs.imu)
     if gyro_sd is not None:
@@ -378,42 +388,29 @@ ODOMETER_SCALE = Block("odometer", _odometer_scale, takes=("odometer scale facto
 """Error of the odometer's scale factor, constant."""
 
 
-SQUAT_SD = 0.006  # pitch of a body by its forward specific force: 3.4 deg by g [rad s^2/m]
-LIFT_SD = 0.01  # angle of attack by the load on the wings: 5.6 deg by g [rad s^2/m]
-SIDESLIP_SD, SIDESLIP_TIME = (
-    float(np.deg2rad(1.5)),
-    1.0,
-)  # of an aircraft between gusts and its fin [rad], [s]
-GUST_TIME = 5.0  # in which an aircraft of 25 m/s crosses an eddy of 125 m [s]
-
-
-def _axis(at: tuple[float, float], sd: float, slip_sd: float, slip_s: float, gain_sd: float) -> list[States]:
-    """Return the axis along which a vehicle moves: its mean yaw and pitch, slip, and pitch by a force."""
-    mean, slip, rate = sd**2, slip_sd**2, 1.0 / slip_s
-    return [
-        States("axis_yaw", "rad", 1, mean, value=at[0]),
-        States("axis_pitch", "rad", 1, mean, value=at[1]),
-        States("slip_yaw", "rad", 1, slip, decay_time=rate, stationary=slip),
-        States("slip_pitch", "rad", 1, slip, decay_time=rate, stationary=slip),
-        States("pitch_by_force", "rad_per_m_s2", 1, gain_sd**2),
+def _heading_errors(specs: AssumedSpecs) -> list[States]:
+    spec = assumed(specs, "heading")
+    offset, wander = spec.bias_sd**2, spec.wander_sd**2
+    found = [
+        States("heading_bias", "rad", 1, offset),
+        States("heading_wander", "rad", 1, wander, decay_time=1.0 / spec.wander_time, stationary=wander),
     ]
+    return [states for states in found if states.variance]
 
 
-def vehicle(options: FusionOptions) -> list[Block]:
-    """Return the states of a vehicle on wheels and of coordinated flight (`vehicle_motion`)."""
-    mounting, slip, alpha, sd = np.deg2rad(
-        [options.mounting_sd_deg, options.slip_sd_deg, options.alpha_deg, options.alpha_sd_deg]
-    )
-    wheels = [
-        *_axis((0.0, 0.0), mounting, slip, options.slip_s, SQUAT_SD),
-        States("axle_b", "m", 3, options.axle_sd**2, value=np.array(options.axle_b)),
-    ]
-    gust = options.gust_sd**2
-    wings = [
-        *_axis((0.0, -alpha), sd, SIDESLIP_SD, SIDESLIP_TIME, LIFT_SD),
-        States("gust_n", "m_s", 3, gust, decay_time=1.0 / GUST_TIME, stationary=gust),
-    ]
-    return [Block("nonholonomic", lambda _: wheels), Block("coordinated", lambda _: wings)]
+HEADING_ERRORS = Block(
+    "heading",
+    _heading_errors,
+    takes=("offset of the antennas' heading", "multipath of the antennas' heading"),
+    records=("heading",),
+)
+"""Offset of the line between two antennas from the forward axis, constant, and Gauss-Markov multipath."""
+
+
+def clock_of_fixes(sd: float) -> Block:
+    """Return what has to be added to the times of fixes, known to ``sd`` [s] at the start, a random walk."""
+    states = (States("time_offset", "s", 1, sd**2, CLOCK_WALK**2),)
+    return Block("time_offset_sd", lambda _: states, records=("fixes",))
 
 
 def used_blocks(blocks: Iterable[Block], sensors: SensorData, used: Iterable[str]) -> list[Block]:
@@ -428,5 +425,6 @@ def chosen_blocks(options: FusionOptions) -> list[Block]:
     wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
     markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
     imu, satellites = (MEMS, EVERY_ERROR), (CLOCK, RANGE_ERRORS)
+    ride += [HEADING_ERRORS, clock_of_fixes(options.time_offset_sd)]
     every = (BARO_BIAS, markov, *imu, *satellites, arm, wind, RADAR_BIAS, MAGNETOMETER, *ride, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

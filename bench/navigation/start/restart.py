@@ -5,7 +5,8 @@ come back metres off and claim decimetres. So it stops at the last sample before
 position and velocity come from the fixes alone (`fixes_only`); the attitude is held and its
 covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
 (`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
-all other states begin as at the first start.
+all other states begin as at the first start. A filter without fixes ends at the gap: nothing tells where
+it is.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ class BetweenGaps(SessionState):
         Start.
     events : list of (t, t_end, kind, text)
         What went before.
-    accuracy : str
-        How the filter weighs fixes.
+    accuracy : str or None
+        How the filter weighs fixes; None: it has none, and ends at a gap.
     whole : bool
         The filter knows what adds to its biases (``steady_errors``), and ``begin`` takes ``gyro_sd``.
     """
@@ -113,7 +114,7 @@ class BetweenGaps(SessionState):
         first: SensorData,
         start: InitialState,
         events: list[EventRow],
-        accuracy: FixAccuracy,
+        accuracy: FixAccuracy | None,
         *,
         whole: bool = False,
     ) -> None:
@@ -143,7 +144,7 @@ class BetweenGaps(SessionState):
             first, after = behind, ended
             lost = slice(int(rows[k - 1]) + 1 if k else 0, behind)
             self.lost = _count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
-            self._stop((ended, float(imu.t[behind] - imu.dt[behind])))
+            self._stop((ended, float(imu.t[behind] - imu.dt[behind])), found)
         stop = int(again[0]) if len(again) else len(imu)
         lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
         self.lost = _count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
@@ -182,9 +183,12 @@ class BetweenGaps(SessionState):
         ended: float | None = None,
     ) -> None:
         """Take a part without a long gap; nothing comes after the ``last``, and a gap after ``ended`` [s]."""
-        fixes = part.fixes
-        assert fixes is not None
-        fresh, self.newest = fresh_fixes(fixes, self.newest)
+        if self.filter is None and self.pause is None:  # it has ended
+            found.append(self._unknown(part.output_t))
+            return
+        if self.accuracy is not None:
+            assert part.fixes is not None
+            fresh, self.newest = fresh_fixes(part.fixes, self.newest)
         if self.pause is not None:
             self.pause.coast.take(fresh)
             aligned = self._align(part, look_back, found, last=last, ended=ended)
@@ -204,8 +208,19 @@ class BetweenGaps(SessionState):
             self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
             self.filter = None
 
-    def _stop(self, silent: tuple[float, float]) -> None:
-        """Go on by the fixes alone from a gap from one instant until another [s]."""
+    def _stop(self, silent: tuple[float, float], found: list[NavSolution]) -> None:
+        """Go on by the fixes alone from a gap from one instant until another [s]; without any end."""
+        if self.accuracy is None:
+            if self.stopped is not None:
+                length, because = f"{silent[1] - silent[0]:.6g} s", _name_ranges(self.lost)
+                text = f"IMU silent for {length}{because}: it ends; without fixes nothing tells where it is"
+                events: list[EventRow] = [
+                    (*silent, "timeline", f"imu: gap of {length}", "imu"),
+                    (*silent, "ended", text, "imu"),
+                ]
+                found.append(replace(self._unknown(np.empty(0)), events=Events.from_rows(events)))
+            self.stopped = None
+            return
         if self.pause is None:
             assert self.stopped is not None
             coast = Coast(self.head, self.stopped, self.names, self.accuracy)
@@ -214,6 +229,11 @@ class BetweenGaps(SessionState):
         if because:
             self.pause.coast.go_beyond()
         self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
+
+    def _unknown(self, t: FloatArray) -> NavSolution:
+        """Return what is not known at instants t (M,), with the further states of the filter."""
+        none = np.full((len(t), len(self.names)), np.nan)
+        return replace(nothing_known(t), extra_names=self.names, extra=none, extra_sd=none)
 
     def _align(
         self, part: SensorData, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
@@ -258,7 +278,8 @@ class BetweenGaps(SessionState):
         found.append(replace(coasted, events=Events.from_rows(events)))
         if start is None:
             if last:
-                found.append(_unanswered(pause.wanted, coasted))
+                self.names = coasted.extra_names
+                found.append(self._unknown(pause.wanted))
             return None
         self.pause, self.again, self.start = None, True, start
         self.filter = self._begin_again()
@@ -281,9 +302,10 @@ class BetweenGaps(SessionState):
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
-        if self.pause is None:
-            assert self.filter is not None
+        if self.filter is not None and self.pause is None:
             return self._own(self.filter.answer(self._less(head)))
+        if self.pause is None:
+            return self._unknown(np.array([self.end]))
         self.pause.wanted = np.empty(0)
         if self.held is not None:
             self.held = replace(self.held, output_t=np.empty(0))
@@ -310,10 +332,13 @@ def between_gaps(
 ) -> InPieces:
     """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
 
-    Without fixes, or with an ``accuracy`` of None, it has nothing to start again from and bridges them.
+    Without fixes, or with an ``accuracy`` of None, it has nothing to start again from and ends at a gap; one
+    with satellites bridges it.
     """
-    if accuracy is None or first.fixes is None:
-        return begin(first, start, events)
+    if first.fixes is None:
+        if accuracy is not None and first.observations is not None:
+            return begin(first, start, events)
+        accuracy = None
     return BetweenGaps(begin, first, start, events, accuracy, whole=whole)
 
 
@@ -356,9 +381,3 @@ def _ways(begin: float, coast: Coast) -> list[StartSearch]:
 
 def _last_answer(solution: NavSolution) -> End:
     return End(*(getattr(solution, name)[-1] for name in End._fields))
-
-
-def _unanswered(t: FloatArray, like: NavSolution) -> NavSolution:
-    """Return what is not known at instants t (M,), with the further states of another solution."""
-    none = np.full((len(t), len(like.extra_names)), np.nan)
-    return replace(nothing_known(t), extra_names=like.extra_names, extra=none, extra_sd=none)

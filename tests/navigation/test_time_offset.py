@@ -1,0 +1,104 @@
+"""The offset of the clock of fixes: found, claimed as it is, without loss elsewhere, and on a real drive.
+
+H is held against the filter's own prediction in `test_linearization`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bench import sensors
+from bench.config.log import load_log
+from bench.errors import EstimatorError
+from bench.evaluation.error_series import error_series
+from bench.exchange.log_records import read_records
+from bench.log_pipeline import Session, find_start
+from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
+from bench.navigation.estimator import load
+from tests.builders import put
+from tests.weaving import units, weaving
+
+SD = 0.1
+DRIVE = Path(__file__).parent.parent / "logs" / "drive.toml"
+DRAWS = 24
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return weaving(60.0, rate=50.0)
+
+
+def draw(truth, run, sd=SD):
+    """Return records whose fixes show the motion at their times plus an offset, and that offset [s]."""
+    drawn = sensors.sense(truth, replace(units(), output_rate=1.0), 11, run)
+    random, fixes = np.random.default_rng([5, run]), drawn.data.fixes
+    steps = np.sqrt(np.diff(fixes.t, prepend=0.0)) * random.standard_normal(len(fixes))
+    offset = sd * random.standard_normal() + CLOCK_WALK * np.cumsum(steps)
+    told = fixes.t - offset
+    late = put(fixes, slice(None), t=told, t_arrival=np.maximum(told, fixes.t_arrival))
+    return replace(drawn, data=replace(drawn.data, fixes=late)), offset[-1]
+
+
+def measure(truth, options, runs, use="loose-15"):
+    """Return the sums of squared errors by their claim at the end: of the offset, of the nine others."""
+    offsets, nees, sd = 0.0, 0.0, []
+    for run in range(runs):
+        drawn, offset = draw(truth, run)
+        solution = load(use, options).run(drawn.data, drawn.initial)
+        nees += error_series(truth, solution).nees[-1]
+        if options:
+            at = solution.extra_names.index("time_offset_s")
+            offsets += ((solution.extra[-1, at] - offset) / solution.extra_sd[-1, at]) ** 2
+            sd.append(solution.extra_sd[-1, at])
+    return offsets, nees, sd
+
+
+@pytest.mark.parametrize("use", ["loose-15", "loose-full"])
+def test_the_offset_and_all_else_are_as_claimed(truth, use):
+    """Chi-squared, two-sided 99.9 %; the offset becomes known to milliseconds."""
+    offsets, nees, sd = measure(truth, {"time_offset_sd": SD}, DRAWS, use)
+    assert stats.chi2.isf(0.9995, DRAWS) < offsets < stats.chi2.isf(0.0005, DRAWS)
+    assert stats.chi2.isf(0.9995, 9 * DRAWS) < nees < stats.chi2.isf(0.0005, 9 * DRAWS)
+    assert max(sd) < 0.015
+
+
+def test_without_the_state_the_same_fixes_make_a_filter_wrong(truth):
+    _, nees, _ = measure(truth, {}, 6)
+    assert nees > 3 * stats.chi2.isf(0.0005, 9 * 6)
+
+
+def test_it_needs_fixes():
+    for use, more in (("tight", {}), ("baro-inertial", {})):
+        with pytest.raises(EstimatorError, match=r"time_offset_sd = 0\.1 needs fixes"):
+            load(use, {"time_offset_sd": 0.1, **more})
+
+
+@pytest.fixture(scope="module")
+def at_once():
+    """How far the state of the shipped drive moves, by how much later the fixes are told [s]."""
+
+    def estimate(late):
+        spec = load_log(str(DRIVE), overrides={"gnss.time_offset_s": late})
+        recorded = read_records(spec)
+        session = Session(spec, recorded, find_start(recorded, spec))
+        keep, _ = session.split_fixes()
+        data = session.make_data(keep & (session.fixes.t < 240.0), np.array([120.0, 180.0, 239.0]))
+        one = load("loose-15", {"fix_accuracy": "reported", "time_offset_sd": 0.3})
+        solution = one.run(data, session.initial)
+        return solution.extra[:, solution.extra_names.index("time_offset_s")]
+
+    usual = estimate(0.0)
+    return lambda late: estimate(late) - usual
+
+
+@pytest.mark.parametrize("late", [0.073, 0.247])
+def test_fixes_of_a_real_drive_that_are_told_later_are_found_later(at_once, late):
+    """Two clocks that drift apart, an IMU shaken by the roof: three quarters of the shift, or more."""
+    moved = -at_once(late)
+    assert (moved > 0.65 * late).all()
+    assert (moved < 1.1 * late).all()
